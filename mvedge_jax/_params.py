@@ -1,0 +1,70 @@
+"""Traced hyperparameters: declaring them, and matching them to the data's precision."""
+
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+_Tree = TypeVar("_Tree")
+
+
+def as_number(value: Any) -> Any:
+    """Turns a Python or NumPy number into a strongly typed JAX array and leaves arrays alone.
+
+    A weak type would retrace a jitted function the first time that an optimiser replaces the
+    value, hence the explicit dtype.
+    """
+    if isinstance(value, bool | int | float):
+        return jnp.asarray(value, dtype=jnp.result_type(float))
+    if isinstance(value, tuple | list):
+        return jnp.asarray(value, dtype=jnp.result_type(float))
+    return value
+
+
+def number(default: float | tuple[float, ...] | Callable[[], Any]) -> Any:
+    """Declares a traced numeric field of a parameter `equinox.Module`.
+
+    Args:
+        default: value, or a function without arguments that makes it. Arrays are made when the
+            module is instantiated, never when the package is imported.
+
+    Returns:
+        An `equinox.field` whose value becomes an array leaf: one compiled function then serves
+        every value, and `jax.grad` and `jax.vmap` reach it.
+
+    Example:
+        >>> import equinox as eqx
+        >>> from jaxtyping import Array, Float
+        >>> class Smoothing(eqx.Module):
+        ...     sigma: Float[Array, ""] = number(0.85)
+        >>> Smoothing(sigma=2.0).sigma.shape
+        ()
+    """
+    factory = default if callable(default) else (lambda: default)
+    return eqx.field(converter=as_number, default_factory=factory)
+
+
+def cast(tree: _Tree, dtype: Any) -> _Tree:
+    """Casts every inexact array leaf to `dtype`; other leaves are left alone.
+
+    A stage calls it on its parameters with the dtype of its data, so that float32 views and
+    float64 parameters (the default under `jax_enable_x64`) never promote. Differentiable.
+
+    Args:
+        tree: any pytree, usually a parameter module.
+        dtype: a floating dtype.
+
+    Returns:
+        The same tree with its floating leaves in `dtype`.
+    """
+
+    def convert(leaf: Any) -> Any:
+        if eqx.is_inexact_array(leaf) or (
+            eqx.is_array_like(leaf) and jnp.issubdtype(jnp.result_type(leaf), jnp.inexact)
+        ):
+            return jnp.asarray(leaf).astype(dtype)
+        return leaf
+
+    return jax.tree.map(convert, tree)

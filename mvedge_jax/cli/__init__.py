@@ -1,0 +1,3 @@
+"""The command line, `mvedge`."""
+
+from ._main import main as main

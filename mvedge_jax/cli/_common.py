@@ -1,0 +1,115 @@
+"""What the commands share: progress, output that is never half-written, the compilation cache."""
+
+import contextlib
+import os
+import shutil
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import jax
+from rich.console import Console
+
+_PROGRESS = Console(stderr=True)
+
+
+@contextlib.contextmanager
+def stage(name: str) -> Iterator[None]:
+    """Shows `name` with a spinner while the body runs, and its time when it is done."""
+    start = time.perf_counter()
+    with _PROGRESS.status(name):
+        yield
+    _PROGRESS.print(f"[green]done[/] {name} ({time.perf_counter() - start:.1f} s)")
+
+
+def note(text: str) -> None:
+    """Prints a line for the user to the standard output."""
+    sys.stdout.write(text + "\n")
+
+
+def warn(text: str) -> None:
+    """Prints a warning to the standard error."""
+    _PROGRESS.print(f"[yellow]warning[/] {text}", highlight=False)
+
+
+@contextlib.contextmanager
+def output_folder(path: Path, *, overwrite: bool = False) -> Iterator[Path]:
+    """A folder that appears whole or not at all.
+
+    The body writes into a temporary sibling, which is renamed to `path` on success and removed on
+    any failure, Ctrl-C included.
+
+    Args:
+        path: the folder to make.
+        overwrite: replace what an earlier run left there, instead of refusing.
+
+    Yields:
+        The temporary folder to write into.
+
+    Raises:
+        FileExistsError: if `path` is there, not empty, and `overwrite` is off.
+    """
+    path = Path(path)
+    if path.exists() and not path.is_dir():
+        raise FileExistsError(f"{path} is a file, expected a folder to write into.")
+    if path.is_dir() and any(path.iterdir()) and not overwrite:
+        raise FileExistsError(
+            f"{path} is there already and is not empty; choose another folder or pass --overwrite."
+        )
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = Path(tempfile.mkdtemp(prefix=f".{path.name}-", dir=path.parent))
+    temporary.chmod(0o755)
+    try:
+        yield temporary
+        if path.is_dir():
+            shutil.rmtree(path)
+        temporary.rename(path)
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+
+
+@contextlib.contextmanager
+def atomic_file(path: Path) -> Iterator[Path]:
+    """A file that appears whole or not at all.
+
+    Args:
+        path: the file to make or replace; its folder is made too.
+
+    Yields:
+        A temporary path with the same suffix to write to.
+    """
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_name(f".{path.stem}-{os.getpid()}{path.suffix}")
+    try:
+        yield temporary
+        temporary.replace(path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def enable_compilation_cache() -> Path | None:
+    """Switches on JAX's persistent compilation cache in the user's cache folder.
+
+    `MVEDGE_CACHE=off` (or `--no-cache`) turns it off; `MVEDGE_CACHE=<folder>` moves it. A
+    cache that the user configured through JAX's own variables is left alone.
+
+    Returns:
+        The folder, or None if the cache is off or could not be made.
+    """
+    wish = os.environ.get("MVEDGE_CACHE", "")
+    if wish.lower() in {"off", "0", "no"}:
+        return None
+    if jax.config.jax_compilation_cache_dir:
+        return Path(jax.config.jax_compilation_cache_dir)
+    default = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "mvedge_jax"
+    folder = Path(wish) if wish else default / "jax"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError:
+        return None
+    jax.config.update("jax_compilation_cache_dir", str(folder))
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.3)
+    return folder

@@ -1,0 +1,73 @@
+"""The entry point: which commands there are, and what a user's mistake looks like."""
+
+import importlib
+import os
+import sys
+import traceback
+from collections.abc import Callable, Sequence
+
+import tyro
+
+from ._common import enable_compilation_cache
+
+# Command -> module, function. Modules are imported by name so that a missing extra costs only the
+# command that needs it.
+_COMMANDS = {
+    "info": ("._info", "info"),
+    "render": ("._render", "render"),
+    "eval": ("._eval", "evaluate"),
+    "demo": ("._demo", "demo"),
+}
+_DESCRIPTION = (
+    "Multi-view edges and dense, occlusion-correct depth from light fields.\n\n"
+    "`mvedge COMMAND --help` explains a command. Options for all commands: --debug shows the "
+    "traceback of an error; --no-cache does without JAX's persistent compilation cache."
+)
+
+
+def _commands() -> dict[str, Callable]:
+    return {
+        name: getattr(importlib.import_module(module, __package__), function)
+        for name, (module, function) in _COMMANDS.items()
+    }
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Runs `mvedge`.
+
+    Args:
+        arguments: the command line without the program's name; `sys.argv` by default.
+
+    Returns:
+        The exit code: 0 success, 1 a fault of the program, 2 a mistake in the command line or the
+        files that it names, 130 interrupted.
+    """
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    debug = "--debug" in words
+    words = [word for word in words if word != "--debug"]
+    if "--no-cache" in words:
+        words = [word for word in words if word != "--no-cache"]
+        os.environ["MVEDGE_CACHE"] = "off"
+    enable_compilation_cache()
+    try:
+        result = tyro.extras.subcommand_cli_from_dict(
+            _commands(), prog="mvedge", description=_DESCRIPTION, args=words
+        )
+    except SystemExit as stop:  # tyro's own answer to --help or a wrong option
+        return stop.code if isinstance(stop.code, int) else 2
+    except KeyboardInterrupt:
+        sys.stderr.write("interrupted; nothing was left half-written\n")
+        return 130
+    except (ValueError, OSError) as mistake:
+        if debug:
+            traceback.print_exc()
+        sys.stderr.write(f"mvedge: error: {mistake}\n")
+        return 2
+    except Exception as fault:
+        if debug:
+            traceback.print_exc()
+        sys.stderr.write(
+            f"mvedge: internal error: {type(fault).__name__}: {fault} (--debug shows where)\n"
+        )
+        return 1
+    return result if isinstance(result, int) else 0

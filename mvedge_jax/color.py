@@ -1,0 +1,91 @@
+"""Colour spaces, differentiable: sRGB to linear light, CIE L*a*b* and grey."""
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+# IEC 61966-2-1 primaries with the D65 white point of the 2 degree observer.
+_XYZ_FROM_RGB = np.array(
+    [
+        [0.4124564, 0.3575761, 0.1804375],
+        [0.2126729, 0.7151522, 0.0721750],
+        [0.0193339, 0.1191920, 0.9503041],
+    ]
+)
+_LUMA = np.array([0.299, 0.587, 0.114])
+_LAB_DELTA = 6.0 / 29.0
+
+
+def _require_rgb(image: Array, name: str) -> None:
+    if image.ndim < 1 or image.shape[-1] != 3:
+        raise ValueError(
+            f"`{name}` must have three colour channels on its last axis, got shape {image.shape}."
+        )
+
+
+def srgb_to_linear(image: Float[Array, "*s"]) -> Float[Array, "*s"]:
+    """Undoes the sRGB transfer curve.
+
+    Args:
+        image: sRGB values in [0, 1], any shape.
+
+    Returns:
+        Linear-light values in [0, 1], same shape. Differentiable, also at 0 (the linear toe).
+
+    Source: IEC 61966-2-1.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> srgb_to_linear(jnp.array([0.0, 0.5, 1.0])).round(4).tolist()
+        [0.0, 0.2140, 1.0]
+    """
+    toe = image <= 0.04045
+    # The power is evaluated at a safe value where it is not selected: no NaN in the gradient.
+    curve = ((jnp.where(toe, 1.0, image) + 0.055) / 1.055) ** 2.4
+    return jnp.where(toe, image / 12.92, curve).astype(image.dtype)
+
+
+def srgb_to_lab(image: Float[Array, "*s 3"]) -> Float[Array, "*s 3"]:
+    """Converts sRGB to CIE Lab (L*, a*, b*; D65).
+
+    Args:
+        image: sRGB values in [0, 1], channels last.
+
+    Returns:
+        `L` in 0..100, `a` and `b` about -100..100, same shape. Differentiable everywhere: black
+        lies on the linear part of the cube-root curve.
+
+    Raises:
+        ValueError: if the last axis does not hold three channels.
+
+    Source: CIE 15; the thesis' EPI stages work on these values (REFERENCE_NOTES section 0).
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> srgb_to_lab(jnp.ones(3))[0].round(1).item()
+        100.0
+    """
+    _require_rgb(image, "image")
+    matrix = jnp.asarray(_XYZ_FROM_RGB / _XYZ_FROM_RGB.sum(1, keepdims=True), image.dtype)
+    xyz = srgb_to_linear(image) @ matrix.T
+    toe = xyz <= _LAB_DELTA**3
+    root = jnp.cbrt(jnp.where(toe, 1.0, xyz))
+    f = jnp.where(toe, xyz / (3 * _LAB_DELTA**2) + 4.0 / 29.0, root)
+    x, y, z = f[..., 0], f[..., 1], f[..., 2]
+    return jnp.stack([116.0 * y - 16.0, 500.0 * (x - y), 200.0 * (y - z)], axis=-1)
+
+
+def srgb_to_gray(image: Float[Array, "*s 3"]) -> Float[Array, "*s"]:
+    """Rec. 601 luma of an sRGB image.
+
+    Args:
+        image: sRGB values in [0, 1], channels last.
+
+    Returns:
+        Grey values in [0, 1] without the channel axis. Linear, hence differentiable.
+
+    Raises:
+        ValueError: if the last axis does not hold three channels.
+    """
+    _require_rgb(image, "image")
+    return image @ jnp.asarray(_LUMA, image.dtype)

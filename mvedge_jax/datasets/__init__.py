@@ -1,0 +1,1 @@
+"""Light fields in: benchmark and camera formats, and rendered scenes."""

@@ -1,0 +1,1 @@
+"""Multi-view edges from epipolar-plane images (Thesis 4.1)."""

@@ -1,0 +1,324 @@
+"""The light field: a grid of views, what is known about it, and the slices the method reads."""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from ._params import as_number
+
+
+class Camera(eqx.Module):
+    """A regular grid of parallel pinhole cameras, sheared so that one distance has disparity 0.
+
+    A point at distance `z` has the disparity
+    `d = focal_px * baseline * (1 / z - 1 / focus_distance)` px per view step.
+
+    Attributes:
+        focal_px: focal length in pixels of the full-resolution view.
+        baseline: distance between neighbouring views, metres.
+        focus_distance: distance of zero disparity, metres; infinite for unsheared cameras.
+    """
+
+    focal_px: Float[Array, ""] = eqx.field(converter=as_number)
+    baseline: Float[Array, ""] = eqx.field(converter=as_number)
+    focus_distance: Float[Array, ""] = eqx.field(converter=as_number)
+
+    def depth(self, disparity: Float[Array, "*s"]) -> Float[Array, "*s"]:
+        """Distance along the optical axis, metres, of a disparity in px per view step.
+
+        Disparities at or beyond that of infinity give `inf`.
+        """
+        dtype = disparity.dtype
+        scale = (self.focal_px * self.baseline).astype(dtype)
+        inverse = disparity / scale + (1.0 / self.focus_distance).astype(dtype)
+        return jnp.where(inverse > 0, 1.0 / jnp.where(inverse > 0, inverse, 1.0), jnp.inf)
+
+    def disparity(self, depth: Float[Array, "*s"]) -> Float[Array, "*s"]:
+        """Disparity, px per view step, of a distance in metres."""
+        dtype = depth.dtype
+        scale = (self.focal_px * self.baseline).astype(dtype)
+        return scale * (1.0 / depth - (1.0 / self.focus_distance).astype(dtype))
+
+    def downsample(self, factor: int) -> "Camera":
+        """The camera of views whose sides are `factor` times smaller."""
+        return Camera(self.focal_px / factor, self.baseline, self.focus_distance)
+
+
+class GroundTruth(eqx.Module):
+    """What is known to be true of a scene; never read by the method, only by evaluation.
+
+    Attributes:
+        disparity: px per view step, of the centre view's pixel centres; 0 where not `valid`.
+        valid: where `disparity` is known.
+        object_ids: an integer per object of the centre view.
+        view_disparity: `disparity` of every view.
+        view_ids: `object_ids` of every view.
+    """
+
+    disparity: Float[Array, "y x"]
+    valid: Bool[Array, "y x"]
+    object_ids: Int[Array, "y x"] | None = None
+    view_disparity: Float[Array, "v u y x"] | None = None
+    view_ids: Int[Array, "v u y x"] | None = None
+
+
+class LightField(eqx.Module):
+    """A grid of views `views[v, u, y, x, c]`.
+
+    `v` counts view rows from the top, `u` view columns from the left. A point at `(x, y)` of the
+    centre view with disparity `d` is at `(x + (u_c - u) d, y + (v_c - v) d)` in view `(v, u)`;
+    larger `d` is nearer.
+
+    Construction checks shapes, and, outside of `jit`, values. Not every view has to be there: the
+    crosshair (the centre row and the centre column of views) is enough for the centre view.
+
+    Attributes:
+        views: sRGB in [0, 1]; zero where a view is missing.
+        available: which views are there.
+        disparity_range: lowest and highest disparity of the scene, px per view step, if known.
+        truth: ground truth if known; `without_truth` drops it.
+        camera: the cameras' geometry if known.
+        name: what to call the scene in tables and figures.
+
+    Raises:
+        ValueError: on a wrong rank, an even number of views per side, values that are not finite or
+            lie outside [0, 1], a missing crosshair view, an empty disparity range, or ground truth
+            of another size.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> light_field = LightField(jnp.zeros((3, 3, 8, 8, 3)))
+        >>> light_field.centre
+        (1, 1)
+        >>> light_field.horizontal_epis().shape
+        (8, 3, 8, 3)
+    """
+
+    views: Float[Array, "v u y x c"]
+    available: Bool[Array, "v u"]
+    disparity_range: Float[Array, "2"] | None
+    truth: GroundTruth | None
+    camera: Camera | None
+    name: str = eqx.field(static=True)
+
+    def __init__(
+        self,
+        views: Any,
+        *,
+        available: Any = None,
+        disparity_range: Any = None,
+        truth: GroundTruth | None = None,
+        camera: Camera | None = None,
+        name: str = "light field",
+    ):
+        self.views = jnp.asarray(views)
+        if self.views.ndim != 5:
+            raise ValueError(
+                "`views` must have the axes [v, u, y, x, c] (5 of them), got shape "
+                f"{self.views.shape}."
+            )
+        grid = self.views.shape[:2]
+        self.available = (
+            jnp.ones(grid, bool) if available is None else jnp.asarray(available, dtype=bool)
+        )
+        self.disparity_range = None if disparity_range is None else as_number(disparity_range)
+        self.truth = truth
+        self.camera = camera
+        self.name = name
+
+    def __check_init__(self):
+        views, grid = self.views, self.views.shape[:2]
+        if not jnp.issubdtype(views.dtype, jnp.floating):
+            raise ValueError(
+                f"`views` must be floating point, sRGB in [0, 1], got {views.dtype}; divide 8-bit "
+                "images by 255."
+            )
+        if views.shape[-1] != 3:
+            raise ValueError(f"`views` must have three colour channels, got {views.shape[-1]}.")
+        if min(views.shape) < 1:
+            raise ValueError(f"`views` must not be empty, got shape {views.shape}.")
+        if grid[0] % 2 == 0 or grid[1] % 2 == 0:
+            raise ValueError(
+                "`views` must have an odd number of view rows and columns, so that there is a "
+                f"centre view, got a grid of {grid[0]}x{grid[1]}; crop it (for example `views=7`)."
+            )
+        if self.available.shape != grid:
+            raise ValueError(
+                f"`available` must have the shape of the view grid {grid}, got "
+                f"{self.available.shape}."
+            )
+        if self.disparity_range is not None and self.disparity_range.shape != (2,):
+            raise ValueError(
+                "`disparity_range` must be a pair (low, high), got shape "
+                f"{self.disparity_range.shape}."
+            )
+        if self.truth is not None and self.truth.disparity.shape != views.shape[2:4]:
+            raise ValueError(
+                "`truth.disparity` must have the size of the views, "
+                f"{views.shape[2]}x{views.shape[3]}, got {self.truth.disparity.shape}."
+            )
+        if not any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(self)):
+            self._check_values()
+
+    def _check_values(self) -> None:
+        available = np.asarray(self.available)
+        vc, uc = self.centre
+        missing = [(vc, u) for u in range(available.shape[1]) if not available[vc, u]]
+        missing += [(v, uc) for v in range(available.shape[0]) if not available[v, uc]]
+        if missing:
+            raise ValueError(
+                "`available` must include the crosshair, the centre row and column of views; "
+                f"view (v, u) = {missing[0]} is missing ({len(missing)} in all)."
+            )
+        low, high = float(self.views.min()), float(self.views.max())
+        if not (np.isfinite(low) and np.isfinite(high)):
+            raise ValueError("`views` must be finite, got NaN or infinity.")
+        if low < -1e-3 or high > 1 + 1e-3:
+            raise ValueError(
+                f"`views` must be sRGB in [0, 1], got values from {low:.4g} to {high:.4g}."
+            )
+        if self.disparity_range is not None:
+            start, stop = np.asarray(self.disparity_range)
+            if not (np.isfinite(start) and np.isfinite(stop) and start < stop):
+                raise ValueError(
+                    "`disparity_range` must be finite with low < high, got "
+                    f"({start:.4g}, {stop:.4g})."
+                )
+        if self.truth is not None:
+            disparity = np.asarray(self.truth.disparity)
+            if not np.isfinite(disparity[np.asarray(self.truth.valid)]).all():
+                raise ValueError("`truth.disparity` must be finite where `truth.valid` is set.")
+
+    @property
+    def centre(self) -> tuple[int, int]:
+        """`(v_c, u_c)`, the indices of the centre view."""
+        return self.views.shape[0] // 2, self.views.shape[1] // 2
+
+    @property
+    def centre_view(self) -> Float[Array, "y x c"]:
+        """The centre view, sRGB in [0, 1]."""
+        vc, uc = self.centre
+        return self.views[vc, uc]
+
+    @property
+    def steps(self) -> Float[Array, "v u 2"]:
+        """`(u_c - u, v_c - v)` per view: what the disparity is multiplied by to get there."""
+        vc, uc = self.centre
+        dv, du = np.mgrid[vc : vc - self.views.shape[0] : -1, uc : uc - self.views.shape[1] : -1]
+        return jnp.asarray(np.stack([du, dv], axis=-1), self.views.dtype)
+
+    @property
+    def horizontal_arm(self) -> Float[Array, "u y x c"]:
+        """The centre row of views."""
+        return self.views[self.centre[0]]
+
+    @property
+    def vertical_arm(self) -> Float[Array, "v y x c"]:
+        """The centre column of views."""
+        return self.views[:, self.centre[1]]
+
+    def horizontal_epis(self) -> Float[Array, "y u x c"]:
+        """One epipolar-plane image per image row `y`: `E[u, x] = views[v_c, u, y, x]`."""
+        return jnp.swapaxes(self.horizontal_arm, 0, 1)
+
+    def vertical_epis(self) -> Float[Array, "x v y c"]:
+        """One epipolar-plane image per image column `x`: `E[v, y] = views[v, u_c, y, x]`."""
+        return jnp.transpose(self.vertical_arm, (2, 0, 1, 3))
+
+    def without_truth(self) -> "LightField":
+        """The same light field with nothing to cheat with."""
+        return eqx.tree_at(lambda s: s.truth, self, None, is_leaf=lambda leaf: leaf is None)
+
+    def crop_views(self, rows: int, columns: int | None = None) -> "LightField":
+        """Keeps the central `rows` x `columns` views (`columns` defaults to `rows`).
+
+        Raises:
+            ValueError: if a number is even, below 1, or larger than the grid.
+        """
+        columns = rows if columns is None else columns
+        for label, count, have in zip(
+            ("rows", "columns"), (rows, columns), self.views.shape[:2], strict=True
+        ):
+            if count % 2 == 0 or not 1 <= count <= have:
+                raise ValueError(
+                    f"`{label}` must be odd and between 1 and the {have} views there are, got "
+                    f"{count}."
+                )
+        vc, uc = self.centre
+        window = (
+            slice(vc - rows // 2, vc + rows // 2 + 1),
+            slice(uc - columns // 2, uc + columns // 2 + 1),
+        )
+        truth = self.truth
+        if truth is not None:
+            truth = GroundTruth(
+                truth.disparity,
+                truth.valid,
+                truth.object_ids,
+                None if truth.view_disparity is None else truth.view_disparity[window],
+                None if truth.view_ids is None else truth.view_ids[window],
+            )
+        return LightField(
+            self.views[window],
+            available=self.available[window],
+            disparity_range=self.disparity_range,
+            truth=truth,
+            camera=self.camera,
+            name=self.name,
+        )
+
+    def downsample(self, factor: int) -> "LightField":
+        """Shrinks every view by averaging `factor` x `factor` areas.
+
+        Disparities shrink with the pixels. Ground truth is averaged too (known only where all
+        of an area is known); object ids are those of the area's centre pixel. Rows and columns that
+        do not fill an area are dropped at the bottom and right.
+
+        Raises:
+            ValueError: if `factor` is below 1 or larger than a side of the views.
+        """
+        height, width = self.views.shape[2:4]
+        if not 1 <= factor <= min(height, width):
+            raise ValueError(
+                f"`factor` must be between 1 and the shorter side, {min(height, width)} px, got "
+                f"{factor}."
+            )
+        if factor == 1:
+            return self
+        rows, columns = height // factor, width // factor
+
+        def areas(image: Array, axis: int) -> Array:
+            shape = image.shape[:axis] + (rows, factor, columns, factor) + image.shape[axis + 2 :]
+            index = (slice(None),) * axis + (slice(rows * factor), slice(columns * factor))
+            return image[index].reshape(shape)
+
+        def mean(image: Array, axis: int) -> Array:
+            return areas(image, axis).mean((axis + 1, axis + 3))
+
+        def pick(image: Array | None, axis: int) -> Array | None:
+            if image is None:
+                return None
+            index = (slice(None),) * axis + (slice(None), factor // 2, slice(None), factor // 2)
+            return areas(image, axis)[index]
+
+        truth = self.truth
+        if truth is not None:
+            truth = GroundTruth(
+                mean(truth.disparity, 0) / factor,
+                areas(truth.valid, 0).all((1, 3)),
+                pick(truth.object_ids, 0),
+                None if truth.view_disparity is None else mean(truth.view_disparity, 2) / factor,
+                pick(truth.view_ids, 2),
+            )
+        return LightField(
+            mean(self.views, 2),
+            available=self.available,
+            disparity_range=None if self.disparity_range is None else self.disparity_range / factor,
+            truth=truth,
+            camera=None if self.camera is None else self.camera.downsample(factor),
+            name=self.name,
+        )

@@ -1,0 +1,1 @@
+"""Reprojection between views (Thesis 7.1.4)."""

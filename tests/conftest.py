@@ -1,0 +1,18 @@
+"""Strict numerics for every test: float64, no silent promotion, warnings are errors."""
+
+import warnings
+
+import jax
+import matplotlib as mpl
+
+mpl.use("Agg")
+jax.config.update("jax_enable_x64", True)
+jax.config.update("jax_numpy_rank_promotion", "raise")
+jax.config.update("jax_numpy_dtype_promotion", "strict")
+
+
+def pytest_configure(config):
+    # Only our own warnings are errors at collection time; the filter below applies to each test.
+    config.addinivalue_line("filterwarnings", "error")
+    config.addinivalue_line("filterwarnings", "ignore::DeprecationWarning:tyro")
+    warnings.simplefilter("default")

@@ -1,0 +1,97 @@
+"""What several test files need: real data, gradient checks, trace counts."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jaxtyping import Array, PRNGKeyArray
+
+_DATA = Path(__file__).resolve().parents[1].parent / "shared" / "data"
+
+
+def shared_data(*parts: str) -> Path:
+    """A path inside the development data; skips the test where it is absent."""
+    path = _DATA.joinpath(*parts)
+    if not path.exists():
+        pytest.skip(f"development data {'/'.join(parts)} is not there (looked in {_DATA})")
+    return path
+
+
+def random_like(tree: Any, *, key: PRNGKeyArray) -> Any:
+    """A tree of standard normal numbers in the shape of `tree`'s floating leaves."""
+    leaves, structure = jax.tree.flatten(tree)
+    keys = jax.random.split(key, max(len(leaves), 1))
+    return jax.tree.unflatten(
+        structure,
+        [
+            jax.random.normal(k, leaf.shape, leaf.dtype)
+            for k, leaf in zip(keys, leaves, strict=True)
+        ],
+    )
+
+
+def check_gradient(
+    function: Callable[[Any], Array],
+    tree: Any,
+    *,
+    rtol: float,
+    step: float | None = None,
+    directions: int = 3,
+    key: PRNGKeyArray,
+) -> None:
+    """Compares `jax.grad` with central differences along random directions, in float64.
+
+    Args:
+        function: maps a pytree to a scalar.
+        tree: where to compare; only its floating leaves vary. float64.
+        rtol: relative error that is allowed per direction.
+        step: length of the difference step along a direction of unit root-mean-square; by default
+            the cube root of the machine epsilon times the scale of the tree.
+        directions: how many random directions.
+        key: draws them.
+    """
+    moving, rest = eqx.partition(tree, eqx.is_inexact_array)
+    leaves = jax.tree.leaves(moving)
+    assert leaves, "there is nothing to differentiate"
+    assert all(leaf.dtype == jnp.float64 for leaf in leaves), "differences need float64"
+    evaluate = jax.jit(lambda m: function(eqx.combine(m, rest)))
+    gradient = jax.jit(jax.grad(lambda m: function(eqx.combine(m, rest))))(moving)
+    scale = max(float(jnp.abs(leaf).max()) if leaf.size else 0.0 for leaf in leaves)
+    step = np.finfo(np.float64).eps ** (1 / 3) * max(scale, 1e-3) if step is None else step
+    for direction_key in jax.random.split(key, directions):
+        direction = random_like(moving, key=direction_key)
+
+        above, below = (
+            evaluate(jax.tree.map(lambda a, b, t=t: a + t * b, moving, direction))
+            for t in (step, -step)
+        )
+        numeric = float(above - below) / (2 * step)
+        analytic = float(
+            sum(
+                jnp.vdot(a, b)
+                for a, b in zip(jax.tree.leaves(gradient), jax.tree.leaves(direction), strict=True)
+            )
+        )
+        assert np.isfinite(analytic), "the gradient is not finite"
+        error = abs(analytic - numeric) / max(abs(numeric), abs(analytic), 1e-300)
+        assert error <= rtol, f"gradient {analytic:.12g}, differences {numeric:.12g}: {error:.2e}"
+
+
+def count_traces(function: Callable) -> tuple[Callable, Callable[[], int]]:
+    """Jits `function` and tells how many times it was traced.
+
+    Returns:
+        The jitted function and a function without arguments that gives the number of traces.
+    """
+    traces = []
+
+    def counted(*args, **kwargs):
+        traces.append(None)
+        return function(*args, **kwargs)
+
+    return eqx.filter_jit(counted), lambda: len(traces)
