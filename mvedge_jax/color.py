@@ -45,7 +45,7 @@ def srgb_to_linear(image: Float[Array, "*s"]) -> Float[Array, "*s"]:
     return jnp.where(toe, image / 12.92, curve).astype(image.dtype)
 
 
-def srgb_to_lab(image: Float[Array, "*s 3"]) -> Float[Array, "*s 3"]:
+def srgb_to_lab(image: Float[Array, "*s c"]) -> Float[Array, "*s c"]:
     """Converts sRGB to CIE Lab (L*, a*, b*; D65).
 
     Args:
@@ -75,7 +75,7 @@ def srgb_to_lab(image: Float[Array, "*s 3"]) -> Float[Array, "*s 3"]:
     return jnp.stack([116.0 * y - 16.0, 500.0 * (x - y), 200.0 * (y - z)], axis=-1)
 
 
-def srgb_to_gray(image: Float[Array, "*s 3"]) -> Float[Array, "*s"]:
+def srgb_to_gray(image: Float[Array, "*s c"]) -> Float[Array, "*s"]:
     """Rec. 601 luma of an sRGB image.
 
     Args:

@@ -6,6 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int
 
 from ._params import as_number
@@ -161,7 +162,7 @@ class LightField(eqx.Module):
                 "`truth.disparity` must have the size of the views, "
                 f"{views.shape[2]}x{views.shape[3]}, got {self.truth.disparity.shape}."
             )
-        if not any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(self)):
+        if not any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(self)):
             self._check_values()
 
     def _check_values(self) -> None:

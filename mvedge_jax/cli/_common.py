@@ -102,8 +102,9 @@ def enable_compilation_cache() -> Path | None:
     wish = os.environ.get("MVEDGE_CACHE", "")
     if wish.lower() in {"off", "0", "no"}:
         return None
-    if jax.config.jax_compilation_cache_dir:
-        return Path(jax.config.jax_compilation_cache_dir)
+    configured = jax.config.values.get("jax_compilation_cache_dir")
+    if configured:
+        return Path(configured)
     default = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "mvedge_jax"
     folder = Path(wish) if wish else default / "jax"
     try:

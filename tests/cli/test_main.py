@@ -1,0 +1,124 @@
+"""What a user of the command line meets: help, exit codes, whole files, the cache."""
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+from mvedge_jax.cli import _common, _main
+
+
+def _fail_with(error):
+    def command():
+        """Fails."""
+        raise error
+
+    return {"fail": command, "other": command}
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "text"),
+    [
+        (ValueError("`x` must be 1, got 2."), 2, "`x` must be 1, got 2."),
+        (FileNotFoundError("no such scene"), 2, "no such scene"),
+        (KeyboardInterrupt(), 130, "interrupted"),
+        (RuntimeError("broken"), 1, "internal error: RuntimeError: broken"),
+    ],
+)
+def test_exit_codes(monkeypatch, capsys, error, code, text):
+    monkeypatch.setattr(_main, "_commands", lambda: _fail_with(error))
+    monkeypatch.setenv("MVEDGE_CACHE", "off")
+    assert _main.main(["fail"]) == code
+    captured = capsys.readouterr()
+    assert text in captured.err
+    assert "Traceback" not in captured.err
+
+
+def test_debug_shows_the_traceback(monkeypatch, capsys):
+    monkeypatch.setattr(_main, "_commands", lambda: _fail_with(ValueError("no")))
+    monkeypatch.setenv("MVEDGE_CACHE", "off")
+    assert _main.main(["fail", "--debug"]) == 2
+    assert "Traceback" in capsys.readouterr().err
+
+
+def test_help_names_every_command():
+    environment = {**os.environ, "MVEDGE_CACHE": "off"}
+    run = subprocess.run(
+        [sys.executable, "-m", "mvedge_jax", "--help"],
+        capture_output=True,
+        text=True,
+        check=True,
+        env=environment,
+    )
+    for command in _main._COMMANDS:
+        assert command in run.stdout
+
+
+def test_folder_appears_whole_or_not_at_all(tmp_path):
+    target = tmp_path / "deep" / "out"
+
+    def interrupted():
+        with _common.output_folder(target) as folder:
+            (folder / "half.txt").write_text("half")
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        interrupted()
+    assert not target.exists()
+    assert not list((tmp_path / "deep").iterdir())
+    with _common.output_folder(target) as folder:
+        (folder / "whole.txt").write_text("whole")
+    assert [path.name for path in target.iterdir()] == ["whole.txt"]
+    with pytest.raises(FileExistsError, match="not empty"), _common.output_folder(target):
+        pass
+    with _common.output_folder(target, overwrite=True) as folder:
+        (folder / "new.txt").write_text("new")
+    assert [path.name for path in target.iterdir()] == ["new.txt"]
+
+
+def test_file_appears_whole_or_not_at_all(tmp_path):
+    target = tmp_path / "result.txt"
+
+    def failing():
+        with _common.atomic_file(target) as path:
+            path.write_text("half")
+            raise RuntimeError
+
+    with pytest.raises(RuntimeError):
+        failing()
+    assert not list(tmp_path.iterdir())
+    with _common.atomic_file(target) as path:
+        path.write_text("whole")
+    assert target.read_text() == "whole"
+    assert len(list(tmp_path.iterdir())) == 1
+
+
+@pytest.mark.parametrize(
+    ("variables", "expected"),
+    [
+        ({"MVEDGE_CACHE": "off"}, "None"),
+        ({"MVEDGE_CACHE": "{tmp}/here"}, "{tmp}/here"),
+        ({"XDG_CACHE_HOME": "{tmp}/xdg"}, "{tmp}/xdg/mvedge_jax/jax"),
+        ({"JAX_COMPILATION_CACHE_DIR": "{tmp}/own"}, "{tmp}/own"),
+    ],
+)
+def test_cache_goes_where_the_user_says(tmp_path, variables, expected):
+    clean = {
+        k: v
+        for k, v in os.environ.items()
+        if k not in {"MVEDGE_CACHE", "XDG_CACHE_HOME", "JAX_COMPILATION_CACHE_DIR"}
+    }
+    run = subprocess.run(
+        [
+            sys.executable,
+            "-c",
+            "import jax; from mvedge_jax.cli._common import enable_compilation_cache as f;"
+            "print(f()); print(jax.config.values['jax_compilation_cache_dir'])",
+        ],
+        env={**clean, **{k: v.format(tmp=tmp_path) for k, v in variables.items()}},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert run.stdout.split() == [expected.format(tmp=tmp_path)] * 2

@@ -1,0 +1,168 @@
+"""Walks the public API and enforces its conventions (CONTRIBUTING.md)."""
+
+import importlib
+import inspect
+import pkgutil
+import subprocess
+import sys
+from pathlib import Path
+
+import equinox as eqx
+import pytest
+
+import mvedge_jax
+
+_PACKAGE = Path(mvedge_jax.__file__).parent
+# The rim speaks to people and files, not to jit: its arguments are paths and figures.
+_RIM = {"mvedge_jax.cli"}
+
+
+def _public_modules():
+    names = ["mvedge_jax"]
+    for info in pkgutil.walk_packages([str(_PACKAGE)], "mvedge_jax."):
+        if not any(part.startswith("_") for part in info.name.split(".")[1:]):
+            names.append(info.name)
+    return [name for name in names if name not in _RIM]
+
+
+def _public_objects():
+    seen = {}
+    for module_name in _public_modules():
+        module = importlib.import_module(module_name)
+        for name, value in vars(module).items():
+            if name.startswith("_") or inspect.ismodule(value):
+                continue
+            if not (getattr(value, "__module__", None) or "").startswith(module_name):
+                continue
+            if inspect.isfunction(inspect.unwrap(value)) or inspect.isclass(value):
+                seen[id(value)] = (f"{module_name}.{name}", value)
+    return sorted(seen.values(), key=lambda item: item[0])
+
+
+_OBJECTS = _public_objects()
+_FUNCTIONS = [(name, value) for name, value in _OBJECTS if not inspect.isclass(value)]
+_CLASSES = [(name, value) for name, value in _OBJECTS if inspect.isclass(value)]
+
+
+def _case(items):
+    return pytest.mark.parametrize(
+        ("name", "value"), items, ids=[name.removeprefix("mvedge_jax.") for name, _ in items]
+    )
+
+
+def test_the_walk_finds_the_package():
+    assert len(_FUNCTIONS) > 10
+    assert len(_CLASSES) > 3
+
+
+@_case(_FUNCTIONS)
+def test_function_documents_every_argument(name, value):
+    doc = inspect.getdoc(value)
+    assert doc, f"{name} has no docstring"
+    assert doc.splitlines()[0].endswith("."), f"{name}: the first line is not a sentence"
+    parameters = [p for p in inspect.signature(value).parameters if p != "self"]
+    missing = [p for p in parameters if f"{p}:" not in doc and f"{p} (" not in doc]
+    assert not missing, f"{name} does not describe {missing}"
+    if parameters:
+        assert "Args:" in doc, f"{name} has no Args section"
+    assert (
+        "Returns:" in doc
+        or "Yields:" in doc
+        or "->" not in str(inspect.signature(value))
+        or (str(inspect.signature(value)).endswith("-> None"))
+    ), f"{name} does not say what it returns"
+
+
+@_case(_FUNCTIONS)
+def test_options_are_keyword_only(name, value):
+    offenders = [
+        parameter.name
+        for parameter in inspect.signature(value).parameters.values()
+        if parameter.default is not inspect.Parameter.empty
+        and parameter.kind is not inspect.Parameter.KEYWORD_ONLY
+    ]
+    assert not offenders, f"{name}: {offenders} have defaults and must be keyword-only"
+
+
+@_case(_FUNCTIONS)
+def test_function_is_annotated(name, value):
+    signature = inspect.signature(value)
+    bare = [
+        p.name for p in signature.parameters.values() if p.annotation is inspect.Parameter.empty
+    ]
+    assert not bare, f"{name}: {bare} have no annotation"
+    assert signature.return_annotation is not inspect.Signature.empty, f"{name}: return value"
+
+
+@_case(_FUNCTIONS)
+def test_key_is_last_and_keyword_only(name, value):
+    parameters = list(inspect.signature(value).parameters.values())
+    for position, parameter in enumerate(parameters):
+        if parameter.name == "key":
+            assert parameter.kind is inspect.Parameter.KEYWORD_ONLY, name
+            assert position == len(parameters) - 1, f"{name}: `key` must come last"
+
+
+@_case(_CLASSES)
+def test_class_documents_its_fields(name, value):
+    doc = inspect.getdoc(value)
+    assert doc, f"{name} has no docstring"
+    fields = getattr(value, "__dataclass_fields__", None) or getattr(value, "_fields", ())
+    missing = [f for f in fields if not f.startswith("_") and f"{f}:" not in doc]
+    assert not missing, f"{name} does not describe {missing}"
+
+
+@_case([(name, value) for name, value in _CLASSES if issubclass(value, eqx.Module)])
+def test_no_module_field_retraces_per_value(name, value):
+    floats = [f.name for f in value.__dataclass_fields__.values() if f.type in (float, "float")]
+    assert not floats, f"{name}: {floats} are Python floats, which retrace; use `number`"
+
+
+def test_importing_has_no_side_effects():
+    """No arrays, no configuration and no rim libraries on import of the package."""
+    code = (
+        "import sys, jax; before = dict(jax.config.values); import mvedge_jax; "
+        "assert dict(jax.config.values) == before; "
+        "import jax._src.xla_bridge as bridge; assert not bridge._backends, bridge._backends; "
+        "assert not {'matplotlib.pyplot', 'tyro', 'rich'} & set(sys.modules)"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_the_package_never_mentions_development_data():
+    offenders = [
+        str(path.relative_to(_PACKAGE))
+        for path in _PACKAGE.rglob("*.py")
+        if "shared/" in path.read_text() or "/work/" in path.read_text()
+    ]
+    assert not offenders
+
+
+def test_floors_are_not_blurred():
+    """A module imports only from floors below it (DESIGN section 2)."""
+    floors = [
+        {"_params", "color"},
+        {"lightfield"},
+        {"diffusion", "splatting", "warping", "epi"},
+        {"occlusion", "losses", "metrics"},
+        {"reconstruct"},
+        {"datasets", "plotting", "cli", "__init__", "__main__"},
+    ]
+    level = {name: i for i, names in enumerate(floors) for name in names}
+    offenders = []
+    for path in _PACKAGE.rglob("*.py"):
+        relative = path.relative_to(_PACKAGE).with_suffix("")
+        own = relative.parts[0]
+        depth = len(relative.parts)
+        for line in path.read_text().splitlines():
+            words = line.strip().split()
+            if len(words) < 2 or words[0] != "from" or not words[1].startswith("." * depth):
+                continue
+            target = words[1][depth:].split(".")[0]
+            if words[1].startswith("." * (depth + 1)) or target == own:
+                continue
+            names = [target] if target else [w.strip(",") for w in words[3:]]
+            for other in names:
+                if other in level and level[other] > level[own]:
+                    offenders.append(f"{relative}: {other}")
+    assert not offenders

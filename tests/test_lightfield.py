@@ -1,0 +1,141 @@
+"""The light field's invariants, slices and resampling."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from mvedge_jax import Camera, GroundTruth, LightField
+
+
+def _random(v=3, u=5, y=6, x=8, **kwargs):
+    views = jax.random.uniform(jax.random.key(0), (v, u, y, x, 3))
+    return LightField(views, **kwargs)
+
+
+def test_epis_follow_the_convention():
+    field = _random()
+    horizontal, vertical = field.horizontal_epis(), field.vertical_epis()
+    assert horizontal.shape == (6, 5, 8, 3)
+    assert vertical.shape == (8, 3, 6, 3)
+    np.testing.assert_array_equal(horizontal[4, 1], field.views[1, 1, 4])
+    np.testing.assert_array_equal(vertical[7, 2], field.views[2, 2, :, 7])
+
+
+def test_steps_take_centre_points_to_views():
+    steps = _random().steps
+    assert steps.shape == (3, 5, 2)
+    np.testing.assert_array_equal(steps[0, 4], [-2, 1])
+    np.testing.assert_array_equal(steps[1, 2], [0, 0])
+
+
+def test_a_plane_moves_as_the_convention_says():
+    x = np.arange(32.0)
+    rows = [np.sin(0.3 * (x - (2 - u) * 1.5)) * 0.5 + 0.5 for u in range(5)]
+    views = np.broadcast_to(np.stack(rows)[None, :, None, :, None], (3, 5, 4, 32, 3))
+    field = LightField(views)
+    du = field.steps[1, 0, 0]
+    there = np.interp(x[8:20] + float(du) * 1.5, x, np.asarray(field.views[1, 0, 0, :, 0]))
+    np.testing.assert_allclose(there, field.centre_view[0, 8:20, 0], atol=0.02)
+
+
+def test_crop_keeps_the_centre():
+    field = _random(5, 5)
+    small = field.crop_views(3, 1)
+    np.testing.assert_array_equal(small.views, field.views[1:4, 2:3])
+    np.testing.assert_array_equal(small.centre_view, field.centre_view)
+
+
+@pytest.mark.parametrize("count", [2, 0, 7])
+def test_crop_refuses(count):
+    with pytest.raises(ValueError, match=f"odd and between 1 and the 5 .* got {count}"):
+        _random(5, 5).crop_views(count)
+
+
+def test_downsampling_averages_areas_and_scales_disparity():
+    disparity = jnp.arange(48.0).reshape(6, 8)
+    truth = GroundTruth(disparity, disparity != 9, jnp.arange(48).reshape(6, 8))
+    camera = Camera(focal_px=100.0, baseline=0.1, focus_distance=2.0)
+    field = _random(truth=truth, camera=camera, disparity_range=(-1.0, 3.0))
+    half = field.downsample(2)
+    assert half.views.shape == (3, 5, 3, 4, 3)
+    np.testing.assert_allclose(half.views[1, 2, 1, 3], field.views[1, 2, 2:4, 6:8].mean((0, 1)))
+    assert half.truth is not None
+    assert half.camera is not None
+    np.testing.assert_allclose(half.truth.disparity[0, 1], np.mean([2, 3, 10, 11]) / 2)
+    np.testing.assert_array_equal(half.truth.valid[0], [False, True, True, True])
+    np.testing.assert_array_equal(half.disparity_range, [-0.5, 1.5])
+    # The same point of the world has the same depth at both sizes.
+    np.testing.assert_allclose(
+        half.camera.depth(jnp.array(0.7) / 2), camera.depth(jnp.array(0.7)), rtol=1e-12
+    )
+    assert field.downsample(1) is field
+    assert field.downsample(5).views.shape == (3, 5, 1, 1, 3)
+    with pytest.raises(ValueError, match="`factor` must be between 1 and the shorter side, 6"):
+        field.downsample(7)
+
+
+def test_camera_converts_there_and_back():
+    camera = Camera(focal_px=500.0, baseline=0.01, focus_distance=4.0)
+    depth = jnp.array([1.0, 4.0, 9.0])
+    disparity = camera.disparity(depth)
+    assert disparity[1] == 0
+    assert (jnp.diff(disparity) < 0).all()
+    np.testing.assert_allclose(camera.depth(disparity), depth, rtol=1e-12)
+    assert jnp.isinf(camera.depth(jnp.array(-5.0)))
+
+
+def test_ground_truth_is_apart():
+    truth = GroundTruth(jnp.zeros((6, 8)), jnp.ones((6, 8), bool))
+    field = _random(truth=truth)
+    assert field.without_truth().truth is None
+    assert field.truth is truth
+    assert field.without_truth().without_truth().truth is None
+
+
+def test_passes_through_jit_and_vmap():
+    field = _random(disparity_range=(-1.0, 1.0))
+    shifted = jax.jit(lambda f: f.centre_view.sum())(field)
+    np.testing.assert_allclose(shifted, field.centre_view.sum())
+    gradient = jax.grad(lambda f: f.horizontal_epis().sum(), allow_int=True)(field).views
+    assert gradient.sum() == 5 * 6 * 8 * 3
+
+
+@pytest.mark.parametrize(
+    ("views", "options", "message"),
+    [
+        (jnp.zeros((3, 3, 4, 4)), {}, r"axes \[v, u, y, x, c\].*\(3, 3, 4, 4\)"),
+        (jnp.zeros((3, 4, 4, 4, 3)), {}, "odd number of view rows and columns.*3x4"),
+        (jnp.zeros((3, 3, 4, 4, 3), jnp.uint8), {}, "floating point.*uint8"),
+        (jnp.zeros((3, 3, 4, 4, 4)), {}, "three colour channels, got 4"),
+        (jnp.zeros((3, 3, 0, 4, 3)), {}, "must not be empty"),
+        (jnp.full((3, 3, 4, 4, 3), jnp.nan), {}, "finite, got NaN"),
+        (jnp.full((3, 3, 4, 4, 3), 255.0), {}, "from 255 to 255"),
+        (jnp.zeros((3, 3, 4, 4, 3)), {"disparity_range": (1.0, -1.0)}, "low < high"),
+        (jnp.zeros((3, 3, 4, 4, 3)), {"disparity_range": (1.0, 2.0, 3.0)}, "pair"),
+        (jnp.zeros((3, 3, 4, 4, 3)), {"available": jnp.ones((3, 5))}, "shape of the view grid"),
+        (
+            jnp.zeros((3, 3, 4, 4, 3)),
+            {"available": jnp.ones((3, 3)).at[1, 2].set(0)},
+            r"crosshair.*\(1, 2\) is missing",
+        ),
+        (
+            jnp.zeros((3, 3, 4, 4, 3)),
+            {"truth": GroundTruth(jnp.zeros((4, 5)), jnp.ones((4, 5), bool))},
+            "size of the views, 4x4",
+        ),
+        (
+            jnp.zeros((3, 3, 4, 4, 3)),
+            {"truth": GroundTruth(jnp.full((4, 4), jnp.nan), jnp.ones((4, 4), bool))},
+            "finite where",
+        ),
+    ],
+)
+def test_bad_input_is_refused(views, options, message):
+    with pytest.raises(ValueError, match=message):
+        LightField(views, **options)
+
+
+def test_corner_views_may_be_missing():
+    available = jnp.ones((3, 3)).at[0, 0].set(0)
+    assert not LightField(jnp.zeros((3, 3, 4, 4, 3)), available=available).available[0, 0]
