@@ -20,6 +20,8 @@ def as_number(value: Any) -> Any:
         return jnp.asarray(value, dtype=jnp.result_type(float))
     if isinstance(value, tuple | list):
         return jnp.asarray(value, dtype=jnp.result_type(float))
+    if isinstance(value, jax.Array) and value.weak_type:
+        return jnp.asarray(value, dtype=value.dtype)
     return value
 
 
