@@ -1,0 +1,196 @@
+"""Front-to-back compositing of depth-sorted points, tile by tile, with a closed-form gradient."""
+
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from ._params import SplatSizes
+from ._profile import absorption
+
+
+class Physics(NamedTuple):
+    """The three numbers that the splat depends on."""
+
+    inverse_label: Float[Array, ""]  # 1 / 2σ_S²
+    inverse_weight: Float[Array, ""]  # 1 / 2σ_λ²
+    thickness: Float[Array, ""]  # τ = ρ σ_Z √(2π), optical thickness through the centre
+
+
+class Rays(NamedTuple):
+    """What the pixels see."""
+
+    label: Float[Array, "t p"]
+    weight: Float[Array, "t p"]
+    transmittance: Float[Array, "t p"]
+
+
+class Lists(NamedTuple):
+    """Depth-sorted points of every tile, in groups of tiles with about equally many points."""
+
+    points: Int[Array, "m"]  # concatenated lists of rows of the point table
+    start: Int[Array, "g l"]
+    count: Int[Array, "g l"]
+    origin: Float[Array, "g l 2"]  # centre of each tile
+
+
+def _offsets(tile: int, dtype: jnp.dtype) -> Float[Array, "p 2"]:
+    axis = jnp.arange(tile, dtype=dtype) - (tile - 1) / 2
+    y, x = jnp.meshgrid(axis, axis, indexing="ij")
+    return jnp.stack([x.ravel(), y.ravel()], axis=-1)
+
+
+def _row(lists: Lists, start: Array, count: Array, k: Array, last: int) -> Array:
+    """Point of rank `k` in each tile; tiles that have no such point get the empty last row."""
+    row = lists.points[jnp.minimum(start + k, lists.points.shape[0] - 1)]
+    return jnp.where(k < count, row, last)
+
+
+def _geometry(point: Array, origin: Array, offsets: Array) -> Array:
+    """Squared distances from one point per tile to the tile's pixels."""
+    relative = point[:, :2] - origin
+    dx = offsets[None, :, 0] - relative[:, 0:1]
+    dy = offsets[None, :, 1] - relative[:, 1:2]
+    return dx * dx + dy * dy
+
+
+@partial(jax.custom_vjp, nondiff_argnums=(3,))
+def composite(
+    table: Float[Array, "n 4"], physics: Physics, lists: Lists, sizes: SplatSizes
+) -> Rays:
+    """Composites the points of every tile front to back.
+
+    One loop step adds the next point of every tile of a group, as a vector over tiles and
+    pixels; a group's loop ends with its longest list, so nothing is padded to a capacity. The
+    gradient walks the lists once more in the same order: what lies behind a point is the total
+    minus what lies in front, so nothing is stored per candidate.
+
+    Args:
+        table: rows (x, y, label, weight); the last row is far outside and empty.
+        physics: widths and thickness.
+        lists: the tiles' points.
+        sizes: static choices.
+
+    Returns:
+        Σ Z a T, Σ λ T and the transmittance behind all points, per tile (in group order) and
+        pixel.
+    """
+    return _forward(table, physics, lists, sizes)[0]
+
+
+def _forward(table: Array, physics: Physics, lists: Lists, sizes: SplatSizes):
+    last = table.shape[0] - 1
+    offsets = _offsets(sizes.tile, table.dtype)
+    lanes, pixels = lists.start.shape[1], offsets.shape[0]
+
+    def group(args: tuple[Array, Array, Array]) -> Rays:
+        start, count, origin = args
+
+        def step(k: Array, rays: Rays) -> Rays:
+            point = table[_row(lists, start, count, k, last)]
+            square = _geometry(point, origin, offsets)
+            gaussian = jnp.exp(-square * physics.inverse_label)
+            absorbed, _, passed, _ = absorption(physics.thickness * gaussian, sizes.absorption)
+            flat = jnp.exp(-jax.lax.integer_pow(square * physics.inverse_weight, sizes.order))
+            return Rays(
+                rays.label + rays.transmittance * absorbed * point[:, 2:3],
+                rays.weight + rays.transmittance * flat * point[:, 3:4],
+                rays.transmittance * passed,
+            )
+
+        zero = jnp.zeros((lanes, pixels), table.dtype)
+        first = Rays(zero, zero, jnp.ones_like(zero))
+        return jax.lax.fori_loop(0, jnp.max(count, initial=0), step, first)
+
+    grouped = jax.lax.map(group, (lists.start, lists.count, lists.origin))
+    rays = Rays(*(part.reshape(-1, pixels) for part in grouped))
+    return rays, (table, physics, lists, rays)
+
+
+def _backward(sizes: SplatSizes, saved, cotangent: Rays):
+    table, physics, lists, rays = saved
+    last = table.shape[0] - 1
+    offsets = _offsets(sizes.tile, table.dtype)
+    groups, lanes = lists.start.shape
+    pixels = offsets.shape[0]
+    # Sums over pixels of q, q dx, q dy and q r² follow from four moments about the tile centre.
+    moments = jnp.concatenate(
+        [jnp.ones_like(offsets[:, :1]), offsets, jnp.sum(offsets**2, axis=1, keepdims=True)], axis=1
+    )
+    total = (
+        cotangent.label * rays.label
+        + cotangent.weight * rays.weight
+        + cotangent.transmittance * rays.transmittance
+    )
+
+    def group(carry, args):
+        gradient, scalars = carry
+        start, count, origin, behind, ct_label, ct_weight = args
+
+        def step(k: Array, state):
+            gradient, scalars, behind, transmittance = state
+            row = _row(lists, start, count, k, last)
+            point = table[row]
+            square = _geometry(point, origin, offsets)
+            relative = point[:, :2] - origin
+            optical = physics.thickness * jnp.exp(-square * physics.inverse_label)
+            absorbed, slope, passed, constant = absorption(optical, sizes.absorption)
+            u = square * physics.inverse_weight
+            power = jax.lax.integer_pow(u, sizes.order - 1) if sizes.order > 1 else jnp.ones_like(u)
+            flat = jnp.exp(-power * u)
+            seen_label = transmittance * ct_label
+            seen_weight = transmittance * ct_weight
+            own_label = seen_label * absorbed
+            own_weight = seen_weight * flat
+            behind = behind - own_label * point[:, 2:3] - own_weight * point[:, 3:4]
+            # dL/d(ln G), and dL/d(-r²/2σ_λ²)
+            q = optical * (seen_label * point[:, 2:3] * slope - constant * behind)
+            m = sizes.order * power * own_weight * point[:, 3:4]
+
+            def centred(sums: Array) -> tuple[Array, Array, Array]:
+                """Σ q (dx, dy), Σ q r² and Σ q about the points from those about the centre."""
+                first = sums[:, 1:3] - relative * sums[:, :1]
+                second = (
+                    sums[:, 3]
+                    - 2 * jnp.sum(relative * sums[:, 1:3], axis=1)
+                    + jnp.sum(relative**2, axis=1) * sums[:, 0]
+                )
+                return first, second, sums[:, 0]
+
+            real = (k < count).astype(table.dtype)[:, None]
+            position_q, square_q, sum_q = centred((q @ moments) * real)
+            position_m, square_m, _ = centred((m @ moments) * real)
+            position = 2 * (
+                physics.inverse_label * position_q + physics.inverse_weight * position_m
+            )
+            update = jnp.concatenate(
+                [
+                    position,
+                    jnp.sum(own_label, axis=1, keepdims=True),
+                    jnp.sum(own_weight, axis=1, keepdims=True),
+                ],
+                axis=1,
+            )
+            gradient = gradient.at[row].add(update)
+            scalars = scalars + jnp.stack([-jnp.sum(square_q), -jnp.sum(square_m), jnp.sum(sum_q)])
+            return gradient, scalars, behind, transmittance * passed
+
+        state = (gradient, scalars, behind, jnp.ones((lanes, pixels), table.dtype))
+        gradient, scalars, _, _ = jax.lax.fori_loop(0, jnp.max(count, initial=0), step, state)
+        return (gradient, scalars), None
+
+    def split(x: Array) -> Array:
+        return x.reshape(groups, lanes, pixels)
+
+    initial = (jnp.zeros_like(table), jnp.zeros(3, table.dtype))
+    inputs = (lists.start, lists.count, lists.origin)
+    inputs += (split(total), split(cotangent.label), split(cotangent.weight))
+    (gradient, scalars), _ = jax.lax.scan(group, initial, inputs)
+    gradient = gradient.at[-1].set(0)
+    d_physics = Physics(scalars[0], scalars[1], scalars[2] / physics.thickness)
+    return gradient, d_physics, None
+
+
+composite.defvjp(_forward, _backward)

@@ -1,0 +1,81 @@
+"""How much of a ray one point absorbs, and how much it lets through."""
+
+from math import erf, exp, sqrt
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+# The thesis samples a point at 8 depths spread evenly over ± 3 σ_Z, seen from 5 σ_Z in front.
+_SPREAD = 3.0
+_IN_FRONT = 5.0
+_SAMPLES = 8
+
+
+def _quadrature() -> tuple[list[float], list[float], float]:
+    """Weights and partial passages of the samples, and the passage behind the last one.
+
+    All are relative to the optical thickness of the full passage, so that σ_Z drops out.
+    """
+    step = 2 * _SPREAD / (_SAMPLES - 1)
+    depths = [-_SPREAD + step * k for k in range(_SAMPLES)]
+
+    def passed(depth: float) -> float:
+        return 0.5 * (erf(_IN_FRONT / sqrt(2)) + erf(depth / sqrt(2)))
+
+    weights = [step / sqrt(2 * 3.141592653589793) * exp(-(z**2) / 2) for z in depths]
+    return weights, [passed(z) for z in depths], passed(_SPREAD)
+
+
+def absorption(
+    thickness: Float[Array, "..."], mode: str
+) -> tuple[Float[Array, "..."], Float[Array, "..."], Float[Array, "..."], float]:
+    r"""Absorption and transmittance of one point of optical thickness `o = τ G`.
+
+    In closed form :math:`a = 1 - e^{-o}`: absorptions along a ray and what is left of it sum to
+    one exactly. The quadrature samples the ray as the thesis does (7.13) and agrees within 2e-3.
+
+    Args:
+        thickness: o >= 0.
+        mode: `"closed"` or `"quadrature"`.
+
+    Returns:
+        Absorption `a`, its derivative `da/do`, transmittance `T`, and the constant `c` with
+        `T = exp(-c o)`.
+
+    Source:
+        Thesis 7.1.3, Eq. 7.9-7.14, in the corrected form.
+    """
+    if mode == "closed":
+        transmittance = jnp.exp(-thickness)
+        return 1 - transmittance, transmittance, transmittance, 1.0
+    weights, passages, exit_passage = _quadrature()
+    absorbed = jnp.zeros_like(thickness)
+    slope = jnp.zeros_like(thickness)
+    for weight, passage in zip(weights, passages, strict=True):
+        term = weight * jnp.exp(-passage * thickness)
+        absorbed = absorbed + term * thickness
+        slope = slope + term * (1 - passage * thickness)
+    return absorbed, slope, jnp.exp(-exit_passage * thickness), exit_passage
+
+
+def super_gaussian(
+    squared_distance: Float[Array, "..."], sigma: Float[Array, ""], order: int
+) -> Float[Array, "..."]:
+    r"""Data weight of a point: :math:`\exp(-(r^2 / 2\sigma^2)^p)`.
+
+    The exponent sits inside the exponential; the printed form is an ordinary Gaussian of width
+    σ/√p, under which points between pixels fade.
+
+    Args:
+        squared_distance: r², px².
+        sigma: σ_λ, px.
+        order: p.
+
+    Returns:
+        Values in [0, 1].
+
+    Source:
+        Thesis 7.1.2, Eq. 7.6, corrected.
+    """
+    return jnp.exp(-jax.lax.integer_pow(squared_distance / (2 * sigma**2), order))

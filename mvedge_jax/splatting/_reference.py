@@ -1,0 +1,63 @@
+"""The slow, obvious splat: every point at every pixel."""
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from mvedge_jax._params import cast
+
+from ._params import SplatParams, SplatSizes
+from ._profile import absorption, super_gaussian
+from ._splat import Splat
+from ._tiles import depth_order
+
+
+def splat_reference(
+    xy: Float[Array, "n 2"],
+    label: Float[Array, "n"],
+    weight: Float[Array, "n"],
+    valid: Bool[Array, "n"],
+    params: SplatParams,
+    shape: tuple[int, int],
+    sizes: SplatSizes,
+) -> Splat:
+    """Splats like `splat`, without tiles, lists, radius or custom gradient: the oracle.
+
+    Time and memory grow with points times pixels.
+
+    Args:
+        xy: positions in raster pixels.
+        label: disparity or depth.
+        weight: data weight.
+        valid: points that take part.
+        params: widths and density.
+        shape: height and width of the raster.
+        sizes: static choices; only order, absorption and nearest matter.
+
+    Returns:
+        The maps, differentiable by JAX alone.
+    """
+    params = cast(params, xy.dtype)
+    order = depth_order(jax.lax.stop_gradient(label), valid, sizes.nearest)
+    xy, label, weight, valid = xy[order], label[order], weight[order], valid[order]
+    y, x = jnp.meshgrid(
+        jnp.arange(shape[0], dtype=xy.dtype), jnp.arange(shape[1], dtype=xy.dtype), indexing="ij"
+    )
+    dx = x[None] - xy[:, 0, None, None]
+    dy = y[None] - xy[:, 1, None, None]
+    square = dx**2 + dy**2
+    on = valid[:, None, None]
+    through_centre = params.density * params.sigma_depth * (2 * jnp.pi) ** 0.5
+    gaussian = jnp.where(on, jnp.exp(-square / (2 * params.sigma_label**2)), 0)
+    absorbed, _, _, constant = absorption(through_centre * gaussian, sizes.absorption)
+    optical = constant * through_centre * gaussian
+    in_front = jnp.exp(-(jnp.cumsum(optical, axis=0) - optical))
+    flat = jnp.where(on, super_gaussian(square, params.sigma_weight, sizes.order), 0)
+    zero = jnp.zeros((), jnp.int32)
+    return Splat(
+        jnp.sum(label[:, None, None] * absorbed * in_front, axis=0),
+        jnp.sum(weight[:, None, None] * flat * in_front, axis=0),
+        jnp.exp(-jnp.sum(optical, axis=0)),
+        zero,
+        zero,
+    )

@@ -1,0 +1,130 @@
+"""From a set of points to a label map and a data-weight map."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from mvedge_jax._params import cast
+
+from ._composite import Physics, composite
+from ._params import SplatParams, SplatSizes
+from ._tiles import depth_order, make_tiles
+
+
+class Splat(eqx.Module):
+    """Splatted maps on the raster.
+
+    Attributes:
+        label_sum: Σ Z a T, the unnormalised label map of the thesis. It fades towards zero
+            where points do not cover a pixel.
+        weight: Σ λ T, the data weight.
+        transmittance: what is left of each ray behind all points; `1 - transmittance` is the
+            coverage by which the label map is normalised.
+        overflow: entries of tiles' lists that were left out for want of capacity.
+        longest: points in the fullest tile.
+    """
+
+    label_sum: Float[Array, "y x"]
+    weight: Float[Array, "y x"]
+    transmittance: Float[Array, "y x"]
+    overflow: Int[Array, ""]
+    longest: Int[Array, ""]
+
+    @property
+    def label(self) -> Float[Array, "y x"]:
+        """Label map divided by the coverage: a weighted mean of labels, free of fading.
+
+        At a point's own pixel both maps agree to `exp(-τ)`. They differ on the skirt of a point:
+        with sub-pixel positions and the thesis' widths the unnormalised label is 0.1 % low at
+        1.4 px, 1 % at 2 px and 9 % at 2.5 px, where a little data weight of the order of 1e-2
+        to 1e-7 is left. Normalisation costs nothing and removes the dependence on where zero
+        disparity lies.
+        """
+        return normalise(self.label_sum, self.transmittance)
+
+
+def normalise(
+    label_sum: Float[Array, "y x"], transmittance: Float[Array, "y x"]
+) -> Float[Array, "y x"]:
+    """Divides by the coverage where there is any; zero elsewhere, with zero gradient."""
+    coverage = 1 - transmittance
+    covered = coverage > 1e-6
+    return jnp.where(covered, label_sum / jnp.where(covered, coverage, 1), 0)
+
+
+def splat(
+    xy: Float[Array, "n 2"],
+    label: Float[Array, "n"],
+    weight: Float[Array, "n"],
+    valid: Bool[Array, "n"],
+    params: SplatParams,
+    shape: tuple[int, int],
+    sizes: SplatSizes,
+) -> Splat:
+    r"""Splats points onto a raster with occlusion in depth order.
+
+    .. math::
+        S = \sum_i Z_i T_i (1 - e^{-\tau G_i}), \quad K = \sum_i w_i \lambda_i T_i, \quad
+        T_i = \exp(-\tau \sum_{j\ \mathrm{nearer}} G_j)
+
+    with :math:`G = e^{-r^2/2\sigma_S^2}`, :math:`\lambda = e^{-(r^2/2\sigma_\lambda^2)^p}`.
+
+    Args:
+        xy: positions in *raster* pixels, pixel centres at integers.
+        label: disparity or depth.
+        weight: data weight w >= 0.
+        valid: points that take part. Points with a number that is not finite never do.
+        params: widths and density.
+        shape: height and width of the raster.
+        sizes: static choices; `sizes.scale` is not used here.
+
+    Returns:
+        The maps. Differentiable with respect to `xy`, `label`, `weight` and `params`; the depth
+        order is piecewise constant.
+
+    Source:
+        Thesis 7.1.2-7.1.3, Eq. 7.3-7.14, in the corrected closed form.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> maps = splat(
+        ...     jnp.array([[3.0, 4.0]]), jnp.array([1.5]), jnp.array([1.0]), jnp.array([True]),
+        ...     SplatParams(), (9, 8), SplatSizes(),
+        ... )
+        >>> round(float(maps.label[4, 3]), 3), round(float(maps.weight[4, 3]), 3)
+        (1.5, 1.0)
+    """
+    dtype = xy.dtype
+    params = cast(params, dtype)
+    # The last row stands for "no point"; it also makes an empty set an ordinary case.
+    empty = jnp.array([[1e6, 1e6, 0, 0]], dtype)
+    table = jnp.concatenate([xy, label[:, None], weight[:, None]], axis=1)
+    table = jnp.concatenate([table, empty])
+    usable = jnp.all(jnp.isfinite(table), axis=1) & jnp.append(valid, False)
+    table = jnp.where(usable[:, None], table, empty)
+    order = jax.lax.stop_gradient(depth_order(table[:, 2], usable, sizes.nearest))
+    table = table[order]
+    tiling = make_tiles(jax.lax.stop_gradient(table[:, :2]), usable[order], shape, sizes)
+    tiling = jax.tree.map(jax.lax.stop_gradient, tiling)
+    physics = Physics(
+        0.5 / params.sigma_label**2,
+        0.5 / params.sigma_weight**2,
+        params.density * params.sigma_depth * jnp.sqrt(jnp.asarray(2 * jnp.pi, dtype)),
+    )
+    rays = composite(table, physics, tiling.lists, sizes)
+    tile = sizes.tile
+    rows, columns = -(-shape[0] // tile), -(-shape[1] // tile)
+
+    def image(part: Float[Array, "t p"]) -> Float[Array, "y x"]:
+        tiles = part[tiling.place].reshape(rows, columns, tile, tile)
+        whole = tiles.transpose(0, 2, 1, 3).reshape(rows * tile, columns * tile)
+        return whole[: shape[0], : shape[1]]
+
+    return Splat(
+        image(rays.label),
+        image(rays.weight),
+        image(rays.transmittance),
+        tiling.overflow,
+        tiling.longest,
+    )

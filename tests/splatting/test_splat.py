@@ -1,0 +1,241 @@
+from dataclasses import replace
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from helpers import check_gradient, count_traces
+
+from mvedge_jax import splatting
+from mvedge_jax.splatting import SplatParams, SplatSizes, absorption, splat_reference
+
+SHAPE = (21, 27)
+splat = eqx.filter_jit(splatting.splat)
+# Wide enough that the oracle, which cuts nothing, agrees to rounding.
+WIDE = SplatSizes(radius=14, lanes=7)
+
+
+def cloud(n=40, dtype: type = np.float64, seed=0):
+    rng = np.random.default_rng(seed)
+    xy = rng.uniform([-3, -3], [SHAPE[1] + 2, SHAPE[0] + 2], (n, 2))
+    label, weight = rng.normal(size=n), rng.uniform(0.2, 2, n)
+    return (
+        jnp.asarray(xy.astype(dtype)),
+        jnp.asarray(label.astype(dtype)),
+        jnp.asarray(weight.astype(dtype)),
+        jnp.asarray(rng.random(n) > 0.2),
+    )
+
+
+def maps(result):
+    return jnp.stack([result.label_sum, result.weight, result.transmittance])
+
+
+def random_functional(function, sizes):
+    """A smooth scalar of all three maps, so that every gradient path is exercised."""
+    direction = jnp.asarray(np.random.default_rng(5).normal(size=(3, *SHAPE)))
+
+    def value(tree):
+        xy, label, weight, params = tree
+        valid = cloud()[3]
+        result = function(xy, label, weight, valid, params, SHAPE, sizes)
+        return jnp.vdot(direction, maps(result)) + jnp.sum(result.label**2)
+
+    return value
+
+
+@pytest.mark.parametrize(
+    "sizes",
+    [
+        WIDE,
+        replace(WIDE, absorption="quadrature", order=1, tile=5, lanes=1000),
+        replace(WIDE, nearest="smallest", order=3, tile=16),
+    ],
+    ids=["closed", "quadrature", "depth"],
+)
+def test_fast_path_equals_every_point_at_every_pixel(sizes):
+    points = cloud()
+    fast = splat(*points, SplatParams(), SHAPE, sizes)
+    slow = splat_reference(*points, SplatParams(), SHAPE, sizes)
+    np.testing.assert_allclose(maps(fast), maps(slow), atol=1e-13)
+    assert int(fast.overflow) == 0
+    tree = (*points[:3], SplatParams())
+    gradient_fast = jax.grad(random_functional(splat, sizes))(tree)
+    gradient_slow = jax.grad(random_functional(splat_reference, sizes))(tree)
+    for a, b in zip(jax.tree.leaves(gradient_fast), jax.tree.leaves(gradient_slow), strict=True):
+        np.testing.assert_allclose(a, b, atol=1e-10)
+
+
+def test_gradient_against_differences():
+    tree = (*cloud()[:3], SplatParams())
+    check_gradient(
+        random_functional(splat, SplatSizes(lanes=16)), tree, rtol=1e-5, key=jax.random.key(0)
+    )
+
+
+def test_default_radius_cuts_less_than_it_says():
+    points = cloud()
+    fast = splat(*points, SplatParams(), SHAPE, SplatSizes())
+    slow = splat_reference(*points, SplatParams(), SHAPE, SplatSizes())
+    assert float(jnp.abs(maps(fast) - maps(slow)).max()) < 4e-4 * float(
+        jnp.abs(points[1]).max() * 2
+    )
+
+
+def test_closed_form_equals_quadrature():
+    distance = jnp.linspace(0, 6, 200)
+    optical = 6.2 * np.sqrt(2 * np.pi) * jnp.exp(-(distance**2) / (2 * 1.69))
+    closed = absorption(optical, "closed")[0]
+    sampled = absorption(optical, "quadrature")[0]
+    assert float(jnp.abs(closed - sampled).max()) < 2e-3
+    points = cloud()
+    a = splat(*points, SplatParams(), SHAPE, SplatSizes())
+    b = splat(*points, SplatParams(), SHAPE, SplatSizes(absorption="quadrature"))
+    spread = float(jnp.abs(points[1]).max())
+    assert float(jnp.abs(a.label_sum - b.label_sum).max()) < 2e-3 * max(spread, 1)
+    assert float(jnp.abs(a.weight - b.weight).max()) < 2e-3
+
+
+def test_absorptions_and_remaining_transmittance_sum_to_one():
+    xy, _, weight, valid = cloud(dtype=np.float32)
+    result = splat(xy, jnp.ones_like(weight), weight, valid, SplatParams(), SHAPE, SplatSizes())
+    assert result.label_sum.dtype == jnp.float32
+    assert float(jnp.abs(result.label_sum + result.transmittance - 1).max()) < 1e-6
+
+
+@pytest.mark.parametrize("border", [7.5, 8.0, 9.0])
+def test_crossing_a_pixel_or_tile_border_changes_nothing_abruptly(border):
+    run = jax.jit(lambda xy: maps(splat(xy, label, weight, valid, SplatParams(), SHAPE, sizes)))
+    sizes = SplatSizes()
+    label, weight, valid = jnp.array([1.0, 0.4]), jnp.ones(2), jnp.ones(2, bool)
+    other = jnp.array([12.3, 9.1])
+    sides = [
+        run(jnp.stack([jnp.array([border + offset, border + 0.3 + offset]), other]))
+        for offset in (-1e-6, 1e-6)
+    ]
+    assert float(jnp.abs(sides[0] - sides[1]).max()) < 1e-3
+
+
+def test_masked_points_change_neither_value_nor_gradient():
+    xy, label, weight, valid = cloud()
+
+    def value(tree):
+        result = splat(*tree, valid, SplatParams(), SHAPE, SplatSizes())
+        return jnp.sum(maps(result) ** 2)
+
+    spoiled = (
+        jnp.where(valid[:, None], xy, jnp.nan),
+        jnp.where(valid, label, jnp.inf),
+        jnp.where(valid, weight, jnp.nan),
+    )
+    one, gradient_one = jax.value_and_grad(value)((xy, label, weight))
+    two, gradient_two = jax.value_and_grad(value)(spoiled)
+    assert one == two
+    for a, b in zip(gradient_one, gradient_two, strict=True):
+        np.testing.assert_array_equal(a, b)
+        assert float(jnp.abs(a[~valid]).max()) == 0
+
+
+def test_not_finite_points_are_left_out_although_valid():
+    xy, label, weight, valid = cloud()
+    result = splat(
+        xy.at[0, 0].set(jnp.nan), label.at[1].set(jnp.inf), weight, valid,
+        SplatParams(), SHAPE, SplatSizes(),
+    )  # fmt: skip
+    expected = splat(xy, label, weight, valid.at[:2].set(False), SplatParams(), SHAPE, SplatSizes())
+    np.testing.assert_array_equal(maps(result), maps(expected))
+
+
+def test_nearest_label_wins_for_disparity_and_for_depth():
+    xy = jnp.array([[10.0, 10.0], [10.2, 10.0]])
+    label, weight, valid = jnp.array([0.5, 2.0]), jnp.ones(2), jnp.ones(2, bool)
+    for nearest, expected in (("largest", 2.0), ("smallest", 0.5)):
+        result = splat(xy, label, weight, valid, SplatParams(), SHAPE, SplatSizes(nearest=nearest))
+        assert float(result.label[10, 10]) == pytest.approx(expected, abs=1e-4)
+
+
+def test_capacity_drops_the_farthest_and_counts_them():
+    n = 12
+    xy = 3.5 + 0.01 * jnp.tile(jnp.arange(n, dtype=float)[:, None], (1, 2))
+    label, weight, valid = jnp.arange(n, dtype=float) * 0.1, jnp.ones(n), jnp.ones(n, bool)
+    shape, sizes = (8, 8), SplatSizes(capacity=5)
+    limited = splat(xy, label, weight, valid, SplatParams(), shape, sizes)
+    nearest = splat(xy, label, weight, jnp.arange(n) >= n - 5, SplatParams(), shape, SplatSizes())
+    assert int(limited.overflow) == n - 5
+    assert int(limited.longest) == n
+    np.testing.assert_array_equal(maps(limited), maps(nearest))
+
+
+@pytest.mark.parametrize("case", ["no capacity", "none valid", "outside", "equal", "zero"])
+def test_degenerate_sets_are_defined_with_finite_gradients(case):
+    n = 0 if case == "no capacity" else 6
+    xy = jnp.full((n, 2), 5.0)
+    if case == "outside":
+        xy = jnp.array(
+            [[-50.0, 3.0], [1e9, 2.0], [4.0, -1e9], [3.0, 400.0], [-6.5, 3.0], [40.0, 40.0]]
+        )
+    label = jnp.zeros(n) if case == "zero" else jnp.full(n, 0.7)
+    valid = jnp.full(n, case != "none valid")
+
+    def value(tree):
+        result = splat(*tree, valid, SplatParams(), SHAPE, SplatSizes())
+        return jnp.sum(maps(result)) + jnp.sum(result.label), result
+
+    (_, result), gradient = jax.value_and_grad(value, has_aux=True)((xy, label, jnp.ones(n)))
+    assert all(bool(jnp.isfinite(leaf).all()) for leaf in jax.tree.leaves((result, gradient)))
+    if case in ("no capacity", "none valid", "outside"):
+        np.testing.assert_array_equal(maps(result)[:2], 0)
+        np.testing.assert_array_equal(result.transmittance, 1)
+        np.testing.assert_array_equal(result.label, 0)
+    else:
+        assert float(result.label[5, 5]) == pytest.approx(float(label[0]), abs=1e-6)
+
+
+def test_equal_depths_are_ordered_by_index():
+    xy = jnp.array([[5.0, 5.0], [5.0, 5.0]])
+    label = jnp.array([0.3, 0.3])
+    weight = jnp.array([1.0, 4.0])
+    result = splat(xy, label, weight, jnp.ones(2, bool), SplatParams(), SHAPE, SplatSizes())
+    assert float(result.weight[5, 5]) == pytest.approx(1.0, abs=1e-5)
+
+
+def test_jit_vmap_and_one_trace():
+    xy, label, weight, valid = cloud(20)
+    sizes = SplatSizes()
+    traced, traces = count_traces(lambda p, z: maps(splat(xy, z, weight, valid, p, SHAPE, sizes)))
+    shifts = jnp.array([0.0, 0.3, -1.2])
+    loop = jnp.stack([traced(SplatParams(density=5.0 + s), label * s) for s in (0.0, 0.3, -1.2)])
+    assert traces() == 1
+    params = eqx.filter_vmap(lambda s: SplatParams(density=5.0 + s))(shifts)
+    batch = jax.vmap(lambda p, s: maps(splat(xy, label * s, weight, valid, p, SHAPE, sizes)))(
+        params, shifts
+    )
+    np.testing.assert_allclose(batch, loop, atol=1e-12)
+    eager = maps(
+        splatting.splat(xy, label * 0.3, weight, valid, SplatParams(density=5.3), SHAPE, sizes)
+    )
+    np.testing.assert_allclose(eager, loop[1], atol=1e-12)
+
+
+def test_float32_is_close_to_float64():
+    wide, narrow = cloud(), cloud(dtype=np.float32)
+    exact = splat(*wide, SplatParams(), SHAPE, SplatSizes())
+    single = splat(*narrow, SplatParams(), SHAPE, SplatSizes())
+    assert single.weight.dtype == jnp.float32
+    assert float(jnp.abs(maps(exact) - maps(single).astype(float)).max()) < 2e-5
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"scale": 3}, "scale must be 1 or 2 .* got 3"),
+        ({"nearest": "front"}, "nearest must be .* got 'front'"),
+        ({"absorption": "exact"}, "absorption must be .* got 'exact'"),
+        ({"order": 0}, "order must be at least 1, got 0"),
+        ({"capacity": 0}, "capacity must be None or at least 1, got 0"),
+    ],
+)
+def test_bad_sizes_say_what_is_wrong(change, message):
+    with pytest.raises(ValueError, match=message):
+        SplatSizes(**change)
