@@ -32,8 +32,8 @@ def _mean(values: Float[Array, "i j"], counted: Bool[Array, "i j"]) -> Float[Arr
 def mse(
     disparity: Float[Array, "y x"],
     truth: Float[Array, "y x"],
-    mask: Bool[Array, "y x"] | None = None,
     *,
+    mask: Bool[Array, "y x"] | None = None,
     crop: int = 0,
 ) -> Float[Array, ""]:
     """Mean squared error x 100.
@@ -67,8 +67,8 @@ def mse(
 def mae(
     disparity: Float[Array, "y x"],
     truth: Float[Array, "y x"],
-    mask: Bool[Array, "y x"] | None = None,
     *,
+    mask: Bool[Array, "y x"] | None = None,
     crop: int = 0,
 ) -> Float[Array, ""]:
     """Mean absolute error.
@@ -94,8 +94,8 @@ def error_percentile(
     disparity: Float[Array, "y x"],
     truth: Float[Array, "y x"],
     percent: float | Float[Array, ""],
-    mask: Bool[Array, "y x"] | None = None,
     *,
+    mask: Bool[Array, "y x"] | None = None,
     crop: int = 0,
 ) -> Float[Array, ""]:
     """Percentile of the absolute error, interpolated linearly between order statistics.
@@ -130,8 +130,8 @@ def error_percentile(
 def q25(
     disparity: Float[Array, "y x"],
     truth: Float[Array, "y x"],
-    mask: Bool[Array, "y x"] | None = None,
     *,
+    mask: Bool[Array, "y x"] | None = None,
     crop: int = 0,
 ) -> Float[Array, ""]:
     """25th percentile of the absolute error x 100.
@@ -150,15 +150,15 @@ def q25(
 
     Source: Thesis 6.2.3 and the HCI benchmark.
     """
-    return 100 * error_percentile(disparity, truth, 25.0, mask, crop=crop)
+    return 100 * error_percentile(disparity, truth, 25.0, mask=mask, crop=crop)
 
 
 def bad_pixels(
     disparity: Float[Array, "y x"],
     truth: Float[Array, "y x"],
     threshold: float | Float[Array, ""],
-    mask: Bool[Array, "y x"] | None = None,
     *,
+    mask: Bool[Array, "y x"] | None = None,
     crop: int = 0,
 ) -> Float[Array, ""]:
     """Share of pixels whose absolute error exceeds a threshold: BadPix(t).
@@ -221,8 +221,8 @@ class DepthScores(NamedTuple):
 def depth_scores(
     disparity: Float[Array, "y x"],
     truth: Float[Array, "y x"],
-    mask: Bool[Array, "y x"] | None = None,
     *,
+    mask: Bool[Array, "y x"] | None = None,
     crop: int = 0,
     edge_threshold: float | Float[Array, ""] = 0.1,
     edge_radius: float = 5.0,
@@ -257,17 +257,17 @@ def depth_scores(
 
 def _scores(disparity, truth, mask, edge_threshold, *, crop, edge_radius) -> DepthScores:
     error, counted = _errors(disparity, truth, mask, crop)
-    band = edge_band(truth, mask, threshold=edge_threshold, radius=edge_radius)
+    band = edge_band(truth, mask=mask, threshold=edge_threshold, radius=edge_radius)
     maps = (disparity, truth)
     return DepthScores(
-        mse=mse(*maps, mask, crop=crop),
-        mae=mae(*maps, mask, crop=crop),
-        q25=q25(*maps, mask, crop=crop),
-        bad_01=bad_pixels(*maps, 0.01, mask, crop=crop),
-        bad_03=bad_pixels(*maps, 0.03, mask, crop=crop),
-        bad_07=bad_pixels(*maps, 0.07, mask, crop=crop),
-        edge_mse=mse(*maps, band, crop=crop),
-        edge_bad_07=bad_pixels(*maps, 0.07, band, crop=crop),
+        mse=mse(*maps, mask=mask, crop=crop),
+        mae=mae(*maps, mask=mask, crop=crop),
+        q25=q25(*maps, mask=mask, crop=crop),
+        bad_01=bad_pixels(*maps, 0.01, mask=mask, crop=crop),
+        bad_03=bad_pixels(*maps, 0.03, mask=mask, crop=crop),
+        bad_07=bad_pixels(*maps, 0.07, mask=mask, crop=crop),
+        edge_mse=mse(*maps, mask=band, crop=crop),
+        edge_bad_07=bad_pixels(*maps, 0.07, mask=band, crop=crop),
         not_finite=jnp.isinf(error).sum(dtype=jnp.int32),
         pixels=counted.sum(dtype=jnp.int32),
     )

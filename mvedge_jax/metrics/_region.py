@@ -81,8 +81,8 @@ def disc_maximum(values: Float[Array, "y x"], radius: float) -> Float[Array, "y 
 
 def edge_band(
     truth: Float[Array, "y x"],
-    mask: Bool[Array, "y x"] | None = None,
     *,
+    mask: Bool[Array, "y x"] | None = None,
     threshold: float | Float[Array, ""] = 0.1,
     radius: float = 5.0,
 ) -> Bool[Array, "y x"]:

@@ -26,7 +26,7 @@ METRICS = [
     ("q25", q25, lambda e: 100 * np.percentile(e, 25)),
     (
         "bad",
-        lambda d, t, m=None, **k: bad_pixels(d, t, 0.5, m, **k),
+        lambda d, t, **k: bad_pixels(d, t, 0.5, **k),
         lambda e: 100 * (e > 0.5).mean(),
     ),
 ]
@@ -49,15 +49,17 @@ def test_agrees_with_numpy(metric, oracle, crop):
     inner = np.s_[crop : 13 - crop, crop : 18 - crop]
     keep = (np.asarray(mask) & np.isfinite(truth))[inner]
     error = np.abs(np.asarray(disparity - truth)[inner][keep])
-    np.testing.assert_allclose(metric(disparity, truth, mask, crop=crop), oracle(error), rtol=1e-12)
+    np.testing.assert_allclose(
+        metric(disparity, truth, mask=mask, crop=crop), oracle(error), rtol=1e-12
+    )
 
 
 @each_metric
 def test_what_is_not_counted_changes_nothing(metric, oracle):
     disparity, truth, mask = _maps()
     spoilt = jnp.where(mask, disparity, jnp.nan)
-    assert metric(disparity, truth, mask) == metric(spoilt, truth, mask)
-    assert metric(disparity, truth, mask) == metric(disparity, jnp.where(mask, truth, jnp.nan))
+    assert metric(disparity, truth, mask=mask) == metric(spoilt, truth, mask=mask)
+    assert metric(disparity, truth, mask=mask) == metric(disparity, jnp.where(mask, truth, jnp.nan))
     ring = disparity.at[0].set(jnp.nan).at[:, -1].set(jnp.inf)
     assert metric(disparity, truth, crop=1) == metric(ring, truth, crop=1)
 
@@ -66,19 +68,19 @@ def test_what_is_not_counted_changes_nothing(metric, oracle):
 @pytest.mark.parametrize("value", [jnp.nan, jnp.inf, -jnp.inf])
 def test_values_that_are_not_finite_never_improve_a_score(metric, oracle, value):
     disparity, truth, mask = _maps()
-    before = metric(disparity, truth, mask)
+    before = metric(disparity, truth, mask=mask)
     for seed in range(4):
         hole = jnp.asarray(np.random.default_rng(seed).random(disparity.shape) < 0.1)
-        after = metric(jnp.where(hole, value, disparity), truth, mask)
+        after = metric(jnp.where(hole, value, disparity), truth, mask=mask)
         assert after >= before
-    worst = metric(jnp.full_like(disparity, value), truth, mask)
+    worst = metric(jnp.full_like(disparity, value), truth, mask=mask)
     assert worst == (100 if oracle is METRICS[3][2] else jnp.inf)
 
 
 @each_metric
 def test_nothing_to_score_is_nan_not_zero(metric, oracle):
     disparity, truth, mask = _maps()
-    assert jnp.isnan(metric(disparity, truth, jnp.zeros_like(mask)))
+    assert jnp.isnan(metric(disparity, truth, mask=jnp.zeros_like(mask)))
 
 
 @each_metric
@@ -86,16 +88,18 @@ def test_one_trace_and_vmap(metric, oracle):
     disparity, truth, mask = _maps((5, 7))
     counted, traces = count_traces(metric)
     stack = jnp.stack([disparity, 0.5 * disparity, disparity + 1])
-    loop = jnp.stack([counted(d, truth, mask) for d in stack])
+    loop = jnp.stack([counted(d, truth, mask=mask) for d in stack])
     assert traces() == 1
-    np.testing.assert_allclose(jax.vmap(metric, (0, None, None))(stack, truth, mask), loop)
+    np.testing.assert_allclose(jax.vmap(lambda d: metric(d, truth, mask=mask))(stack), loop)
 
 
 @pytest.mark.parametrize("metric", [mse, mae])
 def test_gradients_match_differences_and_ignore_masked_pixels(metric):
     disparity, truth, mask = _maps((5, 7))
-    check_gradient(lambda d: metric(d, truth, mask), disparity, rtol=1e-7, key=jax.random.key(0))
-    gradient = jax.grad(metric)(jnp.where(mask, disparity, jnp.nan), truth, mask)
+    check_gradient(
+        lambda d: metric(d, truth, mask=mask), disparity, rtol=1e-7, key=jax.random.key(0)
+    )
+    gradient = jax.grad(metric)(jnp.where(mask, disparity, jnp.nan), truth, mask=mask)
     assert (gradient[~mask] == 0).all()
     assert jnp.isfinite(gradient).all()
 
@@ -103,7 +107,7 @@ def test_gradients_match_differences_and_ignore_masked_pixels(metric):
 def test_bad_pixels_takes_traced_thresholds():
     disparity, truth, mask = _maps()
     thresholds = jnp.array([0.0, 0.3, 1.0, 10.0])
-    curve = jax.jit(jax.vmap(lambda t: bad_pixels(disparity, truth, t, mask)))(thresholds)
+    curve = jax.jit(jax.vmap(lambda t: bad_pixels(disparity, truth, t, mask=mask)))(thresholds)
     error = np.abs(np.asarray(disparity - truth))[np.asarray(mask)]
     np.testing.assert_allclose(curve, [100 * (error > float(t)).mean() for t in thresholds])
 
@@ -119,29 +123,31 @@ def test_percentile_with_infinite_errors(percent):
     with np.errstate(invalid="ignore"):
         expected = low if rank == int(rank) else low + (rank - int(rank)) * (high - low)
     expected = np.inf if np.isnan(expected) else expected
-    np.testing.assert_allclose(error_percentile(disparity, truth, percent, mask), expected)
+    np.testing.assert_allclose(error_percentile(disparity, truth, percent, mask=mask), expected)
 
 
 def test_scores_are_the_single_metrics():
     disparity, truth, mask = _maps()
     disparity = disparity.at[2, 3].set(jnp.nan)
     mask = mask.at[2, 3].set(True)
-    scores = depth_scores(disparity, truth, mask, crop=1, edge_threshold=1.5, edge_radius=1.0)
-    band = edge_band(truth, mask, threshold=1.5, radius=1.0)
+    scores = depth_scores(disparity, truth, mask=mask, crop=1, edge_threshold=1.5, edge_radius=1.0)
+    band = edge_band(truth, mask=mask, threshold=1.5, radius=1.0)
     assert 0 < band.sum() < mask.sum()
     assert scores.mse == jnp.inf
     assert scores.not_finite == 1
     assert int(scores.pixels) == int(mask[1:-1, 1:-1].sum())
-    np.testing.assert_allclose(scores.q25, q25(disparity, truth, mask, crop=1))
-    np.testing.assert_allclose(scores.bad_07, bad_pixels(disparity, truth, 0.07, mask, crop=1))
-    np.testing.assert_allclose(scores.edge_mse, mse(disparity, truth, band, crop=1))
-    np.testing.assert_allclose(scores.edge_bad_07, bad_pixels(disparity, truth, 0.07, band, crop=1))
+    np.testing.assert_allclose(scores.q25, q25(disparity, truth, mask=mask, crop=1))
+    np.testing.assert_allclose(scores.bad_07, bad_pixels(disparity, truth, 0.07, mask=mask, crop=1))
+    np.testing.assert_allclose(scores.edge_mse, mse(disparity, truth, mask=band, crop=1))
+    np.testing.assert_allclose(
+        scores.edge_bad_07, bad_pixels(disparity, truth, 0.07, mask=band, crop=1)
+    )
 
 
 def test_single_precision_is_enough_for_the_printed_digits():
     disparity, truth, mask = _maps((200, 211))
-    single = depth_scores(disparity.astype(jnp.float32), truth.astype(jnp.float32), mask)
-    double = depth_scores(disparity, truth, mask)
+    single = depth_scores(disparity.astype(jnp.float32), truth.astype(jnp.float32), mask=mask)
+    double = depth_scores(disparity, truth, mask=mask)
     assert single.mse.dtype == jnp.float32
     for ours, exact in zip(single, double, strict=True):
         np.testing.assert_allclose(ours, exact, rtol=2e-5)
@@ -151,7 +157,7 @@ def test_single_precision_is_enough_for_the_printed_digits():
     ("arguments", "options", "message"),
     [
         ((jnp.zeros((4, 5)), jnp.zeros((5, 4))), {}, "`truth` must have the shape"),
-        ((jnp.zeros((4, 5)), jnp.zeros((4, 5)), jnp.ones((4, 4), bool)), {}, "`mask` must have"),
+        ((jnp.zeros((4, 5)), jnp.zeros((4, 5))), {"mask": jnp.ones((4, 4), bool)}, "`mask` must"),
         ((jnp.zeros((4, 5)), jnp.zeros((4, 5))), {"crop": 2}, "`crop` must"),
         ((jnp.zeros((4, 5)), jnp.zeros((4, 5))), {"crop": -1}, "`crop` must"),
     ],
