@@ -1,0 +1,172 @@
+"""The HCI 4D light field benchmark: `input_CamNNN.png`, `parameters.cfg`, `gt_disp_lowres.pfm`."""
+
+import configparser
+import math
+import re
+from pathlib import Path
+
+import numpy as np
+
+from ..lightfield import Camera
+from ._images import read_raw
+from ._pfm import read_pfm
+from ._source import Source, Truth, check_truth, image_source
+
+_VIEW = re.compile(r"input_Cam(\d+)\.(?:png|jpg|jpeg|bmp)", re.IGNORECASE)
+
+
+def is_hci(names: list[str]) -> bool:
+    """Whether a folder with these file names is in the benchmark's layout."""
+    return any(_VIEW.fullmatch(name) for name in names)
+
+
+def open_hci(path: Path, names: list[str]) -> Source:
+    """Opens a scene folder of the HCI 4D benchmark.
+
+    Views are numbered row by row, `NNN = columns * row + column`. Without `parameters.cfg` the
+    grid is the smallest odd square that holds the highest number, so that a folder with the
+    crosshair alone is recognised.
+    """
+    numbers = {int(match[1]): name for name in names if (match := _VIEW.fullmatch(name))}
+    settings = _Settings(path / "parameters.cfg") if "parameters.cfg" in names else None
+    grid = settings.grid() if settings else None
+    if grid is None:
+        side = math.isqrt(max(numbers)) + 1
+        side += side % 2 == 0
+        grid = (side, side)
+    rows, columns = grid
+    if max(numbers) >= rows * columns:
+        raise ValueError(
+            f"{path / numbers[max(numbers)]} lies outside the grid of {rows}x{columns} views that "
+            f"parameters.cfg promises; expected numbers up to {rows * columns - 1:03d}."
+        )
+    files = {divmod(number, columns): path / name for number, name in numbers.items()}
+    centre = columns * (rows // 2) + columns // 2
+    return image_source(
+        path,
+        "HCI 4D benchmark",
+        files,
+        grid,
+        lambda row, column: f"input_Cam{columns * row + column:03d}.png",
+        truth=_truth_reader(path, names, grid, centre),
+        camera=settings.camera() if settings else None,
+        disparity_range=settings.disparity_range() if settings else None,
+        size=settings.size() if settings else None,
+    )
+
+
+class _Settings:
+    """`parameters.cfg`. Whatever it leaves out is None; whatever it garbles is an error."""
+
+    def __init__(self, path: Path):
+        self._path = path
+        self._parser = configparser.ConfigParser(interpolation=None)
+        try:
+            self._parser.read_string(path.read_text(encoding="utf-8"))
+        except (configparser.Error, UnicodeDecodeError) as error:
+            reason = str(error).splitlines()[0]
+            raise ValueError(f"{path} cannot be read as a configuration file: {reason}") from error
+
+    def _numbers(self, section: str, *keys: str) -> list[float] | None:
+        texts = [self._parser.get(section, key, fallback=None) for key in keys]
+        if any(text is None for text in texts):
+            return None
+        values = []
+        for key, text in zip(keys, texts, strict=True):
+            try:
+                values.append(float(str(text)))
+            except ValueError as error:
+                raise ValueError(
+                    f"{self._path} says {key} = {text!r} in [{section}]; expected a number."
+                ) from error
+        return values
+
+    def grid(self) -> tuple[int, int] | None:
+        values = self._numbers("extrinsics", "num_cams_y", "num_cams_x")
+        if values is None:
+            return None
+        if min(values) < 1 or any(value != int(value) for value in values):
+            raise ValueError(
+                f"{self._path} promises {values[0]:g} x {values[1]:g} cameras; expected positive "
+                "whole numbers."
+            )
+        return int(values[0]), int(values[1])
+
+    def size(self) -> tuple[int, int, str] | None:
+        values = self._numbers("intrinsics", "image_resolution_y_px", "image_resolution_x_px")
+        return None if values is None else (int(values[0]), int(values[1]), str(self._path))
+
+    def camera(self) -> Camera | None:
+        """The geometry; the sensor's size is that of the longer side of the image."""
+        intrinsics = self._numbers(
+            "intrinsics",
+            "focal_length_mm",
+            "sensor_size_mm",
+            "image_resolution_y_px",
+            "image_resolution_x_px",
+        )
+        extrinsics = self._numbers("extrinsics", "baseline_mm", "focus_distance_m")
+        if intrinsics is None or extrinsics is None:
+            return None
+        focal, sensor, *size = intrinsics
+        baseline, focus = extrinsics
+        if min(focal, sensor, baseline, focus) <= 0:
+            raise ValueError(
+                f"{self._path} must give positive focal_length_mm, sensor_size_mm, baseline_mm and "
+                f"focus_distance_m, got {focal:g}, {sensor:g}, {baseline:g} and {focus:g}."
+            )
+        return Camera(focal * max(size) / sensor, baseline / 1000, focus)
+
+    def disparity_range(self) -> tuple[float, float] | None:
+        values = self._numbers("meta", "disp_min", "disp_max")
+        return None if values is None else (values[0], values[1])
+
+
+def _truth_reader(path: Path, names: list[str], grid: tuple[int, int], centre: int):
+    single = [f"gt_disp_lowres_Cam{number:03d}.pfm" for number in range(grid[0] * grid[1])]
+    chosen = next((n for n in ("gt_disp_lowres.pfm", single[centre]) if n in names), None)
+    if chosen is None:
+        return None
+
+    def disparity(name: str) -> np.ndarray:
+        values = read_pfm(path / name)
+        check_truth(values, path / name)
+        return values
+
+    def ids(name: str, shape: tuple[int, ...]) -> np.ndarray:
+        values = read_raw(path / name)
+        if values.shape != shape:
+            raise ValueError(
+                f"{path / name} has the shape {values.shape}; expected one id per pixel, {shape}."
+            )
+        return values.astype(np.int32)
+
+    def read() -> Truth:
+        centre_disparity = disparity(chosen)
+        shape = centre_disparity.shape
+        every = id_names = None
+        if all(name in names for name in single):
+            every = np.empty((*grid, *shape), np.float32)
+            for number, name in enumerate(single):
+                values = disparity(name)
+                if values.shape != shape:
+                    raise ValueError(
+                        f"{path / name} has the size {values.shape}; expected {shape}, as {chosen}."
+                    )
+                every[divmod(number, grid[1])] = values
+        id_names = [f"objectids_lowres_Cam{number:03d}.png" for number in range(len(single))]
+        object_name = next(
+            (n for n in ("objectids_lowres.png", id_names[centre]) if n in names), None
+        )
+        every_id = None
+        if all(name in names for name in id_names):
+            every_id = np.stack([ids(name, shape) for name in id_names]).reshape(*grid, *shape)
+        return Truth(
+            centre_disparity,
+            np.ones(shape, bool),
+            None if object_name is None else ids(object_name, shape),
+            every,
+            every_id,
+        )
+
+    return read

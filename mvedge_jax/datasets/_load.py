@@ -1,0 +1,320 @@
+"""`load_light_field`: recognises a layout, reads its views into one array, meets the convention."""
+
+import os
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from pathlib import Path
+
+import cv2
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from ..lightfield import Camera, GroundTruth, LightField
+from ._grid import is_grid, open_grid
+from ._hci import is_hci, open_hci
+from ._hdf5 import open_hdf5
+from ._lytro import open_mat
+from ._source import Source, Truth
+from ._stanford import is_stanford, open_stanford
+
+_ALIGNMENT = 64  # bytes; JAX adopts a NumPy array that is so aligned instead of copying it
+_LAYOUTS = (
+    "input_CamNNN.png (HCI 4D benchmark), out_RR_CC_<y>_<x>.png (Stanford archive), *_RR_CC.png, "
+    ".jpg or .bmp (any grid), a .h5 (old HCI benchmark) or a .mat file (Lytro)"
+)
+
+
+def load_light_field(
+    path: str | os.PathLike,
+    *,
+    views: int | None = None,
+    scale: float = 1.0,
+    flip_u: bool = False,
+    flip_v: bool = False,
+    disparity_range: tuple[float, float] | None = None,
+    name: str | None = None,
+) -> LightField:
+    """Reads a light field, whatever its layout.
+
+    | layout | recognised by | brings along |
+    |---|---|---|
+    | HCI 4D benchmark | `input_CamNNN.png` | `parameters.cfg`, `gt_disp_lowres.pfm`, object ids |
+    | old HCI benchmark | `.h5`, `.hdf5` with `LF` | `GT_DEPTH`, `GT_LABELS` |
+    | Stanford archive | `out_RR_CC_<y>_<x>.png` | `camera_spacing` tells how even the rig is |
+    | Lytro, EPFL | `.mat` with a 5-D `LF` | |
+    | any grid | `*_RR_CC.png`, `.jpg` or `.bmp` | |
+
+    In the first layout the ground truth may also be there for every view, as
+    `gt_disp_lowres_CamNNN.pfm` and `objectids_lowres_CamNNN.png`. A folder that holds a single
+    `.h5` or `.mat` file and no views stands for that file. Views outside the crosshair may be
+    missing; they are then not `available`.
+
+    **Which way round.** By the convention a point of disparity `d` moves by `(u_c - u) d` and
+    `(v_c - v) d` px, and larger `d` is nearer: as `u` grows, near things move left, as `v` grows,
+    up. The benchmarks are read in the order that meets it. Other cameras may count their views
+    the other way round on either axis. All disparities then come out with the wrong sign, and so
+    nothing shows but at occlusions: what is estimated as near is covered by what is estimated as
+    far. `check_convention` and `mvedge info` look for that and say which flip is needed; by eye,
+    flick through the views of a row, then of a column.
+
+    Args:
+        path: a folder or a file.
+        views: keeps the central `views` x `views` (odd). The rest is not read. A Lytro's outer
+            views are dark and distorted; 7 or 9 are usual.
+        scale: shrinks the views by this factor in (0, 1], averaging areas, as they are read;
+            disparities, range and camera shrink alike.
+        flip_u: reverses the view columns, on top of what the layout needs by itself.
+        flip_v: reverses the view rows, likewise.
+        disparity_range: `(low, high)` in px per view step of the stored size, where the files do
+            not tell or tell wrongly.
+        name: what to call the scene; by default the name of the folder or file.
+
+    Returns:
+        The light field, float32.
+
+    Raises:
+        FileNotFoundError: if there is nothing at `path`, no light field in it, or a view of the
+            crosshair is missing.
+        ValueError: if files are truncated, unreadable, of different sizes, contradict each other,
+            do not form an odd square grid, or hold ground truth that is not finite; or on an
+            option out of its range. The message names the file.
+
+    Example:
+        >>> import tempfile
+        >>> from pathlib import Path
+        >>> import cv2
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     for row in range(3):
+        ...         for column in range(3):
+        ...             file = Path(folder) / f"toy_{row}_{column}.png"
+        ...             _ = cv2.imwrite(str(file), np.full((6, 8, 3), 51, np.uint8))
+        ...     light_field = load_light_field(folder, name="toy")
+        >>> light_field.views.shape
+        (3, 3, 6, 8, 3)
+    """
+    if not 0 < scale <= 1:
+        raise ValueError(f"`scale` must be in (0, 1], got {scale}.")
+    with open_source(Path(path)) as source:
+        rows, columns = _places(source, views, flip_u, flip_v)
+        images, available = _read_views(source, rows, columns, scale)
+        truth = None
+        if source.truth is not None:
+            truth = _ground_truth(source, source.truth(), rows, columns, scale, images.shape[2:4])
+        limits = source.disparity_range if disparity_range is None else disparity_range
+        camera = source.camera
+        if camera is not None:
+            camera = Camera(camera.focal_px * scale, camera.baseline, camera.focus_distance)
+        return LightField(
+            jax.device_put(images),
+            available=available,
+            disparity_range=None if limits is None else tuple(scale * limit for limit in limits),
+            truth=truth,
+            camera=camera,
+            name=source.name if name is None else name,
+        )
+
+
+@contextmanager
+def open_source(path: Path) -> Iterator[Source]:
+    """Recognises the layout of a folder or file and opens it; see `load_light_field`.
+
+    Raises:
+        FileNotFoundError: if there is nothing at `path` or no light field in it.
+        ValueError: if the file is of an unknown kind, or what is found contradicts itself.
+    """
+    if path.is_dir():
+        names = sorted(file.name for file in path.iterdir() if not file.name.startswith("."))
+        for recognise, open_folder in (
+            (is_hci, open_hci),
+            (is_stanford, open_stanford),
+            (is_grid, open_grid),
+        ):
+            if recognise(names):
+                yield open_folder(path, names)
+                return
+        files = [path / name for name in names if Path(name).suffix.lower() in _FILES]
+        if len(files) != 1:
+            found = f"{len(names)} files, such as {names[0]}" if names else "an empty folder"
+            raise FileNotFoundError(f"{path} holds no light field: {found}; expected {_LAYOUTS}.")
+        path = files[0]
+    if not path.is_file():
+        raise FileNotFoundError(f"{path} is not there; expected a folder or file: {_LAYOUTS}.")
+    opener = _FILES.get(path.suffix.lower())
+    if opener is None:
+        raise ValueError(f"{path} is not a light field that can be read; expected {_LAYOUTS}.")
+    with opener(path) as source:
+        yield source
+
+
+_FILES = {".h5": open_hdf5, ".hdf5": open_hdf5, ".mat": open_mat}
+
+
+def _places(
+    source: Source, views: int | None, flip_u: bool, flip_v: bool
+) -> tuple[list[int], list[int]]:
+    """The rows and columns of the file order to read, in the order of the convention."""
+    rows, columns = source.available.shape
+    where = source.label(0, 0) if rows * columns == 1 else f"{source.name} ({source.layout})"
+    if views is None:
+        if rows != columns or rows % 2 == 0 or rows < 3:
+            advice = (
+                f"; views={_largest_odd(rows, columns)} keeps the central ones"
+                if min(rows, columns) >= 3
+                else ""
+            )
+            raise ValueError(
+                f"{where} has a grid of {rows}x{columns} views (rows x columns); expected an odd "
+                f"square of 3x3 or more{advice}."
+            )
+        count = rows
+    elif views % 2 == 0 or views < 3 or views > min(rows, columns):
+        raise ValueError(
+            f"`views` must be odd, at least 3 and at most the grid of {rows}x{columns} views of "
+            f"{where}, got {views}."
+        )
+    else:
+        count = views
+    kept = []
+    for size, flip in ((rows, source.flip_v != flip_v), (columns, source.flip_u != flip_u)):
+        first = size // 2 - count // 2
+        kept.append(list(range(first, first + count))[:: -1 if flip else 1])
+    missing = [
+        (row, column)
+        for i, row in enumerate(kept[0])
+        for j, column in enumerate(kept[1])
+        if count // 2 in (i, j) and not source.available[row, column]
+    ]
+    if missing:
+        row, column = min(missing)
+        raise FileNotFoundError(
+            f"{source.label(row, column)} is missing (row {row}, column {column} of a grid of "
+            f"{rows}x{columns} views); expected at least the crosshair, the whole centre row and "
+            f"column, of which {len(missing)} of {2 * count - 1} are missing."
+        )
+    return kept[0], kept[1]
+
+
+def _largest_odd(rows: int, columns: int) -> int:
+    side = min(rows, columns)
+    return side - (side % 2 == 0)
+
+
+def _read_views(
+    source: Source, rows: list[int], columns: list[int], scale: float
+) -> tuple[Float[np.ndarray, "v u y x c"], np.ndarray]:
+    """Reads view by view into one array: no second copy of a light field at any time."""
+    places = [
+        (i, j, row, column)
+        for i, row in enumerate(rows)
+        for j, column in enumerate(columns)
+        if source.available[row, column]
+    ]
+    middle = len(rows) // 2, len(columns) // 2
+    centre = rows[middle[0]], columns[middle[1]]
+    first = source.read(*centre)
+    shape, dtype = first.shape, first.dtype
+    if source.size is not None and shape[:2] != source.size[:2]:
+        height, width, file = source.size
+        raise ValueError(
+            f"{source.label(*centre)} is {shape[0]}x{shape[1]} px (height x width); expected "
+            f"{height}x{width}, as {file} says."
+        )
+    height, width = (max(1, int(side * scale + 1e-6)) for side in shape[:2])
+    views = _aligned_zeros((len(rows), len(columns), height, width, 3))
+
+    def fill(place: tuple[int, int, int, int]) -> None:
+        i, j, row, column = place
+        image = first if (i, j) == middle else source.read(row, column)
+        if image.shape != shape or image.dtype != dtype:
+            raise ValueError(
+                f"{source.label(row, column)} is {image.shape[0]}x{image.shape[1]} px (height x "
+                f"width) of {image.dtype}; expected {shape[0]}x{shape[1]} of {dtype}, as "
+                f"{source.label(*centre)}."
+            )
+        white = np.float32(np.iinfo(dtype).max)
+        if scale == 1:
+            np.divide(image, white, out=views[i, j])
+        else:
+            views[i, j] = _shrink(image.astype(np.float32), height, width, scale) / white
+
+    with ThreadPoolExecutor(min(4, os.cpu_count() or 1)) as pool:
+        for _ in pool.map(fill, places):
+            pass
+    available = np.zeros((len(rows), len(columns)), bool)
+    for i, j, *_ in places:
+        available[i, j] = True
+    return views, available
+
+
+def _aligned_zeros(shape: tuple[int, ...]) -> np.ndarray:
+    size = 4 * int(np.prod(shape))
+    buffer = np.zeros(size + _ALIGNMENT, np.uint8)
+    start = -buffer.ctypes.data % _ALIGNMENT
+    return buffer[start : start + size].view(np.float32).reshape(shape)
+
+
+def _shrink(image: np.ndarray, height: int, width: int, scale: float) -> np.ndarray:
+    """Averages areas of `1 / scale` px; what does not fill an area at the far ends is dropped."""
+    rows, columns = (
+        min(side, round(new / scale))
+        for side, new in zip(image.shape[:2], (height, width), strict=True)
+    )
+    shrunk = cv2.resize(image[:rows, :columns], (width, height), interpolation=cv2.INTER_AREA)
+    return shrunk.clip(0, None) if image.ndim == 3 else shrunk
+
+
+def _ground_truth(
+    source: Source,
+    truth: Truth,
+    rows: list[int],
+    columns: list[int],
+    scale: float,
+    size: tuple[int, int],
+) -> GroundTruth:
+    """Ground truth of the views that were kept, at their scale."""
+    centre = rows[len(rows) // 2], columns[len(columns) // 2]
+    stored = source.read(*centre).shape[:2]
+    if truth.disparity.shape != stored:
+        raise ValueError(
+            f"The ground truth of {source.name} is {truth.disparity.shape[0]}x"
+            f"{truth.disparity.shape[1]} px (height x width); expected {stored[0]}x{stored[1]}, as "
+            f"{source.label(*centre)}."
+        )
+    window = np.ix_(rows, columns)
+    if scale == 1:
+        return GroundTruth(
+            jnp.asarray(truth.disparity),
+            jnp.asarray(truth.valid),
+            _optional(truth.object_ids),
+            _optional(None if truth.view_disparity is None else truth.view_disparity[window]),
+            _optional(None if truth.view_ids is None else truth.view_ids[window]),
+        )
+
+    def mean(values: np.ndarray) -> np.ndarray:
+        return _shrink(values.astype(np.float32), *size, scale)
+
+    def pick(values: np.ndarray) -> np.ndarray:
+        y, x = (((np.arange(n) + 0.5) / scale).astype(int) for n in size)
+        return values[np.ix_(y.clip(max=stored[0] - 1), x.clip(max=stored[1] - 1))]
+
+    def every(values: np.ndarray | None, one) -> np.ndarray | None:
+        if values is None:
+            return None
+        return np.stack([[one(values[row, column]) for column in columns] for row in rows])
+
+    valid = mean(truth.valid) > 1 - 1e-4
+    view_disparity = every(truth.view_disparity, mean)
+    return GroundTruth(
+        jnp.asarray(np.where(valid, mean(truth.disparity) * np.float32(scale), np.float32(0))),
+        jnp.asarray(valid),
+        _optional(None if truth.object_ids is None else pick(truth.object_ids)),
+        _optional(None if view_disparity is None else view_disparity * np.float32(scale)),
+        _optional(every(truth.view_ids, pick)),
+    )
+
+
+def _optional(values: np.ndarray | None):
+    return None if values is None else jnp.asarray(values)

@@ -1,0 +1,112 @@
+"""What every layout comes down to: a grid of views to read, and what is known beside them."""
+
+import dataclasses
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from ..lightfield import Camera
+from ._images import read_image
+
+
+@dataclasses.dataclass(frozen=True)
+class Truth:
+    """Ground truth of the grid as stored, NumPy; see `mvedge_jax.GroundTruth`."""
+
+    disparity: Float[np.ndarray, "y x"]
+    valid: Bool[np.ndarray, "y x"]
+    object_ids: Int[np.ndarray, "y x"] | None = None
+    view_disparity: Float[np.ndarray, "v u y x"] | None = None
+    view_ids: Int[np.ndarray, "v u y x"] | None = None
+
+
+@dataclasses.dataclass(frozen=True)
+class Source:
+    """A light field on disk, opened but not read.
+
+    Attributes:
+        name: what to call it.
+        layout: which layout was recognised, for people.
+        available: which views are stored, in file order.
+        read: gives view (row, column) of the file order as uint8 or uint16 RGB.
+        label: what to call view (row, column) in an error: its file or place.
+        truth: reads the ground truth; None if there is none.
+        camera: the geometry if known.
+        disparity_range: px per view step if known.
+        flip_v: whether rows have to be reversed to meet the convention.
+        flip_u: whether columns have to be reversed.
+        size: `(height, width)` that the metadata promises, if any, and the file that says so.
+    """
+
+    name: str
+    layout: str
+    available: Bool[np.ndarray, "v u"]
+    read: Callable[[int, int], np.ndarray]
+    label: Callable[[int, int], str]
+    truth: Callable[[], Truth] | None = None
+    camera: Camera | None = None
+    disparity_range: tuple[float, float] | None = None
+    flip_v: bool = False
+    flip_u: bool = False
+    size: tuple[int, int, str] | None = None
+
+
+def image_source(
+    path: Path,
+    layout: str,
+    files: dict[tuple[int, int], Path],
+    grid: tuple[int, int],
+    expected: Callable[[int, int], str],
+    **known,
+) -> Source:
+    """A source whose views are image files.
+
+    Args:
+        path: the folder.
+        layout: name of the layout.
+        files: file of each view (row, column) that is there.
+        grid: numbers of rows and columns.
+        expected: file name that view (row, column) should have, for errors.
+        **known: further fields of `Source`.
+
+    Returns:
+        The source.
+    """
+    available = np.zeros(grid, bool)
+    for place in files:
+        available[place] = True
+
+    def label(row: int, column: int) -> str:
+        file = files.get((row, column))
+        return str(file if file is not None else path / expected(row, column))
+
+    return Source(
+        name=path.resolve().name,
+        layout=layout,
+        available=available,
+        read=lambda row, column: read_image(files[row, column]),
+        label=label,
+        **known,
+    )
+
+
+def check_truth(values: np.ndarray, path: Path | str, what: str = "disparity") -> None:
+    """Refuses ground truth that is NaN or infinite.
+
+    Args:
+        values: what was read.
+        path: the file, for the error.
+        what: the quantity, for the error.
+
+    Raises:
+        ValueError: naming the file, the number of bad values and the first one's place.
+    """
+    bad = ~np.isfinite(values)
+    if bad.any():
+        place = tuple(int(i) for i in np.argwhere(bad)[0])
+        raise ValueError(
+            f"{path} holds {int(bad.sum())} values that are NaN or infinite, the first at "
+            f"{place}; expected a finite {what} everywhere."
+        )
