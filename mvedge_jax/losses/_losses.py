@@ -1,0 +1,168 @@
+"""The losses of the optimisation: self-supervised by the views, or supervised by a map."""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from mvedge_jax._params import cast, number
+from mvedge_jax.warping import visible as exact_visible, visible_binned
+
+from ._features import Colours
+from ._terms import (
+    Features,
+    edge_aware_smoothness,
+    gradient_reward,
+    reprojection_error,
+    ssim,
+    warp_views,
+)
+from ._views import Views
+
+
+class LossWeights(eqx.Module):
+    """Weights of the terms of (7.16), all traced.
+
+    Attributes:
+        reprojection: of the mean error (7.15).
+        smoothness: w_s, of the edge-aware smoothness (0.05 light fields, 0.0075 multi-view
+            stereo).
+        dissimilarity: of 1 - SSIM (0 light fields, 0.05 multi-view stereo).
+        gradient: w_g, of the gradient reward.
+    """
+
+    reprojection: Float[Array, ""] = number(1.0)
+    smoothness: Float[Array, ""] = number(0.05)
+    dissimilarity: Float[Array, ""] = number(0.0)
+    gradient: Float[Array, ""] = number(0.01)
+
+
+class LossTerms(NamedTuple):
+    """The terms before weighting, and the error map."""
+
+    reprojection: Float[Array, ""]
+    smoothness: Float[Array, ""]
+    dissimilarity: Float[Array, ""]
+    gradient: Float[Array, ""]
+    error: Float[Array, "y x"]
+
+
+def occlusion_masks(
+    disparity: Float[Array, "y x"], views: Views, *, binned: bool = False
+) -> Bool[Array, "k y x"]:
+    """Which pixels each view sees, without gradient.
+
+    Args:
+        disparity: of the centre view.
+        views: the views; those that are not available see nothing.
+        binned: by the authors' 32 bins rather than by an exact z-buffer.
+
+    Returns:
+        M of (7.15).
+    """
+    mask = visible_binned if binned else exact_visible
+    seen = jax.lax.map(lambda step: mask(disparity, step), views.steps)
+    return seen & views.available[:, None, None]
+
+
+def self_supervised_loss(
+    disparity: Float[Array, "y x"],
+    views: Views,
+    weights: LossWeights,
+    *,
+    visible: Bool[Array, "k y x"] | None = None,
+    features: Features | None = None,
+    similarity: bool = False,
+) -> tuple[Float[Array, ""], LossTerms]:
+    """The loss (7.16): how badly a disparity map explains the views.
+
+    Args:
+        disparity: of the centre view, px per view step.
+        views: the views.
+        weights: of the terms.
+        visible: mask M; by default the exact z-buffer of `disparity`.
+        features: what images are compared by; colours by default.
+        similarity: compute the SSIM term at all; it costs as much as the rest.
+
+    Returns:
+        The loss and its terms. Differentiable with respect to `disparity`, the views and the
+        weights.
+
+    Source:
+        Thesis 7.1.4, Eq. 7.15-7.16, with the signs and weights that EQUATIONS.md derives.
+    """
+    weights = cast(weights, disparity.dtype)
+    visible = occlusion_masks(disparity, views) if visible is None else visible
+    features = Colours() if features is None else features
+    error = reprojection_error(disparity, views, visible, features)
+    # The reward looks at the error summed over views, as the authors' code does.
+    count = jnp.sum(visible & views.available[:, None, None], axis=0).astype(error.dtype)
+    reward = jnp.mean(gradient_reward(error * jnp.maximum(count, 1)))
+    dissimilarity = jnp.zeros((), disparity.dtype)
+    if similarity:
+        warped = warp_views(disparity, views, visible & views.available[:, None, None])
+        alike = jax.vmap(lambda image: jnp.mean(ssim(image, views.centre)))(warped)
+        dissimilarity = 1 - jnp.mean(alike)
+    smoothness = jnp.mean(edge_aware_smoothness(disparity, views.centre))
+    terms = LossTerms(jnp.mean(error), smoothness, dissimilarity, reward, error)
+    total = (
+        weights.reprojection * terms.reprojection
+        + weights.smoothness * terms.smoothness
+        + weights.dissimilarity * terms.dissimilarity
+        - weights.gradient * terms.gradient
+    )
+    return total, terms
+
+
+class SupervisedWeights(eqx.Module):
+    """Weights of the supervised loss.
+
+    Attributes:
+        absolute: of the mean absolute error.
+        square: of the mean squared error. The thesis has none; with it, few large errors count.
+        smoothness: of the squared slope of the map where the image is flat (the authors' code
+            has 7.5e-4, as a sum).
+    """
+
+    absolute: Float[Array, ""] = number(1.0)
+    square: Float[Array, ""] = number(0.0)
+    smoothness: Float[Array, ""] = number(0.0)
+
+
+def supervised_loss(
+    disparity: Float[Array, "y x"],
+    truth: Float[Array, "y x"],
+    valid: Bool[Array, "y x"],
+    weights: SupervisedWeights,
+    *,
+    centre: Float[Array, "c y x"] | None = None,
+) -> Float[Array, ""]:
+    """Distance from a known map, over the pixels where it is known.
+
+    Args:
+        disparity: px per view step.
+        truth: the known map.
+        valid: where it is known.
+        weights: of the terms.
+        centre: the image, for the smoothness term; without it the term is left out.
+
+    Returns:
+        The loss; zero if no pixel is known.
+
+    Source:
+        Thesis 7.1.4 and 7.2.3.
+    """
+    weights = cast(weights, disparity.dtype)
+    error = jnp.where(valid, disparity - jnp.where(valid, truth, 0), 0)
+    count = jnp.maximum(jnp.sum(valid).astype(disparity.dtype), 1)
+    total = weights.absolute * jnp.sum(jnp.abs(error)) / count
+    total = total + weights.square * jnp.sum(error**2) / count
+    if centre is not None:
+        gray = jnp.mean(centre, axis=0)
+        for axis in (0, 1):
+            slope = jnp.diff(disparity, axis=axis) ** 2
+            edge = jnp.exp(-100 * jnp.abs(jnp.diff(gray, axis=axis)))
+            total = total + weights.smoothness * jnp.sum(edge * slope) / count
+    return total

@@ -1,0 +1,61 @@
+"""The views that a depth map is held against, in the layout that the losses read."""
+
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from mvedge_jax.lightfield import LightField
+
+
+class Views(eqx.Module):
+    """A centre view and views around it, as channel planes.
+
+    Attributes:
+        centre: the image whose disparity is sought.
+        others: the views that are warped to it.
+        steps: `(u_c - u, v_c - v)` of every view.
+        available: views that take part.
+    """
+
+    centre: Float[Array, "c y x"]
+    others: Float[Array, "k c y x"]
+    steps: Float[Array, "k 2"]
+    available: Bool[Array, "k"]
+
+    def take(self, index: Int[Array, "m"]) -> "Views":
+        """The views at `index`."""
+        return Views(self.centre, self.others[index], self.steps[index], self.available[index])
+
+
+def gather_views(light_field: LightField, choice: Sequence[tuple[int, int]] | None = None) -> Views:
+    """Collects the views that the losses compare with the centre view.
+
+    Args:
+        light_field: the views.
+        choice: grid positions `(v, u)`; by default all of the crosshair but the centre.
+
+    Returns:
+        The views. Missing ones are marked as not available.
+
+    Raises:
+        ValueError: `choice` is empty or names a position outside the grid.
+    """
+    vc, uc = light_field.centre
+    rows, columns = light_field.available.shape
+    if choice is None:
+        choice = [(v, uc) for v in range(rows) if v != vc]
+        choice += [(vc, u) for u in range(columns) if u != uc]
+    if not choice:
+        raise ValueError("`choice` names no view; at least one besides the centre is needed.")
+    for v, u in choice:
+        if not (0 <= v < rows and 0 <= u < columns):
+            raise ValueError(f"`choice` names view {(v, u)}; the grid is {rows}x{columns}.")
+    v, u = (jnp.asarray(axis) for axis in zip(*choice, strict=True))
+    return Views(
+        jnp.moveaxis(light_field.centre_view, -1, 0),
+        jnp.moveaxis(light_field.views[v, u], -1, 1),
+        light_field.steps[v, u],
+        light_field.available[v, u],
+    )

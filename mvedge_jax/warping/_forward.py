@@ -1,0 +1,86 @@
+"""Forward reprojection: move pixels into another view, the nearest one wins."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+
+class ForwardWarp(NamedTuple):
+    """A reprojected image.
+
+    Attributes:
+        image: values of the winning pixels; 0 in holes.
+        disparity: disparity of the winning pixels; 0 in holes.
+        hit: where any pixel landed.
+    """
+
+    image: Float[Array, "y x c"]
+    disparity: Float[Array, "y x"]
+    hit: Bool[Array, "y x"]
+
+
+def landing(
+    disparity: Float[Array, "y x"], step: Float[Array, "2"]
+) -> tuple[Int[Array, "y x"], Bool[Array, "y x"]]:
+    """Flat index of the pixel of the other view that each pixel lands on.
+
+    Args:
+        disparity: px per view step; pixels that are not finite land nowhere.
+        step: `(u_c - u, v_c - v)` of the other view.
+
+    Returns:
+        The index, one past the last pixel for pixels that leave the view, and whether they stay.
+    """
+    height, width = disparity.shape
+    disparity = jax.lax.stop_gradient(disparity)
+    finite = jnp.isfinite(disparity)
+    shift = jnp.where(finite, disparity, 0)
+    step = step.astype(disparity.dtype)
+    x = jnp.round(jnp.arange(width, dtype=disparity.dtype)[None] + step[0] * shift)
+    y = jnp.round(jnp.arange(height, dtype=disparity.dtype)[:, None] + step[1] * shift)
+    stays = finite & (x >= 0) & (x <= width - 1) & (y >= 0) & (y <= height - 1)
+    index = jnp.where(stays, y * width + x, height * width)
+    return index.astype(jnp.int32), stays
+
+
+def z_buffer(key: Float[Array, "y x"], index: Int[Array, "y x"]) -> Float[Array, "_"]:
+    """Largest `key` that lands on each pixel, -inf where none does; the last entry is a bin."""
+    buffer = jnp.full(key.size + 1, -jnp.inf, key.dtype)
+    return buffer.at[index.ravel()].max(key.ravel(), mode="promise_in_bounds")
+
+
+def forward_warp(
+    image: Float[Array, "y x c"], disparity: Float[Array, "y x"], step: Float[Array, "2"]
+) -> ForwardWarp:
+    """Moves every pixel of this view to where another view sees it, nearest pixel in front.
+
+    Positions are rounded to pixels; pixels that nothing lands on are holes. Among equal
+    disparities the pixel with the smallest index wins.
+
+    Args:
+        image: values of this view.
+        disparity: px per view step, larger is nearer.
+        step: `(u_c - u, v_c - v)` from the centre view to view `(v, u)`.
+
+    Returns:
+        The reprojected image. Differentiable with respect to `image` and, in its `disparity`
+        part, to `disparity`; the places are piecewise constant.
+
+    Source:
+        Thesis 6.1.
+    """
+    shape = disparity.shape
+    index, stays = landing(disparity, step)
+    still = jax.lax.stop_gradient(disparity)
+    nearest = z_buffer(jnp.where(stays, still, -jnp.inf), index)
+    wins = stays & (still == nearest[index])
+    own = jnp.arange(disparity.size, dtype=jnp.int32)
+    winner = jnp.full(disparity.size + 1, disparity.size, jnp.int32)
+    winner = winner.at[jnp.where(wins, index, disparity.size).ravel()].min(own)[:-1]
+    hit = winner < disparity.size
+    source = jnp.where(hit, winner, 0)
+    moved = jnp.where(hit[:, None], image.reshape(-1, image.shape[-1])[source], 0)
+    depth = jnp.where(hit, disparity.ravel()[source], 0)
+    return ForwardWarp(moved.reshape(image.shape), depth.reshape(shape), hit.reshape(shape))

@@ -1,0 +1,114 @@
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from helpers import check_gradient
+
+from mvedge_jax import warping
+from mvedge_jax.warping import backward_warp
+
+forward_warp, warp_planes = jax.jit(warping.forward_warp), jax.jit(warping.warp_planes)
+visible, visible_binned = jax.jit(warping.visible), jax.jit(warping.visible_binned)
+
+
+def brute_force(image, disparity, step):
+    """Loops over pixels from far to near, so that the nearest is written last."""
+    height, width = disparity.shape
+    out, depth = np.zeros_like(image), np.zeros_like(disparity)
+    hit, owner = np.zeros(disparity.shape, bool), np.full(disparity.shape, -1)
+    order = np.lexsort((-np.arange(disparity.size), disparity.ravel()))
+    for i in order:
+        y, x = divmod(i, width)
+        d = disparity[y, x]
+        tx, ty = np.round(x + step[0] * d), np.round(y + step[1] * d)
+        if 0 <= tx < width and 0 <= ty < height:
+            tx, ty = int(tx), int(ty)
+            out[ty, tx], depth[ty, tx], hit[ty, tx], owner[ty, tx] = image[y, x], d, True, i
+    return out, depth, hit, owner
+
+
+def scene(shape=(13, 17), seed=0):
+    rng = np.random.default_rng(seed)
+    disparity = np.where(rng.random(shape) > 0.7, 1.5, 0.2) + rng.normal(size=shape) * 1e-2
+    return rng.random((*shape, 3)), disparity
+
+
+@pytest.mark.parametrize("step", [(2.0, 0.0), (-3.0, 1.0), (0.0, 0.0)])
+def test_forward_warp_equals_painting_far_to_near(step):
+    image, disparity = scene()
+    result = forward_warp(jnp.array(image), jnp.array(disparity), jnp.array(step))
+    out, depth, hit, _ = brute_force(image, disparity, step)
+    np.testing.assert_array_equal(result.hit, hit)
+    np.testing.assert_array_equal(result.image, out)
+    np.testing.assert_array_equal(result.disparity, depth)
+
+
+def test_forward_warp_is_differentiable_in_the_image():
+    image, disparity = scene()
+    disparity, step = jnp.array(disparity), jnp.array([2.0, 1.0])
+    check_gradient(
+        lambda im: jnp.sum(forward_warp(im, disparity, step).image ** 2),
+        jnp.array(image), rtol=1e-7, directions=1, key=jax.random.key(0),
+    )  # fmt: skip
+
+
+def test_exact_visibility_equals_the_winners_of_painting():
+    image, disparity = scene()
+    step = (3.0, -1.0)
+    owner = brute_force(image, disparity, step)[3]
+    seen = visible(jnp.array(disparity), jnp.array(step), tolerance=0.0)
+    np.testing.assert_array_equal(np.flatnonzero(seen), np.unique(owner[owner >= 0]))
+
+
+@pytest.mark.parametrize("mask", [visible, visible_binned])
+def test_a_near_square_hides_the_strip_beside_it(mask):
+    disparity = jnp.zeros((16, 16)).at[4:12, 6:10].set(2.0)
+    seen = mask(disparity, jnp.array([2.0, 0.0]))
+    expected = np.ones((16, 16), bool)
+    expected[4:12, 10:14] = False  # the square lands here
+    np.testing.assert_array_equal(seen, expected)
+
+
+def test_a_slanted_surface_does_not_hide_itself():
+    disparity = jnp.broadcast_to(jnp.linspace(0, 1, 32)[None], (8, 32))
+    step = jnp.array([-4.0, 0.0])
+    inside = jnp.arange(32.0)[None] + step[0] * disparity >= 0
+    np.testing.assert_array_equal(visible(disparity, step) | ~inside, True)
+
+
+@pytest.mark.parametrize("mask", [visible, visible_binned])
+def test_masks_of_odd_input(mask):
+    flat = jnp.full((5, 4), 0.3)
+    assert bool(mask(flat, jnp.zeros(2)).all())
+    assert not bool(mask(flat, jnp.array([100.0, 0.0])).any())
+    seen = mask(flat.at[2, 2].set(jnp.nan), jnp.zeros(2))
+    assert int(jnp.sum(~seen)) == 1
+    gradient = jax.grad(lambda d: jnp.sum(jnp.where(mask(d, jnp.array([1.0, 0.0])), d, 0)))(flat)
+    np.testing.assert_array_equal(gradient, mask(flat, jnp.array([1.0, 0.0])))
+
+
+@pytest.mark.parametrize("step", [(3.0, 0.0), (-2.0, 1.5)])
+def test_warp_of_planes_equals_the_backward_warp(step):
+    image, disparity = scene()
+    image, disparity, step = jnp.array(image), jnp.array(disparity), jnp.array(step)
+    expected, _ = backward_warp(image, disparity, step)
+    planes = jnp.moveaxis(image, -1, 0)
+    np.testing.assert_allclose(
+        warp_planes(planes, disparity, step), jnp.moveaxis(expected, -1, 0), atol=1e-14
+    )
+
+    def mine(p, d):
+        return jnp.sum(warp_planes(p, d, step) ** 3)
+
+    def theirs(p, d):
+        return jnp.sum(backward_warp(jnp.moveaxis(p, 0, -1), d, step)[0] ** 3)
+
+    gradients = (jax.grad(f, (0, 1))(planes, disparity) for f in (mine, theirs))
+    for a, b in zip(*gradients, strict=True):
+        np.testing.assert_allclose(a, b, atol=1e-12)
+
+
+def test_warp_of_planes_one_pixel_wide():
+    planes = jnp.arange(6.0).reshape(1, 6, 1)
+    warped = warp_planes(planes, jnp.full((6, 1), 0.5), jnp.array([1.0, 1.0]))
+    np.testing.assert_allclose(warped[0, :, 0], [0.5, 1.5, 2.5, 3.5, 4.5, 5.0])
