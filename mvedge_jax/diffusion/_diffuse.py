@@ -1,0 +1,176 @@
+"""Diffusion of sparse labels, differentiable through the implicit function theorem."""
+
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Float
+
+from mvedge_jax._params import cast
+
+from ._core import Options, Prepared, prepare, solve
+from ._solver import Diffused, Solver, SolveStats
+from ._stencil import Coefficients, differences, inner, largest, product
+from ._system import System, check
+
+
+def diffuse(
+    system: System, *, start: Float[Array, "y x"] | None = None, solver: Solver | None = None
+) -> Diffused:
+    r"""Solves a diffusion system by conjugate gradients with a multigrid preconditioner.
+
+    The gradient comes from one adjoint solve $A a = \partial L / \partial D$ that reuses the
+    hierarchy: $\partial L/\partial s = w a$, $\partial L/\partial w = a (s - D)$,
+    $\partial L/\partial t_{pq} = -(a_p - a_q)(D_p - D_q)$. It is the derivative of the exact
+    solution: `start`, the tolerance and the statistics have none.
+
+    *Stopping.* The residual is a poor measure where weights differ by orders of magnitude: it
+    weighs an error by the stiffness of the place. One V-cycle on the residual is an estimate of
+    the error itself, in the unit of the labels, that conjugate gradients computes anyway; the
+    iteration ends one step after its largest entry falls below `solver.tolerance` times the
+    range of the labels.
+
+    *Singular parts.* A part of the image without a path of positive edges to any data has no
+    unique solution. It takes the weighted mean of all labels (0 if there is no data at all), has
+    no gradient, and is counted in `stats.isolated`.
+
+    *Batches.* Under `vmap`, large images are solved one after the other and small ones, such as
+    epipolar-plane images, together; each stops on its own.
+
+    Args:
+        system: weights and labels; `weight`, `tx`, `ty` finite and ≥ 0, labels finite where
+            `weight > 0`.
+        start: where to start, `[y, x]`, unit of the labels; by default the weighted mean of the
+            labels. Not differentiable.
+        solver: preconditioner, tolerance, cap on the iterations; by default `Solver()`.
+
+    Returns:
+        The dense map and statistics. Differentiable with respect to all four maps of `system`.
+
+    Raises:
+        ValueError: shapes do not match or, outside `jit`, a weight is negative or not finite, or
+            a label that counts is not finite. Under `jit` such a system gives NaN and
+            `stats.converged` is False; a negative weight that leaves the matrix positive definite
+            is solved.
+        TypeError: the maps are not of one floating type.
+
+    Source: Thesis 6.1, Eq. 6.1; 7.1.1, Eq. 7.2.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> weight = jnp.array([[1e3, 0.0, 0.0, 1e3]])
+        >>> label = jnp.array([[0.0, 0.0, 0.0, 3.0]])
+        >>> system = System(weight, label, jnp.ones((1, 3)), jnp.ones((0, 4)))
+        >>> diffuse(system).value.round(2).tolist()
+        [[0.0, 1.0, 2.0, 3.0]]
+    """
+    check(system)
+    solver = Solver() if solver is None else solver
+    if start is not None and start.shape != system.shape:
+        raise ValueError(f"`start` has the shape {start.shape}; the system has {system.shape}.")
+    dtype = system.weight.dtype
+    options = Options(solver.preconditioner, solver.stop, solver.max_iterations)
+    tolerance = lax.stop_gradient(cast(solver.tolerance, dtype))
+    start = None if start is None else lax.stop_gradient(start.astype(dtype))
+    return _jitted(options, system, start, tolerance)
+
+
+@partial(jax.jit, static_argnums=0)
+def _jitted(options: Options, system: System, start: Array | None, tolerance: Array) -> Diffused:
+    return _diffuse(options, system, start, tolerance)
+
+
+@partial(jax.custom_vjp, nondiff_argnums=(0,))
+def _diffuse(options: Options, system: System, start: Array | None, tolerance: Array) -> Diffused:
+    return forward(options, system, start, tolerance)[0]
+
+
+def forward(
+    options: Options, system: System, start: Array | None, tolerance: Array
+) -> tuple[Diffused, Prepared]:
+    """Solves for a correction of the start, so that a large common offset costs no digits."""
+    coefficients = system.coefficients
+    prepared = prepare(options, coefficients)
+    data = system.weight != 0
+    label = jnp.where(data, system.label, 0)
+    total = jnp.sum(system.weight)
+    mean = jnp.sum(system.weight * label) / jnp.where(total > 0, total, 1)
+    right = system.weight * (label - mean)
+    if start is None:
+        base = jnp.full_like(label, mean)
+    else:
+        base = jnp.where(prepared.keep, start, mean)
+        right = right - product(coefficients, base - mean)
+    found = solve(options, prepared, right, *_threshold(options, system, label, mean, tolerance))
+    value = jnp.where(prepared.keep, base + found.value, mean)
+    scale = jnp.sqrt(inner(system.weight * label, system.weight * label))
+    rest = system.weight * (label - mean) - product(coefficients, value - mean)
+    norm = jnp.sqrt(inner(rest, rest))
+    stats = SolveStats(
+        iterations=found.iterations,
+        residual=norm / jnp.where(scale > 0, scale, 1),
+        estimate=found.estimate,
+        converged=found.converged,
+        isolated=jnp.sum(~prepared.keep, dtype=jnp.int32),
+    )
+    return Diffused(value, stats), prepared
+
+
+def _threshold(
+    options: Options, system: System, label: Array, mean: Array, tolerance: Array
+) -> tuple[Array, Array]:
+    """Absolute threshold for the measure of error, with the floor of the number format."""
+    precision = 4 * jnp.finfo(label.dtype).eps
+    if options.stop == "residual":
+        data = system.weight * label
+        size = jnp.sqrt(inner(data, data))
+    else:
+        data = system.weight > 0
+        low = jnp.min(jnp.where(data, label, mean))
+        size = jnp.max(jnp.where(data, label, mean)) - low
+    floor = precision * largest(label) if options.stop == "error" else precision * size
+    return tolerance * size + floor, jnp.zeros_like(tolerance)
+
+
+def _forward(
+    options: Options, system: System, start: Array | None, tolerance: Array
+) -> tuple[Diffused, Any]:
+    diffused, prepared = forward(options, system, start, tolerance)
+    return diffused, (prepared, system.label, diffused.value, start, tolerance)
+
+
+def _backward(options: Options, residuals: Any, cotangent: Diffused) -> tuple[Any, Any, Any]:
+    prepared, label, value, start, tolerance = residuals
+    adjoint = solve_adjoint(options, prepared, cotangent.value, tolerance)
+    gradient = system_gradient(prepared.coefficients, label, value, adjoint)
+    nothing = None if start is None else jnp.zeros_like(start)
+    return gradient, nothing, jnp.zeros_like(tolerance)
+
+
+def solve_adjoint(options: Options, prepared: Prepared, right: Array, tolerance: Array) -> Array:
+    """Solves with the symmetric matrix for any right-hand side, relative to the solution."""
+    if options.stop == "residual":
+        masked = jnp.where(prepared.keep, right, 0)
+        absolute, relative = tolerance * jnp.sqrt(inner(masked, masked)), jnp.zeros_like(tolerance)
+    else:
+        absolute, relative = jnp.zeros_like(tolerance), tolerance
+    return solve(options, prepared, right, absolute, relative).value
+
+
+def system_gradient(
+    coefficients: Coefficients, label: Array, value: Array, adjoint: Array
+) -> System:
+    """Gradient with respect to the four maps, given the adjoint solution."""
+    adjoint_x, adjoint_y = differences(adjoint)
+    value_x, value_y = differences(value)
+    return System(
+        weight=adjoint * jnp.where(jnp.isfinite(label), label - value, 0),
+        label=coefficients.weight * adjoint,
+        tx=-adjoint_x * value_x,
+        ty=-adjoint_y * value_y,
+    )
+
+
+_diffuse.defvjp(_forward, _backward)

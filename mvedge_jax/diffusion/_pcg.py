@@ -1,0 +1,110 @@
+"""Preconditioned conjugate gradients on a batch of images, each with its own stopping."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array
+
+from ._stencil import Coefficients, inner, largest, product, spread
+
+
+class Iterate(NamedTuple):
+    """What conjugate gradients found: the solution and how well it is known."""
+
+    value: Array
+    iterations: Array
+    estimate: Array
+    converged: Array
+
+
+class _State(NamedTuple):
+    value: Array
+    residual: Array
+    direction: Array
+    energy: Array
+    iterations: Array
+    estimate: Array
+    converged: Array
+    active: Array
+
+
+def pcg(
+    coefficients: Coefficients,
+    precondition: Callable[[Array], Array],
+    residual: Array,
+    keep: Array,
+    absolute: Array,
+    relative: Array,
+    *,
+    stop: str,
+    max_iterations: int,
+) -> Iterate:
+    """Solves `A x = residual` from `x = 0`.
+
+    Images of a batch share the loop but not the stopping: one that is done takes steps of length
+    zero, so that it does not drift.
+
+    Args:
+        coefficients: the matrix, with any leading batch axes.
+        precondition: symmetric positive definite; an approximate inverse of the matrix.
+        residual: right-hand side.
+        keep: pixels that take part; elsewhere the solution stays 0.
+        absolute: part of the threshold for the measure of error.
+        relative: part of the threshold, as a share of the largest entry of the solution.
+        stop: `"error"` measures the largest entry of the preconditioned residual, `"residual"`
+            the root of the sum of squares of the residual.
+        max_iterations: number of steps at most.
+
+    Returns:
+        The solution and its statistics.
+    """
+
+    def step(state: _State) -> _State:
+        estimated_error = jnp.where(keep, precondition(state.residual), 0)
+        energy = inner(state.residual, estimated_error)
+        mixture = jnp.where(state.energy > 0, energy / _nonzero(state.energy), 0)
+        direction = estimated_error + spread(mixture) * state.direction
+        moved = product(coefficients, direction)
+        curvature = inner(direction, moved)
+        able = state.active & (curvature > 0) & (energy > 0) & jnp.isfinite(energy / curvature)
+        length = jnp.where(able, energy / _nonzero(curvature), 0)
+        value = state.value + spread(length) * direction
+        residual = state.residual - spread(length) * moved
+        if stop == "error":
+            # The step is taken after its estimate has been made, so that the answer is better
+            # than the estimate by about the factor of one iteration.
+            estimate = largest(estimated_error)
+        else:
+            estimate = jnp.sqrt(inner(residual, residual))
+        converged = estimate <= absolute + relative * largest(value)
+        return _State(
+            value,
+            residual,
+            direction,
+            energy,
+            state.iterations + state.active.astype(jnp.int32),
+            jnp.where(state.active, estimate, state.estimate),
+            jnp.where(state.active, converged, state.converged),
+            able & ~converged & (state.iterations + 1 < max_iterations),
+        )
+
+    zero = jnp.zeros(residual.shape[:-2], residual.dtype)
+    nothing = jnp.zeros_like(residual)
+    state = _State(
+        value=nothing,
+        residual=residual,
+        direction=nothing,
+        energy=zero,
+        iterations=jnp.zeros(zero.shape, jnp.int32),
+        estimate=jnp.full_like(zero, jnp.inf),
+        converged=jnp.zeros(zero.shape, bool),
+        active=jnp.ones(zero.shape, bool),
+    )
+    state = lax.while_loop(lambda state: jnp.any(state.active), step, state)
+    return Iterate(state.value, state.iterations, state.estimate, state.converged)
+
+
+def _nonzero(value: Array) -> Array:
+    return jnp.where(value > 0, value, jnp.ones_like(value))

@@ -1,0 +1,77 @@
+"""Options and statistics of the solver."""
+
+from typing import Literal, get_args
+
+import equinox as eqx
+from jaxtyping import Array, Bool, Float, Int
+
+from mvedge_jax._params import number
+
+Preconditioner = Literal["multigrid", "lahbpcg", "jacobi"]
+Stop = Literal["error", "residual"]
+
+
+class Solver(eqx.Module):
+    r"""How to solve a `System`.
+
+    Attributes:
+        tolerance: where to stop, traced; see `stop`.
+        preconditioner: `"multigrid"` (one V-cycle; the one to use), `"lahbpcg"` (the locally
+            adapted hierarchical basis of the thesis) or `"jacobi"` (the diagonal; a baseline).
+        stop: `"error"` stops when the estimated largest error of the solution, in the unit of
+            the labels, is below `tolerance` times the range of the labels. `"residual"` stops when
+            the norm of the residual is below `tolerance` times the norm of the right-hand side,
+            which is how solvers are usually compared and says little about the error where data
+            weights differ by orders of magnitude.
+        max_iterations: steps of conjugate gradients at most.
+
+    Example:
+        >>> Solver(tolerance=1e-6).preconditioner
+        'multigrid'
+    """
+
+    tolerance: Float[Array, ""] | float = number(1e-4)
+    preconditioner: Preconditioner = eqx.field(static=True, default="multigrid")
+    stop: Stop = eqx.field(static=True, default="error")
+    max_iterations: int = eqx.field(static=True, default=200)
+
+    def __check_init__(self) -> None:
+        for name, options in (("preconditioner", Preconditioner), ("stop", Stop)):
+            if getattr(self, name) not in get_args(options):
+                raise ValueError(
+                    f"`{name}` must be one of {get_args(options)}; it is {getattr(self, name)!r}."
+                )
+        if self.max_iterations < 1:
+            raise ValueError(f"`max_iterations` must be positive; it is {self.max_iterations}.")
+
+
+class SolveStats(eqx.Module):
+    """How a solve went.
+
+    Attributes:
+        iterations: steps of conjugate gradients.
+        residual: norm of the true residual over the norm of the right-hand side, both without
+            the mean label.
+        estimate: the number that was compared with the tolerance: with `stop="error"` the
+            estimated largest error in the unit of the labels.
+        converged: whether the tolerance was reached. False for NaN in the system.
+        isolated: number of pixels without a path of positive edges to any data.
+    """
+
+    iterations: Int[Array, ""]
+    residual: Float[Array, ""]
+    estimate: Float[Array, ""]
+    converged: Bool[Array, ""]
+    isolated: Int[Array, ""]
+
+
+class Diffused(eqx.Module):
+    """A dense map and how it was found.
+
+    Attributes:
+        value: the solution, in the unit of the labels.
+        stats: iterations, residual, estimated error, convergence.
+    """
+
+    value: Float[Array, "y x"]
+    stats: SolveStats

@@ -1,0 +1,139 @@
+"""The linear system that turns sparse labels into a dense map."""
+
+from typing import TYPE_CHECKING
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
+from jaxtyping import Array, Float
+
+from ._stencil import Coefficients, diagonal, energy, product
+
+if TYPE_CHECKING:
+    import scipy.sparse
+
+
+class System(eqx.Module):
+    r"""A weighted Poisson problem on the pixel grid.
+
+    Its solution minimises
+
+    $$\sum_p w_p (D_p - s_p)^2 + \sum_{(p,q)} t_{pq} (D_p - D_q)^2,$$
+
+    which solves $(\mathrm{diag}(w) + L_t) D = w s$. Each edge between 4-neighbours is stored
+    once; nothing is tied to anything beyond the border (Neumann).
+
+    Attributes:
+        weight: data weights $w \ge 0$; 0 where a pixel has no label.
+        label: labels $s$, any unit; read only where `weight > 0`.
+        tx: weights of the edges between `(y, x)` and `(y, x + 1)`, ≥ 0.
+        ty: weights of the edges between `(y, x)` and `(y + 1, x)`, ≥ 0.
+
+    Source: Thesis 4.2.2 and 6.1, Eq. 4.8 and 6.1; 7.1.1, Eq. 7.2 (with squares, each edge once).
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> weight = jnp.array([[1.0, 0.0, 0.0, 1.0]])
+        >>> label = jnp.array([[0.0, 0.0, 0.0, 3.0]])
+        >>> system = System(weight, label, jnp.ones((1, 3)), jnp.ones((0, 4)))
+        >>> system.matvec(jnp.ones((1, 4))).tolist()
+        [[1.0, 0.0, 0.0, 1.0]]
+    """
+
+    weight: Float[Array, "y x"]
+    label: Float[Array, "y x"]
+    tx: Float[Array, "y x-1"]
+    ty: Float[Array, "y-1 x"]
+
+    @property
+    def coefficients(self) -> Coefficients:
+        """The matrix without the labels."""
+        return Coefficients(self.weight, self.tx, self.ty)
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Height and width of the image."""
+        y, x = self.weight.shape[-2:]
+        return y, x
+
+    def matvec(self, value: Float[Array, "y x"]) -> Float[Array, "y x"]:
+        """`A D`, computed from differences along edges so that small data weights survive."""
+        return product(self.coefficients, value)
+
+    def diagonal(self) -> Float[Array, "y x"]:
+        """The diagonal of `A`."""
+        return diagonal(self.coefficients)
+
+    def right_hand_side(self) -> Float[Array, "y x"]:
+        """`b = w s`, zero where there is no data whatever the label says."""
+        return jnp.where(self.weight > 0, self.weight * self.label, 0)
+
+    def energy(self, value: Float[Array, "y x"]) -> Float[Array, ""]:
+        """The quadratic at `value`."""
+        label = jnp.where(self.weight > 0, self.label, 0)
+        return energy(self.coefficients, label, value)
+
+    def to_scipy(self) -> "scipy.sparse.csr_array":
+        """The matrix as a float64 SciPy array, rows in the order of `ravel()` (host only)."""
+        import scipy.sparse
+
+        y, x = self.shape
+        index = np.arange(y * x).reshape(y, x)
+        tx, ty = np.asarray(self.tx, np.float64), np.asarray(self.ty, np.float64)
+        start = np.concatenate([index[:, :-1].ravel(), index[:-1].ravel()])
+        end = np.concatenate([index[:, 1:].ravel(), index[1:].ravel()])
+        edge = np.concatenate([tx.ravel(), ty.ravel()])
+        diagonal = np.asarray(self.weight, np.float64).ravel()
+        diagonal = diagonal + np.bincount(start, edge, y * x) + np.bincount(end, edge, y * x)
+        rows = np.concatenate([index.ravel(), start, end])
+        columns = np.concatenate([index.ravel(), end, start])
+        values = np.concatenate([diagonal, -edge, -edge])
+        return scipy.sparse.csr_array((values, (rows, columns)), shape=(y * x, y * x))
+
+
+def check(system: System) -> None:
+    """Raises a ValueError where a system cannot be solved; values are looked at outside `jit`."""
+    if system.weight.ndim != 2 or 0 in system.weight.shape:
+        raise ValueError(
+            "`system.weight` must be an image with at least one pixel, [y, x]; "
+            f"its shape is {system.weight.shape}. Use `jax.vmap` for batches."
+        )
+    y, x = system.weight.shape
+    wanted = {"label": (y, x), "tx": (y, x - 1), "ty": (y - 1, x)}
+    for name, shape in wanted.items():
+        found = getattr(system, name).shape
+        if found != shape:
+            raise ValueError(
+                f"`system.{name}` has the shape {found}; a `weight` of shape {(y, x)} "
+                f"needs {shape}."
+            )
+    for name in ("weight", "label", "tx", "ty"):
+        array = getattr(system, name)
+        if array.dtype != system.weight.dtype or not jnp.issubdtype(array.dtype, jnp.floating):
+            raise TypeError(
+                f"`system.{name}` is {array.dtype}; all four maps must share one floating type, "
+                f"and `weight` is {system.weight.dtype}."
+            )
+    if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(system)):
+        return
+    for name in ("weight", "tx", "ty"):
+        array = np.asarray(getattr(system, name))
+        if not array.size:
+            continue
+        lowest, highest = float(array.min()), float(array.max())
+        if not (lowest >= 0 and np.isfinite(highest)):
+            raise ValueError(
+                f"`system.{name}` must be finite and not negative; it has values from "
+                f"{lowest} to {highest} (NaN counts as both)."
+            )
+    weight = np.asarray(system.weight)
+    labels = np.asarray(system.label)
+    if not np.isfinite(labels).all():
+        bad = int((~np.isfinite(labels) & (weight > 0)).sum())
+        if bad:
+            raise ValueError(
+                f"`system.label` is NaN or infinite at {bad} pixels whose data weight is "
+                "positive; set their weight to 0 or give them a label."
+            )
