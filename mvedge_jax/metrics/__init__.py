@@ -1,5 +1,11 @@
 """Scores: depth errors, depth boundaries, consistency between views, reprojection."""
 
+from ._boundary import BoundaryScores as BoundaryScores, boundary_scores as boundary_scores
+from ._consistency import (
+    ViewConsistency as ViewConsistency,
+    view_consistency as view_consistency,
+    view_consistency_map as view_consistency_map,
+)
 from ._depth import (
     DepthScores as DepthScores,
     bad_pixels as bad_pixels,
@@ -10,3 +16,4 @@ from ._depth import (
     q25 as q25,
 )
 from ._region import edge_band as edge_band
+from ._reprojection import Reprojection as Reprojection, reprojection_error as reprojection_error

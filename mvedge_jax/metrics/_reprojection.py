@@ -1,0 +1,166 @@
+"""Reprojection error: what a disparity map does to the colours (Appendix C.1, Tab. C.1)."""
+
+from typing import Literal, NamedTuple
+
+import jax
+import jax.core
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from ..color import srgb_to_lab
+from ..lightfield import LightField
+from ..warping import backward_warp
+from ._region import cropped
+from ._zbuffer import nearest_disparity, project
+
+# What a pixel without a disparity is charged: the whole range of a channel, black against white.
+_WORST = {"rgb": 1.0, "lab": 100.0}
+
+
+class Reprojection(NamedTuple):
+    """Colour error between the centre view and other views; see `reprojection_error`.
+
+    Attributes:
+        error: Mean over the target views: RGB x 100, or the colour difference in Lab.
+        per_view: The same per target view, `[t]`, in the order of `targets`.
+        image: Mean over the target views that see the pixel, `[y, x]`, same unit; NaN where none.
+        covered: Share of pixels that entered `per_view`, `[t]`.
+    """
+
+    error: Float[Array, ""]
+    per_view: Float[Array, " t"]
+    image: Float[Array, "y x"]
+    covered: Float[Array, " t"]
+
+
+def visible_from(
+    disparity: Float[Array, "y x"],
+    step: Float[Array, "2"],
+    *,
+    tolerance: float | Float[Array, ""] = 1.0,
+) -> Bool[Array, "y x"]:
+    """Which pixels of a view another view sees, according to the disparity map alone.
+
+    A pixel is hidden if it leaves the image, or if it lands on the pixel of a nearer one whose
+    parallax against it exceeds `tolerance`: neighbours on one surface do not hide each other.
+
+    Args:
+        disparity: `[y, x]`, px per view step; what is not finite is not seen.
+        step: View steps `(s_x, s_y)` to the other view, as for `warping.backward_warp`.
+        tolerance: Parallax from which on a nearer pixel hides, px in the other view, traced.
+
+    Returns:
+        `[y, x]`. Not differentiable.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> d = jnp.array([[0.0, 0.0, 2.0, 2.0, 0.0, 0.0]])
+        >>> visible_from(d, jnp.array([1.0, 0.0]))[0].astype(int).tolist()
+        [1, 1, 1, 1, 0, 0]
+    """
+    finite = jnp.isfinite(disparity)
+    safe = jnp.where(finite, disparity, 0)
+    step = step.astype(disparity.dtype)
+    front = nearest_disparity(jnp.where(finite, disparity, -jnp.inf), step)
+    index, inside = project(safe, step)
+    parallax = (front.ravel()[index] - safe) * jnp.abs(step).max()
+    return finite & inside & (parallax <= jnp.asarray(tolerance, disparity.dtype))
+
+
+def reprojection_error(
+    disparity: Float[Array, "y x"],
+    light_field: LightField,
+    *,
+    space: Literal["rgb", "lab"] = "rgb",
+    targets: tuple[tuple[int, int], ...] | None = None,
+    crop: int = 0,
+    tolerance: float | Float[Array, ""] = 1.0,
+) -> Reprojection:
+    r"""Colour error of the centre view moved to other views by its disparity map.
+
+    Each pixel of the centre view is compared with the colour that the target view has where the
+    disparity puts it (bilinear), if the target sees it (`visible_from`). RGB: mean absolute
+    difference of the channels of sRGB in [0, 1], x 100. Lab: Euclidean distance, CIE 1976
+    $\Delta E$. A pixel whose disparity is not finite is charged 100 in either space.
+
+    It is a proxy where there is no ground truth: a map may be wrong on textureless surfaces without
+    any error, and an exact map has an error at blurred depth edges, noise and highlights.
+
+    Args:
+        disparity: Disparity of the centre view, `[y, x]`, px per view step.
+        light_field: The views; its ground truth is not read.
+        space: `rgb` (Tab. C.1) or `lab`, static.
+        targets: Views `(v, u)` to compare with, static; by default the four corners.
+        crop: Pixels of the centre view to leave out on each side, static.
+        tolerance: See `visible_from`, traced.
+
+    Returns:
+        The error, per target view and per pixel. Differentiable with respect to `disparity` and
+        the views, visibility being held fixed.
+
+    Raises:
+        ValueError: if the shapes differ, the crop leaves nothing, or a target view is missing or
+            outside the grid.
+
+    Source: Thesis Appendix C.1, Tab. C.1.
+    """
+    rows, columns, *shape = light_field.views.shape[:4]
+    if disparity.shape != tuple(shape):
+        raise ValueError(
+            f"`disparity` must have the size of the views, {tuple(shape)}, got {disparity.shape}."
+        )
+    if not 0 <= 2 * crop < min(shape):
+        raise ValueError(
+            f"`crop` must be at least 0 and leave pixels of {shape[0]}x{shape[1]}, got {crop}."
+        )
+    if space not in _WORST:
+        raise ValueError(f"`space` must be 'rgb' or 'lab', got {space!r}.")
+    if targets is None:
+        corners = ((0, 0), (0, columns - 1), (rows - 1, 0), (rows - 1, columns - 1))
+        targets = tuple(dict.fromkeys(corners))
+    available = light_field.available
+    for v, u in targets:
+        there = 0 <= v < rows and 0 <= u < columns
+        if there and not isinstance(available, jax.core.Tracer):
+            there = bool(np.asarray(available)[v, u])
+        if not there:
+            raise ValueError(
+                f"`targets` asks for view (v, u) = ({v}, {u}), which is not in this light field "
+                f"({rows}x{columns} views, {space}); name views that are, for example the ends of "
+                "the crosshair."
+            )
+    return _error(
+        disparity, light_field, jnp.asarray(tolerance, disparity.dtype), space, targets, crop
+    )
+
+
+def _reprojection(disparity, light_field, tolerance, space, targets, crop) -> Reprojection:
+    convert = srgb_to_lab if space == "lab" else (lambda image: image)
+    centre = convert(light_field.centre_view)
+    finite = jnp.isfinite(disparity)
+    scale = 100 if space == "rgb" else 1
+
+    def compare(target: Array) -> tuple[Array, Array]:
+        step = light_field.steps[target[0], target[1]].astype(disparity.dtype)
+        view = light_field.views[target[0], target[1]]
+        warped, inside = backward_warp(convert(view), disparity, step)
+        seen = inside & jax.lax.stop_gradient(visible_from(disparity, step, tolerance=tolerance))
+        difference = warped - centre
+        if space == "rgb":
+            distance = jnp.abs(difference).mean(-1)
+        else:
+            squares = (difference**2).sum(-1)
+            distance = jnp.where(squares > 0, jnp.sqrt(jnp.where(squares > 0, squares, 1)), 0)
+        distance = scale * jnp.where(finite, jnp.where(seen, distance, 0), _WORST[space])
+        return cropped(distance, crop), cropped(seen | ~finite, crop)
+
+    distance, counted = jax.lax.map(compare, jnp.asarray(targets, jnp.int32))
+    number = counted.sum((1, 2), dtype=jnp.int32).astype(distance.dtype)
+    per_view = distance.sum(2).sum(1) / number
+    views = counted.sum(0, dtype=jnp.int32).astype(distance.dtype)
+    image = jnp.where(views > 0, distance.sum(0) / jnp.maximum(views, 1), jnp.nan)
+    return Reprojection(per_view.mean(), per_view, image, number / counted[0].size)
+
+
+_error = jax.jit(_reprojection, static_argnames=("space", "targets", "crop"))

@@ -1,0 +1,112 @@
+"""View consistency: against loops over pixels, planes with known answers, gaps."""
+
+import inspect
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from mvedge_jax.metrics import view_consistency, view_consistency_map
+
+
+def _maps(shape=(3, 3, 9, 11)):
+    rng = np.random.default_rng(2)
+    maps = rng.integers(-1, 2, shape) + 0.2 * rng.normal(size=shape)
+    return jnp.asarray(maps)
+
+
+def _brute_force(maps, target, available):
+    """Values that land on each pixel of the target view, nearest surface per map."""
+    rows, columns, height, width = maps.shape
+    found = [[[] for _ in range(width)] for _ in range(height)]
+    for v, u in np.ndindex(rows, columns):
+        if not available[v, u]:
+            continue
+        front = np.full((height, width), -np.inf)
+        for y, x in np.ndindex(height, width):
+            d = maps[v, u, y, x]
+            b = int(np.round(y + (v - target[0]) * d))
+            a = int(np.round(x + (u - target[1]) * d))
+            if 0 <= b < height and 0 <= a < width:
+                front[b, a] = max(front[b, a], d)
+        for y, x in zip(*np.nonzero(np.isfinite(front)), strict=True):
+            found[y][x].append(front[y, x])
+    count = np.array([[len(values) for values in row] for row in found])
+    variance = np.array([[np.var(v) if v else 0.0 for v in row] for row in found])
+    return variance, count
+
+
+def test_agrees_with_brute_force():
+    maps = _maps()
+    available = np.ones((3, 3), bool)
+    available[0, 2] = False
+    scores = view_consistency(maps, available=jnp.asarray(available), crop=1)
+    assert jnp.isnan(scores.per_view[0, 2])
+    expected = []
+    for target in ((0, 0), (1, 1), (2, 1)):
+        variance, count = _brute_force(np.asarray(maps), target, available)
+        ours, number = view_consistency_map(maps, target, available=jnp.asarray(available))
+        np.testing.assert_array_equal(number, count)
+        np.testing.assert_allclose(ours, variance, atol=1e-12)
+        inner = np.s_[1:-1, 1:-1]
+        shared = count[inner] >= 2
+        expected.append(variance[inner][shared].mean())
+        np.testing.assert_allclose(scores.per_view[target], expected[-1])
+        np.testing.assert_allclose(scores.covered[target], shared.mean())
+    np.testing.assert_allclose(scores.mean, np.nanmean(scores.per_view))
+
+
+def test_consistent_maps_score_zero_and_a_stray_view_shows():
+    # A square at disparity 1 before a background at 0, drawn in every view: integer shifts.
+    maps = np.zeros((3, 3, 16, 16))
+    for v, u in np.ndindex(3, 3):
+        maps[v, u, 5 + 1 - v : 10 + 1 - v, 5 + 1 - u : 10 + 1 - u] = 1
+    assert view_consistency(jnp.asarray(maps)).mean == 0
+    stray = maps.copy()
+    stray[0, 2] += 0.3
+    scores = view_consistency(jnp.asarray(stray))
+    # One of nine maps is off by 0.3: the variance is 0.3² 8/81 wherever all nine overlap.
+    np.testing.assert_allclose(scores.per_view, 0.09 * 8 / 81, rtol=0.5)
+
+
+def test_slanted_plane_stays_below_the_documented_floor():
+    slope = 0.1
+    x = np.arange(32) - 16.0
+    views = np.arange(3) - 1
+    # d(x_c) = slope x_c in the centre; at x = x_c - du d in view u, so d = slope x / (1 - slope du)
+    maps = np.stack([np.broadcast_to(slope * x / (1 - slope * du), (3, 8, 32)) for du in views], 1)
+    scores = view_consistency(jnp.asarray(maps), crop=3)
+    assert 0 < scores.mean < slope**2 / 4
+
+
+def test_gaps_are_not_rewarded():
+    maps = _maps()
+    assert jnp.isposinf(view_consistency(maps.at[2, 0, 4, 4].set(jnp.nan)).per_view).all()
+    variance, _ = view_consistency_map(maps.at[1, 1, 4, 4].set(jnp.inf), (1, 1))
+    assert jnp.isposinf(variance[4, 4])
+    assert jnp.isfinite(variance).sum() == variance.size - 1
+    missing = jnp.ones((3, 3), bool).at[2, 0].set(False)
+    spoilt = view_consistency(maps.at[2, 0].set(jnp.nan), available=missing)
+    np.testing.assert_array_equal(
+        spoilt.per_view, view_consistency(maps, available=missing).per_view
+    )
+
+
+def test_single_precision_is_close():
+    maps = _maps()
+    single = view_consistency(maps.astype(jnp.float32))
+    assert single.mean.dtype == jnp.float32
+    np.testing.assert_allclose(single.mean, view_consistency(maps).mean, rtol=0.02)
+
+
+@pytest.mark.parametrize(
+    ("maps", "options", "message"),
+    [
+        (jnp.zeros((3, 4, 4)), {}, "`disparities` must have the axes"),
+        (jnp.zeros((3, 3, 4, 4)), {"available": jnp.ones((2, 3), bool)}, "`available` must have"),
+        (jnp.zeros((3, 3, 4, 4)), {"crop": 2}, "`crop` must"),
+    ],
+)
+def test_bad_input_says_what_is_wrong(maps, options, message):
+    with pytest.raises(ValueError, match=message):
+        inspect.unwrap(view_consistency)(maps, **options)
