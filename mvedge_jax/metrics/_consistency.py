@@ -7,8 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from ..warping._forward import landing, z_buffer
 from ._region import cropped
-from ._zbuffer import nearest_disparity
 
 
 class ViewConsistency(NamedTuple):
@@ -126,8 +126,8 @@ def _map(disparities, view, available) -> tuple[Array, Array]:
         disparity, source, use = item
         # From view i to the target: (u_i - u, v_i - v) steps.
         step = (source - view)[::-1].astype(dtype)
-        finite = jnp.isfinite(disparity)
-        moved = nearest_disparity(jnp.where(finite, disparity, -jnp.inf), step)
+        index, stays = landing(disparity, step)
+        moved = z_buffer(jnp.where(stays, disparity, -jnp.inf), index)[:-1].reshape(shape)
         hit = use & jnp.isfinite(moved)
         value = jnp.where(hit, moved, mean)
         count = count + hit.astype(count.dtype)

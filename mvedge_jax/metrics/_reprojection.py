@@ -6,13 +6,12 @@ import jax
 import jax.core
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from ..color import srgb_to_lab
 from ..lightfield import LightField
-from ..warping import backward_warp
+from ..warping import backward_warp, visible
 from ._region import cropped
-from ._zbuffer import nearest_disparity, project
 
 # What a pixel without a disparity is charged: the whole range of a channel, black against white.
 _WORST = {"rgb": 1.0, "lab": 100.0}
@@ -34,40 +33,6 @@ class Reprojection(NamedTuple):
     covered: Float[Array, " t"]
 
 
-def visible_from(
-    disparity: Float[Array, "y x"],
-    step: Float[Array, "2"],
-    *,
-    tolerance: float | Float[Array, ""] = 1.0,
-) -> Bool[Array, "y x"]:
-    """Which pixels of a view another view sees, according to the disparity map alone.
-
-    A pixel is hidden if it leaves the image, or if it lands on the pixel of a nearer one whose
-    parallax against it exceeds `tolerance`: neighbours on one surface do not hide each other.
-
-    Args:
-        disparity: `[y, x]`, px per view step; what is not finite is not seen.
-        step: View steps `(s_x, s_y)` to the other view, as for `warping.backward_warp`.
-        tolerance: Parallax from which on a nearer pixel hides, px in the other view, traced.
-
-    Returns:
-        `[y, x]`. Not differentiable.
-
-    Example:
-        >>> import jax.numpy as jnp
-        >>> d = jnp.array([[0.0, 0.0, 2.0, 2.0, 0.0, 0.0]])
-        >>> visible_from(d, jnp.array([1.0, 0.0]))[0].astype(int).tolist()
-        [1, 1, 1, 1, 0, 0]
-    """
-    finite = jnp.isfinite(disparity)
-    safe = jnp.where(finite, disparity, 0)
-    step = step.astype(disparity.dtype)
-    front = nearest_disparity(jnp.where(finite, disparity, -jnp.inf), step)
-    index, inside = project(safe, step)
-    parallax = (front.ravel()[index] - safe) * jnp.abs(step).max()
-    return finite & inside & (parallax <= jnp.asarray(tolerance, disparity.dtype))
-
-
 def reprojection_error(
     disparity: Float[Array, "y x"],
     light_field: LightField,
@@ -80,7 +45,7 @@ def reprojection_error(
     r"""Colour error of the centre view moved to other views by its disparity map.
 
     Each pixel of the centre view is compared with the colour that the target view has where the
-    disparity puts it (bilinear), if the target sees it (`visible_from`). RGB: mean absolute
+    disparity puts it (bilinear), if the target sees it (`warping.visible`). RGB: mean absolute
     difference of the channels of sRGB in [0, 1], x 100. Lab: Euclidean distance, CIE 1976
     $\Delta E$. A pixel whose disparity is not finite is charged 100 in either space.
 
@@ -93,7 +58,8 @@ def reprojection_error(
         space: `rgb` (Tab. C.1) or `lab`, static.
         targets: Views `(v, u)` to compare with, static; by default the four corners.
         crop: Pixels of the centre view to leave out on each side, static.
-        tolerance: See `visible_from`, traced.
+        tolerance: Parallax from which on a nearer pixel hides one that lands on the same place, px
+            in the target view, traced.
 
     Returns:
         The error, per target view and per pixel. Differentiable with respect to `disparity` and
@@ -145,7 +111,8 @@ def _reprojection(disparity, light_field, tolerance, space, targets, crop) -> Re
         step = light_field.steps[target[0], target[1]].astype(disparity.dtype)
         view = light_field.views[target[0], target[1]]
         warped, inside = backward_warp(convert(view), disparity, step)
-        seen = inside & jax.lax.stop_gradient(visible_from(disparity, step, tolerance=tolerance))
+        steps = jnp.maximum(jnp.abs(step).max(), 1)
+        seen = inside & visible(disparity, step, tolerance=tolerance / steps)
         difference = warped - centre
         if space == "rgb":
             distance = jnp.abs(difference).mean(-1)

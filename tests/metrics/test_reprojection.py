@@ -12,7 +12,6 @@ from skimage import color
 
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.metrics import reprojection_error
-from mvedge_jax.metrics._reprojection import visible_from
 
 
 def _scene(shape=(3, 5, 9, 12)):
@@ -36,13 +35,6 @@ def _visible(disparity, step, tolerance):
             behind = (front - disparity[s]) * np.abs(step).max()
             seen[s] = 0 <= b < height and 0 <= a < width and behind <= tolerance
     return seen
-
-
-def test_visibility_agrees_with_brute_force():
-    disparity, _ = _scene()
-    for step in ((2.0, 1.0), (-1.0, 0.0), (0.0, 0.0)):
-        seen = visible_from(disparity, jnp.asarray(step), tolerance=1.0)
-        np.testing.assert_array_equal(seen, _visible(np.asarray(disparity), step, 1.0))
 
 
 @pytest.mark.parametrize("space", ["rgb", "lab"])
