@@ -1,0 +1,37 @@
+"""Synthetic scenes: exact disparity, object ids and occlusion for every view.
+
+A scene is made of solids with procedural textures (`make_world`, `make_scene`, or `scene` by name)
+and rendered as a light field (`render`) or as posed photographs (`render_posed`) by a ray caster
+in JAX.
+"""
+
+from ._render import (
+    PosedViews as PosedViews,
+    render as render,
+    render_posed as render_posed,
+    visibility as visibility,
+)
+from ._scenes import (
+    make_scene as make_scene,
+    scene as scene,
+    scene_names as scene_names,
+)
+from ._solids import (
+    bar as bar,
+    box as box,
+    plane as plane,
+    rotation as rotation,
+    sphere as sphere,
+)
+from ._world import (
+    Light as Light,
+    Material as Material,
+    Rig as Rig,
+    Scene as Scene,
+    Sensor as Sensor,
+    Solid as Solid,
+    Solids as Solids,
+    Surfaces as Surfaces,
+    World as World,
+    make_world as make_world,
+)

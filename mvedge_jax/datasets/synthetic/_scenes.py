@@ -1,0 +1,431 @@
+"""Scenes with a name, each of which stresses one thing."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import PRNGKeyArray
+
+from ._solids import bar, box, plane, rotation, sphere
+from ._world import Material, Rig, Scene, Sensor, Solid, Triple, World, make_world
+
+_FOCAL, _GAIN, _FOCUS = 1.4, 20.0, 4.0
+
+# Surfaces that several scenes share.
+_BRICK = Material(
+    dark=(0.42, 0.2, 0.14),
+    light=(0.76, 0.48, 0.36),
+    accent=(0.68, 0.66, 0.61),
+    pattern="bricks",
+    size=0.26,
+    aspect=2.6,
+    tint=0.5,
+    grain=0.35,
+)
+_PLASTER = Material(dark=(0.5, 0.47, 0.42), light=(0.86, 0.82, 0.75), grain=0.7, gain=0.68)
+_SLATE = Material(dark=(0.16, 0.19, 0.21), light=(0.46, 0.5, 0.52), grain=0.5, gain=0.7)
+_MOSS = Material(dark=(0.12, 0.2, 0.07), light=(0.55, 0.62, 0.3), grain=0.3, gain=0.75)
+_SAND = Material(dark=(0.5, 0.38, 0.22), light=(0.88, 0.77, 0.56), grain=0.25, gain=0.75)
+_WOOD = Material(
+    dark=(0.33, 0.18, 0.09),
+    light=(0.74, 0.52, 0.31),
+    accent=(0.13, 0.07, 0.04),
+    grain=0.09,
+    stretch=(9.0, 1.0, 1.0),
+    pattern="bricks",
+    size=0.3,
+    aspect=7.0,
+    tint=0.5,
+)
+_MARBLE = Material(
+    dark=(0.42, 0.45, 0.48), light=(0.95, 0.93, 0.9), contrast=1.3, grain=0.45, gain=0.6
+)
+_RED = Material(dark=(0.45, 0.06, 0.05), light=(0.8, 0.25, 0.18), grain=0.3, contrast=0.8)
+_BLUE = Material(dark=(0.07, 0.16, 0.36), light=(0.35, 0.55, 0.78), grain=0.3, contrast=0.9)
+_OCHRE = Material(dark=(0.55, 0.36, 0.07), light=(0.93, 0.73, 0.3), grain=0.25, contrast=0.8)
+_CHECKS = Material(
+    dark=(0.6, 0.57, 0.5),
+    light=(0.92, 0.9, 0.84),
+    accent=(0.12, 0.2, 0.24),
+    pattern="checks",
+    size=0.16,
+    grain=0.3,
+    tint=0.15,
+)
+_DOTS = Material(
+    dark=(0.62, 0.2, 0.16),
+    light=(0.85, 0.4, 0.3),
+    accent=(0.95, 0.9, 0.8),
+    pattern="dots",
+    size=0.14,
+    grain=0.3,
+)
+_STRIPES = Material(
+    dark=(0.1, 0.3, 0.32),
+    light=(0.3, 0.55, 0.55),
+    accent=(0.93, 0.88, 0.76),
+    pattern="stripes",
+    size=0.13,
+    grain=0.3,
+)
+
+
+def _depth(disparity: float) -> float:
+    return 1.0 / (disparity / _GAIN + 1.0 / _FOCUS)
+
+
+def _at(x: float, y: float, disparity: float) -> Triple:
+    """The point that the centre view sees at `(x, y)`, in picture widths from its middle."""
+    z = _depth(disparity)
+    return x * z / _FOCAL, y * z / _FOCAL, z
+
+
+def _width(fraction: float, disparity: float) -> float:
+    """Metres that cover a fraction of the picture's width at a disparity."""
+    return fraction * _depth(disparity) / _FOCAL
+
+
+def _card(
+    x: float,
+    y: float,
+    disparity: float,
+    size: tuple[float, float],
+    material: Material,
+    **options,
+) -> Solid:
+    """A plane placed and sized in picture widths."""
+    metres = (_width(size[0], disparity), _width(size[1], disparity))
+    return plane(_at(x, y, disparity), metres, material=material, **options)
+
+
+def _wall(disparity: float, material: Material) -> Solid:
+    return _card(0.0, 0.0, disparity, (4.0, 4.0), material)
+
+
+def _rod(
+    start: tuple[float, float, float],
+    stop: tuple[float, float, float],
+    width: float,
+    material: Material,
+) -> Solid:
+    """A bar between points `(x, y, disparity)`; its width is in picture widths."""
+    middle = 0.5 * (start[2] + stop[2])
+    return bar(_at(*start), _at(*stop), 0.5 * _width(width, middle), material=material)
+
+
+class _Recipe(NamedTuple):
+    """What a named scene is made from, before it becomes arrays."""
+
+    solids: Sequence[Solid]
+    disparity_range: tuple[float, float]
+    shadow: float = 1.0
+    softness: float = 0.02
+    lamp: Triple = (-0.45, -0.8, -0.6)
+    blur: float = 0.0
+    read_noise: float = 0.0
+    shot_noise: float = 0.0
+
+
+def _slanted() -> _Recipe:
+    floor = plane((0.0, 0.95, 4.4), (12.0, 4.6), axes=rotation(pitch=90.0), material=_CHECKS)
+    left = plane((-1.62, 0.0, 4.6), (4.4, 5.0), axes=rotation(yaw=68.0), material=_BRICK)
+    right = plane((1.75, 0.0, 4.6), (4.4, 5.0), axes=rotation(yaw=-62.0), material=_PLASTER)
+    back = plane((0.0, 0.0, 6.2), (9.0, 6.0), axes=rotation(yaw=6.0, pitch=-9.0), material=_SLATE)
+    cards = [
+        _card(-0.12, -0.14, 0.2, (0.34, 0.3), _DOTS, axes=rotation(yaw=48.0, roll=8.0)),
+        _card(0.17, 0.1, 0.7, (0.3, 0.34), _MARBLE, axes=rotation(yaw=-40.0, pitch=22.0)),
+        _card(-0.2, 0.2, 0.9, (0.22, 0.2), _MOSS, axes=rotation(pitch=55.0, roll=-12.0)),
+        _card(0.2, -0.28, 0.3, (0.3, 0.16), _OCHRE, axes=rotation(pitch=-50.0, roll=10.0)),
+    ]
+    return _Recipe([floor, left, right, back, *cards], (-2.1, 2.4))
+
+
+def _edges() -> _Recipe:
+    solids = [
+        _wall(-1.2, _BRICK),
+        _card(-0.24, -0.2, -0.5, (0.34, 0.3), _MARBLE),
+        _card(0.22, -0.22, 0.0, (0.26, 0.34), _DOTS, axes=rotation(roll=18.0)),
+        _card(0.02, 0.02, 0.5, (0.24, 0.24), _OCHRE, axes=rotation(roll=45.0)),
+        _card(-0.26, 0.25, 0.9, (0.32, 0.24), _CHECKS, axes=rotation(roll=-9.0)),
+        _card(0.27, 0.24, 1.4, (0.26, 0.3), _STRIPES, axes=rotation(roll=7.0)),
+        sphere(_at(0.0, 0.33, 1.2), _width(0.085, 1.2), material=_BLUE),
+        sphere(_at(-0.03, -0.33, 0.6), _width(0.075, 0.6), material=_MOSS),
+    ]
+    return _Recipe(solids, (-1.3, 1.9))
+
+
+def _thin() -> _Recipe:
+    widths = (0.003, 0.005, 0.008, 0.012, 0.018)
+    verticals = [
+        _rod((-0.44 + 0.075 * k, -0.5, 1.0), (-0.4 + 0.075 * k, 0.12, 0.8), width, material)
+        for k, (width, material) in enumerate(
+            zip(widths, (_SAND, _RED, _STRIPES, _OCHRE, _MARBLE), strict=True)
+        )
+    ]
+    slanted = [
+        _rod((0.02, -0.46, 1.5), (0.48, -0.3, 0.4), 0.006, _OCHRE),
+        _rod((0.05, -0.24, 0.4), (0.48, -0.46, 1.4), 0.01, _RED),
+        _rod((0.04, -0.5, 0.9), (0.34, -0.12, 0.9), 0.004, _SAND),
+    ]
+    screens = [
+        _card(0.27, 0.04, 0.6, (0.42, 0.22), _MARBLE, cutout="holes", cutout_size=0.13),
+        _card(-0.22, 0.32, 1.2, (0.5, 0.28), _MOSS, cutout="leaves", cutout_size=0.26),
+        _card(0.27, 0.34, 1.0, (0.36, 0.22), _WOOD, cutout="slats", cutout_size=0.12),
+    ]
+    return _Recipe([_wall(-1.0, _SLATE), *verticals, *slanted, *screens], (-1.1, 1.6))
+
+
+def _textureless() -> _Recipe:
+    def paint(colour: Triple) -> Material:
+        return Material(dark=colour, light=colour, contrast=0.0)
+
+    wall = Material(dark=(0.7, 0.68, 0.63), light=(0.74, 0.72, 0.68), contrast=0.5, grain=2.5)
+    solids = [
+        _wall(-1.2, wall),
+        plane(
+            (0.0, 0.95, 4.6),
+            (14.0, 6.0),
+            axes=rotation(pitch=90.0),
+            material=paint((0.6, 0.6, 0.58)),
+        ),
+        sphere(_at(-0.22, 0.12, 0.6), _width(0.17, 0.6), material=paint((0.75, 0.35, 0.25))),
+        sphere(_at(0.1, 0.27, 1.3), _width(0.09, 1.3), material=paint((0.92, 0.85, 0.55))),
+        box(
+            (0.75, 0.4, 4.2),
+            (0.75, 1.1, 0.75),
+            axes=rotation(yaw=34.0),
+            material=paint((0.36, 0.5, 0.62)),
+        ),
+        _card(-0.02, -0.24, 0.0, (0.5, 0.2), paint((0.45, 0.55, 0.42)), axes=rotation(roll=-6.0)),
+    ]
+    return _Recipe(solids, (-1.3, 2.3), softness=0.05)
+
+
+def _wide() -> _Recipe:
+    solids = [
+        _wall(-3.5, _PLASTER),
+        plane((0.0, 1.35, 6.8), (30.0, 9.2), axes=rotation(pitch=90.0), material=_CHECKS),
+        _card(-0.27, -0.1, -2.4, (0.28, 0.5), _BRICK),
+        box(_at(0.26, -0.02, -1.2), (1.1, 1.6, 1.1), axes=rotation(yaw=28.0), material=_WOOD),
+        sphere(_at(-0.05, -0.22, 0.0), _width(0.12, 0.0), material=_BLUE),
+        _card(-0.2, 0.22, 1.4, (0.26, 0.22), _DOTS, axes=rotation(roll=10.0)),
+        sphere(_at(0.12, 0.2, 2.3), _width(0.1, 2.3), material=_MOSS),
+        _rod((-0.46, -0.46, 3.4), (-0.3, 0.5, 3.0), 0.03, _STRIPES),
+        _card(0.36, 0.35, 3.4, (0.18, 0.18), _OCHRE, axes=rotation(roll=-14.0)),
+    ]
+    return _Recipe(solids, (-3.6, 3.6), shadow=0.0)
+
+
+def _noisy() -> _Recipe:
+    return _still_life()._replace(blur=0.6, read_noise=0.02, shot_noise=0.0008)
+
+
+def _specular() -> _Recipe:
+    def glossy(material: Material, mirror: float) -> Material:
+        return replace(material, specular=0.9, shininess=120.0, mirror=mirror)
+
+    solids = [
+        _wall(-1.1, _PLASTER),
+        plane(
+            (0.0, 0.9, 4.4),
+            (12.0, 5.0),
+            axes=rotation(pitch=90.0),
+            material=replace(_WOOD, mirror=0.12),
+        ),
+        sphere(_at(-0.25, 0.12, 0.7), _width(0.17, 0.7), material=glossy(_BLUE, 0.2)),
+        sphere(_at(0.1, -0.06, 0.1), _width(0.14, 0.1), material=glossy(_RED, 0.3)),
+        sphere(_at(0.1, 0.3, 1.6), _width(0.08, 1.6), material=glossy(_MARBLE, 0.55)),
+        box(
+            (0.95, 0.45, 4.1),
+            (0.6, 0.9, 0.6),
+            axes=rotation(yaw=30.0),
+            material=glossy(_CHECKS, 0.15),
+        ),
+        _rod((-0.4, -0.4, 0.6), (0.44, -0.26, 0.2), 0.03, glossy(_OCHRE, 0.3)),
+    ]
+    return _Recipe(solids, (-1.2, 2.2))
+
+
+def _crossing() -> _Recipe:
+    fence = replace(_SAND, tint=0.0)
+    solids = [
+        _wall(-1.0, replace(_BRICK, pattern="none")),
+        _card(0.0, 0.0, 1.0, (0.9, 0.5), fence, cutout="slats", cutout_size=0.24),
+    ]
+    return _Recipe(solids, (-1.1, 1.1), shadow=0.0)
+
+
+def _still_life() -> _Recipe:
+    table = plane(
+        (0.0, 0.82, 4.0),
+        (9.0, 3.4),
+        axes=rotation(pitch=90.0),
+        material=replace(_WOOD, mirror=0.05),
+    )
+    books = [
+        box((-0.72, 0.74, 3.75), (0.85, 0.15, 0.6), axes=rotation(yaw=12.0), material=_RED),
+        box((-0.74, 0.6, 3.77), (0.78, 0.12, 0.55), axes=rotation(yaw=4.0), material=_STRIPES),
+    ]
+    ball = replace(_BLUE, specular=0.35, mirror=0.08)
+    solids = [
+        _wall(-1.35, _BRICK),
+        table,
+        *books,
+        sphere((-0.74, 0.3, 3.75), 0.24, material=ball),
+        box((0.72, 0.4, 4.35), (0.6, 0.84, 0.6), axes=rotation(yaw=35.0), material=_CHECKS),
+        sphere((0.7, -0.3, 4.35), 0.28, material=_MOSS),
+        sphere((0.2, 0.66, 3.35), 0.16, material=replace(_OCHRE, specular=0.25)),
+        plane(
+            (-0.12, 0.02, 4.7),
+            (1.0, 1.6),
+            axes=rotation(yaw=-14.0),
+            material=_MARBLE,
+            cutout="holes",
+            cutout_size=0.17,
+        ),
+        bar((1.02, 0.82, 3.6), (0.62, -0.95, 3.7), 0.016, material=_SAND),
+        bar((0.4, 0.82, 3.55), (1.12, -0.75, 3.75), 0.011, material=_RED),
+    ]
+    return _Recipe(solids, (-1.5, 2.0))
+
+
+_RECIPES: dict[str, Callable[[], _Recipe]] = {
+    "demo": _still_life,
+    "slanted": _slanted,
+    "edges": _edges,
+    "thin": _thin,
+    "textureless": _textureless,
+    "wide": _wide,
+    "noisy": _noisy,
+    "specular": _specular,
+    "crossing": _crossing,
+}
+
+
+def scene_names() -> tuple[str, ...]:
+    """The names that `scene` knows.
+
+    Returns:
+        Names, the all-round `demo` first.
+
+    Example:
+        >>> "thin" in scene_names()
+        True
+    """
+    return tuple(_RECIPES)
+
+
+def make_scene(
+    world: World,
+    *,
+    disparity_range: tuple[float, float],
+    focal: float = _FOCAL,
+    gain: float = _GAIN,
+    focus: float = _FOCUS,
+    blur: float = 0.0,
+    read_noise: float = 0.0,
+    shot_noise: float = 0.0,
+    name: str = "synthetic",
+) -> Scene:
+    """Puts cameras in front of a world.
+
+    Args:
+        world: see `make_world`.
+        disparity_range: lowest and highest disparity that a method should look for, px per view
+            step.
+        focal: focal length over the longer side of the views.
+        gain: px metres; a point at depth `z` metres has the disparity `gain (1 / z - 1 / focus)`.
+        focus: distance of zero disparity, metres.
+        blur: standard deviation of the optics' blur, px, 0 to 3.
+        read_noise: standard deviation of the noise in the dark, of sRGB in [0, 1].
+        shot_noise: variance that is added per unit of sRGB.
+        name: what to call it.
+
+    Returns:
+        A scene for `render` and `render_posed`.
+
+    Raises:
+        ValueError: if a number is out of its range.
+    """
+    for label, value in (("focal", focal), ("gain", gain), ("focus", focus)):
+        if not value > 0:
+            raise ValueError(f"`{label}` must be positive, got {value}.")
+    for label, value in (("read_noise", read_noise), ("shot_noise", shot_noise)):
+        if not value >= 0:
+            raise ValueError(f"`{label}` must not be negative, got {value}.")
+    if not 0 <= blur <= 3:
+        raise ValueError(f"`blur` must be between 0 and 3 px, got {blur}.")
+    low, high = disparity_range
+    if not low < high:
+        raise ValueError(f"`disparity_range` must be (low, high) with low < high, got {low, high}.")
+    dtype = world.solids.centre.dtype
+
+    def number(value: float) -> jax.Array:
+        return jnp.asarray(np.asarray(value, float), dtype)
+
+    return Scene(
+        world,
+        Rig(number(focal), number(gain), number(focus)),
+        Sensor(number(blur), number(read_noise), number(shot_noise)),
+        jnp.asarray(np.asarray([low, high], float), dtype),
+        name,
+    )
+
+
+def scene(
+    name: str, *, dtype: jnp.dtype | type = jnp.float32, key: PRNGKeyArray | None = None
+) -> Scene:
+    """A scene by its name.
+
+    | name | what it stresses |
+    |---|---|
+    | `demo` | a still life: a little of everything |
+    | `slanted` | slanted, strongly foreshortened surfaces |
+    | `edges` | depth edges over a textured background |
+    | `thin` | bars down to 1.5 px of 512, screens with holes, foliage |
+    | `textureless` | plain surfaces: only outlines and shading |
+    | `wide` | disparities from -3.5 to 3.5 px per view step |
+    | `noisy` | the still life with sensor noise and blur |
+    | `specular` | highlights and reflections that move with the view |
+    | `crossing` | two planes; a fence whose EPI lines cross those behind it |
+
+    Disparities are in px per view step at any resolution.
+
+    Args:
+        name: one of `scene_names()`.
+        dtype: floating dtype of the arrays and of what is rendered.
+        key: draws another set of textures; without it the scene is always the same.
+
+    Returns:
+        A scene for `render` and `render_posed`.
+
+    Raises:
+        ValueError: if there is no scene of this name.
+
+    Example:
+        >>> scene("wide").disparity_range.round(1).tolist()
+        [-3.6, 3.6]
+    """
+    if name not in _RECIPES:
+        raise ValueError(f"`name` must be one of {', '.join(_RECIPES)}, got {name!r}.")
+    recipe = _RECIPES[name]()
+    seed = 0 if key is None else int(jax.random.randint(key, (), 1, 2000))
+    world = make_world(
+        recipe.solids,
+        lamp=recipe.lamp,
+        shadow=recipe.shadow,
+        softness=recipe.softness,
+        seed=seed,
+        dtype=jnp.dtype(dtype),
+    )
+    return make_scene(
+        world,
+        disparity_range=recipe.disparity_range,
+        blur=recipe.blur,
+        read_noise=recipe.read_noise,
+        shot_noise=recipe.shot_noise,
+        name=name,
+    )
