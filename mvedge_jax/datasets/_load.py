@@ -117,6 +117,38 @@ def load_light_field(
         )
 
 
+def load_ground_truth(path: str | os.PathLike) -> GroundTruth:
+    """Reads the ground truth of a light field and none of its views but the centre's.
+
+    Args:
+        path: a folder or a file, as for `load_light_field`.
+
+    Returns:
+        The ground truth at full size, views in the order of the convention.
+
+    Raises:
+        FileNotFoundError: if there is no light field at `path`, or no centre view.
+        ValueError: if it comes without ground truth, or the ground truth cannot be read, is not
+            finite, or is not of the centre view's size.
+    """
+    with open_source(Path(path)) as source:
+        if source.truth is None:
+            raise ValueError(
+                f"{path} ({source.layout}) has no ground truth; expected gt_disp_lowres.pfm beside "
+                "the views, or GT_DEPTH in an HDF5 file."
+            )
+        rows, columns = (list(range(count)) for count in source.available.shape)
+        centre = rows[len(rows) // 2], columns[len(columns) // 2]
+        if not source.available[centre]:
+            raise FileNotFoundError(f"{source.label(*centre)}, the centre view, is missing.")
+        if source.flip_v:
+            rows.reverse()
+        if source.flip_u:
+            columns.reverse()
+        size = source.read(*centre).shape[:2]
+        return _ground_truth(source, source.truth(), rows, columns, 1.0, size)
+
+
 @contextmanager
 def open_source(path: Path) -> Iterator[Source]:
     """Recognises the layout of a folder or file and opens it; see `load_light_field`.

@@ -1,0 +1,162 @@
+"""`mvedge info`: what is in a light field, and whether it is the right way round."""
+
+from pathlib import Path
+
+import numpy as np
+import tyro
+
+from ..datasets import ConventionCheck, camera_spacing, check_convention, load_light_field
+from ..datasets._load import open_source
+from ..lightfield import Camera, GroundTruth, LightField
+from ._common import note, stage, warn
+
+# A camera that is off by more than this many steps moves a point of disparity 1 as many pixels.
+_IRREGULAR = 0.05
+
+
+def info(
+    path: tyro.conf.Positional[Path],
+    /,
+    *,
+    views: int | None = None,
+    scale: float = 1.0,
+    flip_u: bool = False,
+    flip_v: bool = False,
+    check: bool = True,
+) -> None:
+    """Says what is in a light field and checks that its views are the right way round.
+
+    The check needs no ground truth: it looks at occlusions, where near things must cover far ones,
+    and says which of --flip-u and --flip-v is needed if they do not.
+
+    Args:
+        path: folder or file of a light field (HCI, Stanford, Lytro, any grid of images).
+        views: keep the central VIEWS x VIEWS views.
+        scale: shrink the views by this factor as they are read.
+        flip_u: reverse the view columns.
+        flip_v: reverse the view rows.
+        check: look at the occlusions, which takes some seconds.
+    """
+    with open_source(path) as source:
+        layout = source.layout
+    with stage(f"reading {path}"):
+        light_field = load_light_field(path, views=views, scale=scale, flip_u=flip_u, flip_v=flip_v)
+    lines = [
+        ("light field", f"{light_field.name} ({layout})"),
+        ("views", _views(light_field)),
+        ("memory", f"{light_field.views.nbytes / 1e6:.0f} MB as {light_field.views.dtype}"),
+        ("disparity range", _range(light_field.disparity_range, "px per view step")),
+        ("ground truth", _truth(light_field.truth)),
+        ("camera", _camera(light_field.camera, light_field.disparity_range)),
+    ]
+    if layout == "Stanford archive":
+        lines.append(("camera spacing", _spacing(path, flip_u, flip_v)))
+    if not check:
+        _print(lines)
+        return
+    with stage("looking at the occlusions"):
+        result = check_convention(light_field)
+    if light_field.disparity_range is None:
+        lines.append(("range, estimated", _range(result.disparity_range, "px per view step")))
+    lines.append(("occlusions", _votes(result)))
+    lines.append(("convention", _verdict(result)))
+    _print(lines)
+    if result.holds is False:
+        warn(_advice(result, flip_u, flip_v))
+
+
+def _print(lines: list[tuple[str, str]]) -> None:
+    width = max(len(label) for label, _ in lines)
+    for label, text in lines:
+        note(f"{label:<{width}}  {text}")
+
+
+def _views(light_field: LightField) -> str:
+    rows, columns, height, width = light_field.views.shape[:4]
+    present = np.asarray(light_field.available)
+    text = f"{rows}x{columns} of {width}x{height} px (width x height), "
+    if present.all():
+        return text + "all there"
+    if present.sum() == rows + columns - 1:
+        return text + f"the {int(present.sum())} of the crosshair only"
+    missing = [f"({v}, {u})" for v, u in np.argwhere(~present)]
+    shown = ", ".join(missing[:6]) + (", ..." if len(missing) > 6 else "")
+    return text + f"{len(missing)} of {present.size} missing: (v, u) = {shown}"
+
+
+def _range(limits, unit: str) -> str:
+    if limits is None:
+        return "unknown"
+    low, high = (float(limit) for limit in limits)
+    return f"{low:.3f} .. {high:.3f} {unit}"
+
+
+def _truth(truth: GroundTruth | None) -> str:
+    if truth is None:
+        return "none"
+    valid = np.asarray(truth.valid)
+    disparity = np.asarray(truth.disparity)[valid]
+    parts = [f"disparity {disparity.min():.3f} .. {disparity.max():.3f}"]
+    if not valid.all():
+        parts.append(f"known at {100 * valid.mean():.1f} % of the pixels")
+    if truth.object_ids is not None:
+        parts.append(f"{len(np.unique(np.asarray(truth.object_ids)))} object ids")
+    extra = [
+        name
+        for name, values in (("disparity", truth.view_disparity), ("ids", truth.view_ids))
+        if values is not None
+    ]
+    return ", ".join(parts) + (f", {' and '.join(extra)} of every view" if extra else "")
+
+
+def _camera(camera: Camera | None, limits) -> str:
+    if camera is None:
+        return "unknown"
+    text = (
+        f"focal length {float(camera.focal_px):.1f} px, baseline "
+        f"{1000 * float(camera.baseline):.3g} mm, disparity 0 at {float(camera.focus_distance):.3g} m"
+    )
+    if limits is None:
+        return text
+    far, near = (float(distance) for distance in camera.depth(limits))
+    return text + f", range {near:.3g} .. {far:.3g} m"
+
+
+def _spacing(path: Path, flip_u: bool, flip_v: bool) -> str:
+    spacing = camera_spacing(path)
+    x, y = spacing.step
+    text = (
+        f"{-x if flip_u else x:.4g} per column, {-y if flip_v else y:.4g} per row; at most "
+        f"{100 * spacing.deviation:.1f} % of a step off a regular grid"
+    )
+    return text + (" (irregular)" if spacing.deviation > _IRREGULAR else "")
+
+
+def _votes(result: ConventionCheck) -> str:
+    same, opposite = result.agreement
+    return (
+        f"columns {result.columns[0]} for and {result.columns[1]} against, rows "
+        f"{result.rows[0]} for and {result.rows[1]} against; both axes see the same disparity at "
+        f"{same} of {same + opposite} places"
+    )
+
+
+def _verdict(result: ConventionCheck) -> str:
+    if result.holds:
+        return "holds: near covers far along both axes"
+    words = {None: "cannot be told", True: "REVERSED", False: "right"}
+    return f"columns (u) {words[result.flip_u]}, rows (v) {words[result.flip_v]}"
+
+
+def _advice(result: ConventionCheck, flip_u: bool, flip_v: bool) -> str:
+    changes = []
+    for reversed_, used, option in (
+        (result.flip_u, flip_u, "--flip-u"),
+        (result.flip_v, flip_v, "--flip-v"),
+    ):
+        if reversed_:
+            changes.append(f"without {option}" if used else f"with {option}")
+    return (
+        "the views disagree with the convention: far things cover near ones. Load them "
+        f"{' and '.join(changes)}."
+    )
