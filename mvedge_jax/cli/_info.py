@@ -114,7 +114,8 @@ def _camera(camera: Camera | None, limits) -> str:
         return "unknown"
     text = (
         f"focal length {float(camera.focal_px):.1f} px, baseline "
-        f"{1000 * float(camera.baseline):.3g} mm, disparity 0 at {float(camera.focus_distance):.3g} m"
+        f"{1000 * float(camera.baseline):.3g} mm, disparity 0 at "
+        f"{float(camera.focus_distance):.3g} m"
     )
     if limits is None:
         return text

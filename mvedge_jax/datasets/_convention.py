@@ -23,6 +23,7 @@ _EDGE = 0.02  # smallest gradient per pixel of an edge
 _SIDE = (4, 10)  # px beside an edge at which its sides are measured
 _BEHIND = 0.3  # smallest difference in disparity of a depth edge
 _LEVEL = 0.15  # largest difference of an edge from the surface that owns it
+_SHARED = 2.0  # votes that are in truth one, as neighbouring strips see the same edge
 _DECISIVE = 6.0  # difference of two hypotheses, in standard deviations of their votes
 
 
@@ -30,10 +31,12 @@ _DECISIVE = 6.0  # difference of two hypotheses, in standard deviations of their
 class ConventionCheck:
     """What a light field's occlusions say about the order of its views.
 
-    An occlusion's contour belongs to the nearer surface and moves with it. Each edge of the image
-    that moves like the surface on one side and unlike the one on the other is a vote: does the
-    owner have the larger disparity? A reversed view axis negates all disparities along it, and all
-    its votes. The two axes are also held against each other: both must see the same disparity.
+    There are two kinds of votes, and both ask: does what is in front have the larger disparity?
+    An occlusion's contour belongs to the nearer surface and moves with it: an edge of the image
+    that moves like the surface on one side and unlike the one on the other votes for its owner. And
+    a spot that is hidden in the views to one side votes for the one surface that moves over it
+    there. A reversed view axis negates all disparities along it, and all its votes. The two axes
+    are also held against each other: both must see the same disparity.
 
     Attributes:
         columns: votes along `u`, (for the convention, against it).
@@ -66,6 +69,23 @@ class _Strips:
     y: np.ndarray
     disparity: Float[np.ndarray, "e x"]
     valid: Bool[np.ndarray, "e x"]
+
+
+@dataclasses.dataclass(frozen=True)
+class _Matches:
+    """What one arm shows: matches `through` all views and through the better `half` of them.
+
+    A surface beside an occluder is hidden in the views of one half, but not of the other.
+    `missing` is +1 where the views before the centre lack the match of `half`, -1 where those
+    after it do, 0 where neither; `gradient` is that along x; `everywhere` is where `through` holds
+    in every single view.
+    """
+
+    through: _Strips
+    half: _Strips
+    missing: np.ndarray
+    gradient: np.ndarray
+    everywhere: np.ndarray
 
 
 def check_convention(
@@ -134,7 +154,7 @@ def _search(arms: list[np.ndarray]) -> float | None:
     found = []
     for arm in arms:
         reach = min(_REACH, arm.shape[2] / (4 * (arm.shape[0] // 2)))
-        strips = _match(arm, reach, 12)[0]
+        strips = _match(arm, reach, 12).through
         found.append(np.abs(strips.disparity[strips.valid]))
     found = np.concatenate(found)
     return None if found.size < 20 else float(np.percentile(found, 99)) + 0.3
@@ -142,35 +162,56 @@ def _search(arms: list[np.ndarray]) -> float | None:
 
 def _arm(arm: Float[np.ndarray, "u y x c"], reach: float) -> tuple[tuple[int, int], _Strips]:
     """Votes along one arm and what was matched on it."""
-    through, half, gradient, tolerable = _match(arm, reach, arm.shape[1])
+    matches = _match(arm, reach, arm.shape[1])
+    votes = np.concatenate([_contours(matches), _hidden(matches, arm.shape[0] // 2, reach)])
+    return (int((votes > 0).sum()), int((votes < 0).sum())), matches.through
+
+
+def _contours(matches: "_Matches") -> np.ndarray:
+    """A vote per edge that moves with the surface on one side only: +1, -1 or 0."""
+    through, gradient = matches.through, matches.gradient
     # An edge: a peak of the gradient that is seen in every view, away from the border.
     peak = gradient >= cv2.dilate(gradient, np.ones((1, _WINDOW), np.uint8))
-    peak &= (gradient > _EDGE) & through.valid & tolerable
+    peak &= (gradient > _EDGE) & through.valid & matches.everywhere
     margin = 2 * _SIDE[1]
     peak[:, :margin] = peak[:, -margin:] = False
     e, x = np.nonzero(peak)
     edge = through.disparity[peak]
-    sides = [_beside(half, gradient, e, x, direction) for direction in (-1, 1)]
+    sides = [_beside(matches.half, gradient, e, x, direction) for direction in (-1, 1)]
     owned = [np.isnan(side) | (np.abs(side - edge) < _LEVEL) for side in sides]
     behind = [np.abs(side - edge) > _BEHIND for side in sides]  # False where NaN
     votes = np.zeros(len(e))
     for side, other in ((0, 1), (1, 0)):
         clear = behind[side] & owned[other]
         votes[clear] = np.sign(edge - sides[side])[clear]
-    return (int((votes > 0).sum()), int((votes < 0).sum())), through
+    return votes
 
 
-def _match(
-    arm: Float[np.ndarray, "u y x c"], reach: float, count: int
-) -> tuple[_Strips, _Strips, np.ndarray, np.ndarray]:
-    """Matches windows of strips of rows through all views, and through the better half of them.
+def _hidden(matches: "_Matches", middle: int, reach: float) -> np.ndarray:
+    """A vote per spot that one surface alone can hide, in the half of the views that miss it."""
+    through, half = matches.through, matches.half
+    e, x = np.nonzero(half.valid & (matches.missing != 0))
+    spot, missing = half.disparity[e, x], matches.missing[e, x]
+    votes = np.zeros((2, len(e)))
+    width = half.disparity.shape[1]
+    for row, direction in enumerate((-1, 1)):
+        searching = np.ones(len(e), bool)
+        for offset in range(1, math.ceil(2 * reach * middle) + _WINDOW):
+            place = x + direction * offset
+            inside = (place >= 0) & (place < width)
+            place = place.clip(0, width - 1)
+            step = through.disparity[e, place] - spot
+            found = searching & inside & through.valid[e, place] & (np.abs(step) > _BEHIND)
+            # In the views that miss the spot, does it move over it, and far enough?
+            covers = found & (missing * step * direction < 0)
+            covers &= offset <= middle * np.abs(step) + _WINDOW // 2
+            votes[row, covers] = np.sign(step)[covers]
+            searching &= ~found
+    return np.where((votes != 0).sum(0) == 1, votes.sum(0), 0)
 
-    A surface beside an occluder is hidden in the views of one half, but not of the other.
 
-    Returns:
-        Matches through all views and through half of them, the gradient along x, and where the
-        former match every single view.
-    """
+def _match(arm: Float[np.ndarray, "u y x c"], reach: float, count: int) -> _Matches:
+    """Matches windows of at most `count` strips of rows at disparities up to `reach`."""
     views, height, width, _ = arm.shape
     middle = views // 2
     y = np.linspace(_HEIGHT, height - 1 - _HEIGHT, min(count, height // _HEIGHT)).astype(int)
@@ -210,12 +251,13 @@ def _match(
     mean = cv2.blur(centre.reshape(len(y), _HEIGHT, width, -1).mean(1), (_WINDOW, 1))
     deviation = cv2.blur(strips(np.abs(centre - np.repeat(mean, _HEIGHT, axis=0))), (_WINDOW, 1))
     through, best = _best(halves.mean(0), disparities, deviation, y)
-    half, _ = _best(halves.min(0), disparities, deviation, y)
-    tolerable = np.take_along_axis(worst, best[None], 0)[0] < deviation
+    everywhere = np.take_along_axis(worst, best[None], 0)[0] < deviation
+    half, best = _best(halves.min(0), disparities, deviation, y)
+    before, after = np.take_along_axis(halves, best[None, None], 1)[:, 0] > deviation
     line = centre.reshape(len(y), _HEIGHT, width, -1).mean(1)
     slope = np.zeros((len(y), width), np.float32)
     slope[:, 1:-1] = np.abs(line[:, 2:] - line[:, :-2]).mean(-1) / 2
-    return through, half, slope, tolerable
+    return _Matches(through, half, before.astype(int) - after, slope, everywhere)
 
 
 def _best(
@@ -263,7 +305,7 @@ def _decide(
 ) -> tuple[bool | None, bool | None]:
     """The flips that explain the votes best, each None unless it does so decisively."""
     scores = [
-        (votes[0] - votes[1]) / math.sqrt(votes[0] + votes[1] + 1)
+        (votes[0] - votes[1]) / math.sqrt(_SHARED * (votes[0] + votes[1] + 1))
         for votes in (columns, rows, agreement)
     ]
     total = {
