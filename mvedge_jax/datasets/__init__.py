@@ -8,3 +8,4 @@ from ._load import (
 )
 from ._pfm import read_pfm as read_pfm, write_pfm as write_pfm
 from ._stanford import CameraSpacing as CameraSpacing, camera_spacing as camera_spacing
+from ._write_hci import write_hci as write_hci

@@ -1,16 +1,16 @@
 """Where rays meet solids, in closed form."""
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from ._world import Solids
 
 Vector = tuple[Array, Array, Array]
 
 _TINY = 1e-12
+_LIFT = 2e-4  # where a shadow ray starts, relative to the distance
 
 
 def dot(a: Vector, b: Vector) -> Array:
@@ -133,4 +133,49 @@ def intersect(
 
     start = jnp.full_like(direction[0], jnp.inf)
     nothing = jnp.full(start.shape, -1, jnp.int32)
-    return jax.lax.fori_loop(0, solids.count, step, (start, nothing))
+    return lax.fori_loop(0, solids.count, step, (start, nothing))
+
+
+def intersect_and_shadow(
+    solids: Solids,
+    origin: Vector,
+    direction: Vector,
+    lamp: Vector,
+    shadows: Bool[Array, ""],
+) -> tuple[Float[Array, " r"], Int[Array, " r"], Bool[Array, " r"]]:
+    """The nearest solid on each ray, and whether the lamp is hidden from there.
+
+    Both passes go through one loop, which halves the compile time; without shadows the second does
+    not run.
+
+    Args:
+        solids: what is there.
+        origin: where the rays start, metres, by component.
+        direction: where they go, by component, of any length.
+        lamp: towards the lamp, per ray, by component.
+        shadows: whether to look for shadows.
+
+    Returns:
+        Distance and index as from `intersect`, and where there is something before the lamp.
+    """
+    zero = jnp.zeros_like(direction[0])
+    start = tuple(o + zero for o in origin)
+
+    def trace(k: Array, state: tuple) -> tuple:
+        (x, y, z), towards, distance, index, _ = state
+        hit, which = intersect(solids, (x, y, z), towards)
+        first = k == 0
+        # A little towards the camera, off the surface.
+        reach = jnp.where(jnp.isfinite(hit), hit * (1.0 - _LIFT), 0.0)
+        return (
+            along((x, y, z), towards, reach),
+            lamp,
+            jnp.where(first, hit, distance),
+            jnp.where(first, which, index),
+            jnp.isfinite(hit) & ~first,
+        )
+
+    state = (start, direction, zero, jnp.zeros(zero.shape, jnp.int32), jnp.zeros(zero.shape, bool))
+    passes = jnp.where(shadows, 2, 1).astype(jnp.int32)
+    _, _, distance, index, hidden = lax.fori_loop(0, passes, trace, state)
+    return distance, index, hidden

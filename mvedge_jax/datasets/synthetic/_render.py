@@ -14,8 +14,8 @@ from jax import lax
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
 from ...lightfield import GroundTruth, LightField
-from ._intersect import Vector, along, intersect, rotate
-from ._shade import lamp_disk, shade
+from ._intersect import Vector, along, intersect, intersect_and_shadow, rotate
+from ._shade import lamp_directions, shade
 from ._world import Scene, Sensor, World
 
 _RAYS = 16384  # traced at once: their intermediate arrays stay in the cache
@@ -106,7 +106,6 @@ class _Mode(NamedTuple):
 
     size: tuple[int, int]
     samples: int
-    shadows: bool
     blurred: bool
     noisy: bool
 
@@ -116,7 +115,6 @@ def _mode(scene: Scene, size: tuple[int, int], samples: int) -> _Mode:
     return _Mode(
         size,
         samples,
-        shadows=float(scene.world.light.shadow) > 0,
         blurred=float(sensor.blur) > 0,
         noisy=float(sensor.read_noise) > 0 or float(sensor.shot_noise) > 0,
     )
@@ -146,8 +144,10 @@ def _trace_view(
         dy, dx = jnp.pad(dy, (0, 1)), jnp.pad(dx, (0, 1))
     middle = per_pixel // 2 if samples % 2 else per_pixel
     axis = (pinhole.rotation[0, 2], pinhole.rotation[1, 2], pinhole.rotation[2, 2])
-    lamp_u, lamp_v = lamp_disk(per_pixel, dtype)
-    lamp = (jnp.repeat(lamp_u, rows * width), jnp.repeat(lamp_v, rows * width))
+    light = world.light
+    # The extra sample of the truth looks at any point of the lamp.
+    towards = lamp_directions(light, len(dx))
+    lamp_x, lamp_y, lamp_z = (jnp.repeat(t, rows * width) for t in towards)
     columns = jnp.arange(width, dtype=dtype)
     shaded = per_pixel * rows * width
 
@@ -157,10 +157,13 @@ def _trace_view(
         x = jnp.broadcast_to(dx[:, None, None] + columns[None, None, :], (len(dx), rows, width))
         y = jnp.broadcast_to(dy[:, None, None] + lines[None, :, None], (len(dy), rows, width))
         origin, direction = _rays(pinhole, x.reshape(-1), y.reshape(-1))
-        distance, hit = intersect(world.solids, origin, direction)
+        distance, hit, hidden = intersect_and_shadow(
+            world.solids, origin, direction, (lamp_x, lamp_y, lamp_z), light.shadow > 0
+        )
         depth = distance.reshape(-1, rows, width)[middle]
         index = hit.reshape(-1, rows, width)[middle]
-        distance, hit = distance[:shaded], hit[:shaded]
+        distance, hit, hidden = distance[:shaded], hit[:shaded], hidden[:shaded]
+        visible = jnp.where(hidden, 1.0 - light.shadow, 1.0)
         direction = (direction[0][:shaded], direction[1][:shaded], direction[2][:shaded])
         footprint = jnp.where(hit < 0, 1.0, distance) / pinhole.focal.min()
         colour = shade(
@@ -171,8 +174,7 @@ def _trace_view(
             hit,
             footprint,
             axis,
-            lamp,
-            shadows=mode.shadows,
+            visible,
         )
         return colour.reshape(3, per_pixel, rows, width).mean(1), depth, index
 

@@ -6,10 +6,11 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float, Int
 
-from ._intersect import Vector, along, dot, intersect
+from ._intersect import Vector, along, dot
 from ._noise import fractal_noise, hash_unit
-from ._world import World
+from ._world import Light, World
 
+_GOLDEN = 2.39996323  # the golden angle, radians
 _JOINT = 0.07  # width of the joint between bricks, of their height
 
 
@@ -41,24 +42,7 @@ def _look_up(world: World, index: Int[Array, " r"]) -> _Look:
 
     The loop keeps XLA from fusing gathers into the arithmetic, which would then not be vectorised.
     """
-    solids, s = world.solids, world.surfaces
-    dtype = solids.centre.dtype
-    table = jnp.concatenate(
-        [
-            solids.centre,
-            solids.axes.reshape(-1, 9),
-            solids.half,
-            solids.round.astype(dtype)[:, None],
-            s.dark,
-            s.light,
-            s.accent,
-            s.stretch,
-            s.pattern.astype(dtype)[:, None],
-            s.scalars,
-        ],
-        axis=1,
-    )
-    rows = lax.map(lambda column: column[index], table.T)
+    rows = lax.map(lambda column: column[index], world.surfaces.table)
     return _Look(
         rows[0:3],
         rows[3:12].reshape(3, 3, -1),
@@ -132,9 +116,7 @@ def shade(
     index: Int[Array, " r"],
     footprint: Float[Array, " r"],
     axis: Vector,
-    lamp_offset: tuple[Array, Array],
-    *,
-    shadows: bool,
+    visible: Float[Array, " r"],
 ) -> Float[Array, "3 r"]:
     """Light that comes back along rays, linear RGB.
 
@@ -150,10 +132,9 @@ def shade(
         footprint: width of a pixel at that distance, metres.
         axis: the camera's optical axis; textures are filtered by the slant towards it, not
             towards the ray, so that the views of a rig agree.
-        lamp_offset: per ray, the point on the unit disk of the lamp that it tests for shadow.
-        shadows: whether to test at all.
+        visible: how much of the lamp's light arrives.
     """
-    solids, light = world.solids, world.light
+    light = world.light
     missed = index < 0
     index = jnp.maximum(index, 0)
     distance = jnp.where(missed, 1.0, distance)
@@ -207,24 +188,9 @@ def shade(
     accent = mask * (0.8 + 0.2 * blend)
     tint = 1.0 + look.tint * (cell - 0.5)
 
-    # Lamp with shadow, surroundings from above and below.
+    # Lamp, and surroundings from above and below.
     lamp = (light.direction[0], light.direction[1], light.direction[2])
     facing = jnp.maximum(dot(normal, lamp), 0.0)
-
-    def lit() -> Array:
-        # Two directions across the lamp's; each supersample looks at its own point of the lamp.
-        first = jnp.stack([lamp[1], -lamp[0], jnp.zeros_like(lamp[0])])
-        first = first / jnp.sqrt(jnp.sum(first * first) + 1e-9)
-        second = jnp.cross(jnp.stack(lamp), first)
-        towards = tuple(
-            lamp[c] + light.softness * (lamp_offset[0] * first[c] + lamp_offset[1] * second[c])
-            for c in range(3)
-        )
-        start = along(point, normal, 2e-4 * distance)
-        blocked, _ = intersect(solids, start, (towards[0], towards[1], towards[2]))
-        return jnp.where(jnp.isfinite(blocked), 1.0 - light.shadow, 1.0)
-
-    visible = lit() if shadows else jnp.ones_like(distance)
     lambert = facing * visible
     up = 0.5 - 0.5 * normal[1]
     length = jnp.sqrt(dot(direction, direction))
@@ -249,9 +215,20 @@ def shade(
     )
 
 
-def lamp_disk(samples: int, dtype: jnp.dtype) -> tuple[Array, Array]:
-    """Points of the unit disk, one per supersample, in a sunflower spiral."""
+def lamp_directions(light: Light, samples: int) -> Float[Array, "3 s"]:
+    """Directions towards points of the lamp, one per supersample, in a sunflower spiral.
+
+    Each supersample looks for shadow towards its own point: their average is a soft shadow.
+    """
+    dtype = light.direction.dtype
     count = jnp.arange(samples, dtype=dtype)
-    radius = jnp.sqrt((count + 0.5) / samples)
-    angle = count * 2.39996323
-    return radius * jnp.cos(angle), radius * jnp.sin(angle)
+    radius = light.softness * jnp.sqrt((count + 0.5) / samples)
+    x, y, z = light.direction
+    first = jnp.stack([y, -x, jnp.zeros_like(x)])
+    first = first / jnp.sqrt(x * x + y * y + 1e-9)
+    second = jnp.stack([y * first[2] - z * first[1], z * first[0] - x * first[2], -x * x - y * y])
+    second = second / jnp.sqrt(jnp.sum(second * second) + 1e-9)
+    across = radius * jnp.cos(count * _GOLDEN)
+    up = radius * jnp.sin(count * _GOLDEN)
+    spread = first[:, None] * across[None] + second[:, None] * up[None]
+    return light.direction[:, None] + spread

@@ -110,25 +110,17 @@ class Solids(eqx.Module):
 
 
 class Surfaces(eqx.Module):
-    """`Material`s as arrays, one for each of the `Solids`; colours in linear light.
+    """How the `Solids` look.
 
     Attributes:
-        dark: base colour where the noise is low.
-        light: base colour where the noise is high.
-        accent: colour of the pattern.
-        stretch: of the noise, along the solid's axes.
-        pattern: which, 0 for none.
-        scalars: contrast, frequency (1 / grain), gain, size, aspect, tint, specular, shininess and
-            mirror, in this order.
+        table: one column per solid, with all that shading looks up at once: centre (3), axes (9),
+            half (3), round, dark (3), light (3), accent (3), stretch (3), pattern, contrast,
+            frequency (1 / grain), gain, size, aspect, tint, specular, shininess, mirror. Colours in
+            linear light.
         seed: of the noise.
     """
 
-    dark: Float[Array, "n 3"]
-    light: Float[Array, "n 3"]
-    accent: Float[Array, "n 3"]
-    stretch: Float[Array, "n 3"]
-    pattern: Int[Array, " n"]
-    scalars: Float[Array, "n 9"]
+    table: Float[Array, "k n"]
     seed: Int[Array, ""]
 
 
@@ -224,6 +216,24 @@ def _linear(colour: Triple) -> np.ndarray:
     return np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
 
 
+def _column(solid: Solid) -> np.ndarray:
+    """What `Surfaces.table` holds of a solid."""
+    m = solid.material
+    parts = [
+        solid.centre,
+        np.ravel(solid.axes),
+        solid.half,
+        [solid.round],
+        _linear(m.dark),
+        _linear(m.light),
+        _linear(m.accent),
+        m.stretch,
+        [_PATTERNS.index(m.pattern), m.contrast, 1.0 / m.grain, m.gain, m.size, m.aspect, m.tint],
+        [m.specular, m.shininess, m.mirror],
+    ]
+    return np.concatenate([np.asarray(part, float) for part in parts])
+
+
 def make_world(
     solids: Sequence[Solid],
     *,
@@ -268,12 +278,11 @@ def make_world(
         raise ValueError("`solids` must have at least one solid, got none.")
     padding = -len(solids) % _BLOCK
     padded = [*solids, *[solids[0]] * padding]
-    materials = [solid.material for solid in padded]
 
     def floats(values: Any) -> Array:
         return jnp.asarray(np.asarray(values, float), dtype)
 
-    def ints(values: list) -> Array:
+    def ints(values: Any) -> Array:
         return jnp.asarray(np.asarray(values), jnp.int32)
 
     def unit(vector: Triple) -> np.ndarray:
@@ -291,30 +300,7 @@ def make_world(
             object_id=ints([s.object_id or k + 1 for k, s in enumerate(padded)]),
             count=jnp.asarray(len(solids), jnp.int32),
         ),
-        Surfaces(
-            dark=floats([_linear(m.dark) for m in materials]),
-            light=floats([_linear(m.light) for m in materials]),
-            accent=floats([_linear(m.accent) for m in materials]),
-            stretch=floats([m.stretch for m in materials]),
-            pattern=ints([_PATTERNS.index(m.pattern) for m in materials]),
-            scalars=floats(
-                [
-                    (
-                        m.contrast,
-                        1.0 / m.grain,
-                        m.gain,
-                        m.size,
-                        m.aspect,
-                        m.tint,
-                        m.specular,
-                        m.shininess,
-                        m.mirror,
-                    )
-                    for m in materials
-                ]
-            ),
-            seed=jnp.asarray(7919 * seed, jnp.int32),
-        ),
+        Surfaces(floats(np.stack([_column(s) for s in padded], axis=1)), ints(7919 * seed)),
         Light(
             direction=floats(list(unit(lamp))),
             colour=floats(list(lamp_rgb)),

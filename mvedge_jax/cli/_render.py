@@ -1,0 +1,81 @@
+"""`mvedge render`: a synthetic light field in the HCI layout."""
+
+from pathlib import Path
+from typing import Annotated
+
+import jax
+import numpy as np
+import tyro
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
+
+from ..datasets import synthetic, write_hci
+from ._common import note, output_folder
+
+
+def render(
+    name: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME")],
+    out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT")],
+    /,
+    *,
+    views: int = 9,
+    size: tuple[int, int] = (512, 512),
+    samples: int = 3,
+    seed: int = 0,
+    textures: int | None = None,
+    occlusions: bool = True,
+    overwrite: bool = False,
+) -> None:
+    """Renders a synthetic scene with exact ground truth for every view.
+
+    OUT becomes a scene folder of the HCI 4D benchmark: input_CamNNN.png, gt_disp_lowres.pfm,
+    parameters.cfg; and beyond the benchmark, disparity and object ids of every view
+    (gt_disp_lowres_CamNNN.pfm, objectids_lowres_CamNNN.png) and which views see each pixel of
+    the centre view (visible_CamNNN.png). It appears when all of it is written.
+
+    Args:
+        name: demo, slanted, edges, thin, textureless, wide, noisy, specular or crossing.
+        out: folder to make.
+        views: VIEWS x VIEWS views, an odd number.
+        size: height and width in px.
+        samples: rays per pixel along each side of a pixel.
+        seed: of the sensor's noise.
+        textures: seed of another set of textures; the usual ones without it.
+        occlusions: write visible_CamNNN.png.
+        overwrite: replace OUT if it is there.
+    """
+    key = None if textures is None else jax.random.key(textures)
+    scene = synthetic.scene(name, key=key)
+    shape = (views, views, *size)
+    centre = (views // 2, views // 2)
+    with output_folder(out, overwrite=overwrite) as folder, _progress() as bar:
+        task = bar.add_task("rendering", total=views * views)
+
+        def advance(done: int, total: int) -> None:
+            bar.update(task, completed=done, total=total)
+
+        light_field = synthetic.render(
+            scene, shape=shape, samples=samples, progress=advance, key=jax.random.key(seed)
+        )
+        visible = None
+        if occlusions:
+            task = bar.add_task("occlusions", total=views * views)
+            visible = np.empty(shape, bool)
+            for k, (v, u) in enumerate(np.ndindex(views, views), start=1):
+                visible[v, u] = synthetic.visibility(
+                    scene, shape=shape, source=centre, target=(v, u)
+                )
+                advance(k, views * views)
+        task = bar.add_task("writing", total=views * views)
+        write_hci(light_field, folder, visible=visible, progress=advance)
+    note(f"{out}: {scene.name}, {views}x{views} views of {size[1]}x{size[0]} px")
+
+
+def _progress() -> Progress:
+    return Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TaskProgressColumn(),
+        TimeRemainingColumn(),
+        console=Console(stderr=True),
+    )
