@@ -54,8 +54,12 @@ def info(
     if not check:
         _print(lines)
         return
-    with stage("looking at the occlusions"):
-        result = check_convention(light_field)
+    try:
+        with stage("looking at the occlusions"):
+            result = check_convention(light_field)
+    except ValueError as reason:
+        _print([*lines, ("convention", f"not checked: {reason}")])
+        return
     if light_field.disparity_range is None:
         lines.append(("range, estimated", _range(result.disparity_range, "px per view step")))
     lines.append(("occlusions", _votes(result)))

@@ -122,8 +122,8 @@ def check_convention(
             f"{4 * _HEIGHT}x{4 * _HEIGHT} px, got {light_field.views.shape[:4]}."
         )
     arms = [
-        _central(np.asarray(light_field.horizontal_arm)),
-        _central(np.asarray(light_field.vertical_arm)).transpose(0, 2, 1, 3),
+        _central(np.asarray(light_field.horizontal_arm, np.float32)),
+        _central(np.asarray(light_field.vertical_arm, np.float32)).transpose(0, 2, 1, 3),
     ]
     if disparity_range is None and light_field.disparity_range is not None:
         low, high = (float(limit) for limit in light_field.disparity_range)

@@ -1,0 +1,148 @@
+"""`mvedge eval`: scores a disparity map against a scene's ground truth."""
+
+import csv
+import json
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+import tyro
+
+from ..datasets import load_ground_truth, read_pfm
+from ..metrics import DepthScores, depth_scores
+from ._common import note, output_folder, stage, warn
+
+_COLUMNS = {
+    "mse": "MSE*100",
+    "mae": "MAE",
+    "q25": "Q25*100",
+    "bad_01": "BP(0.01) %",
+    "bad_03": "BP(0.03) %",
+    "bad_07": "BP(0.07) %",
+    "edge_mse": "edge MSE*100",
+    "edge_bad_07": "edge BP(0.07) %",
+}
+
+
+def evaluate(
+    result: tyro.conf.Positional[Path],
+    scene: tyro.conf.Positional[Path],
+    /,
+    *,
+    crop: int = 15,
+    out: Path | None = None,
+    overwrite: bool = False,
+) -> None:
+    """Scores a disparity map against the ground truth of a scene.
+
+    Scores are over the whole frame (as in the thesis) and without CROP pixels per side (as in the
+    HCI benchmark). A map that is smaller than the ground truth is taken to be its centre.
+
+    Args:
+        result: disparity map of the centre view (.pfm), px per view step, larger is nearer.
+        scene: folder or file of a light field with ground truth.
+        crop: pixels to leave out on each side of the ground truth, beside the whole frame.
+        out: folder for scores.json, scores.csv, the error maps and the disparity map.
+        overwrite: replace what is in that folder.
+    """
+    disparity = read_pfm(result)
+    with stage(f"reading the ground truth of {scene}"):
+        ground_truth = load_ground_truth(scene)
+    truth = np.where(np.asarray(ground_truth.valid), np.asarray(ground_truth.disparity), np.nan)
+    top, left = _margin(result, disparity.shape, scene, truth.shape)
+    if crop < 0 or 2 * crop >= min(truth.shape):
+        raise ValueError(
+            f"--crop must be at least 0 and leave pixels of the {truth.shape[0]}x{truth.shape[1]} "
+            f"ground truth, got {crop}."
+        )
+    if (top, left) != (0, 0):
+        note(
+            f"{result} is {disparity.shape[1]}x{disparity.shape[0]} px: it is taken to be the "
+            f"centre of the ground truth's {truth.shape[1]}x{truth.shape[0]} px, without {left} "
+            f"columns at the left and {top} rows at the top. Crops count from the border of the "
+            "ground truth; crop 0 is all there is."
+        )
+    window = np.s_[top : top + disparity.shape[0], left : left + disparity.shape[1]]
+    with stage("scoring"):
+        scores = {size: _score(disparity, truth, window, size) for size in sorted({0, crop})}
+    note(_table(scores))
+    bad = int(scores[0].not_finite)
+    if bad:
+        warn(f"{bad} disparities of {result} are NaN or infinite; they count as wrong.")
+    if out is not None:
+        with output_folder(out, overwrite=overwrite) as folder:
+            _write_scores(folder, result, scene, scores)
+            _draw(folder, disparity, truth[window])
+        note(f"written to {out}")
+
+
+def _margin(
+    result: Path, size: tuple[int, ...], scene: Path, full: tuple[int, ...]
+) -> tuple[int, int]:
+    """Rows and columns of the ground truth before the first one of the map."""
+    margins = [whole - part for whole, part in zip(full, size, strict=True)]
+    if min(margins) < 0:
+        raise ValueError(
+            f"{result} is {size[1]}x{size[0]} px (width x height), larger than the ground truth of "
+            f"{scene}, {full[1]}x{full[0]} px; expected that size or a central part of it."
+        )
+    return margins[0] // 2, margins[1] // 2
+
+
+def _score(disparity: np.ndarray, truth: np.ndarray, window: tuple, crop: int) -> DepthScores:
+    """Scores the pixels of the map that are `crop` px or more inside the ground truth."""
+    # As a mask, so that the band around depth edges does not depend on the crop.
+    inside = np.zeros(truth.shape, bool)
+    inside[crop : truth.shape[0] - crop, crop : truth.shape[1] - crop] = True
+    if not inside[window].any():
+        raise ValueError(f"--crop {crop} leaves nothing of the disparity map.")
+    counted = np.isfinite(truth) & inside
+    return depth_scores(
+        jnp.asarray(disparity), jnp.asarray(truth[window]), mask=jnp.asarray(counted[window])
+    )
+
+
+def _table(scores: dict[int, DepthScores]) -> str:
+    rows = [["crop", *_COLUMNS.values(), "pixels"]]
+    for crop, values in scores.items():
+        cells = [f"{float(getattr(values, name)):#.4g}" for name in _COLUMNS]
+        rows.append([str(crop), *cells, str(int(values.pixels))])
+    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
+    return "\n".join(
+        "  ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True))
+        for row in rows
+    )
+
+
+def _write_scores(folder: Path, result: Path, scene: Path, scores: dict[int, DepthScores]) -> None:
+    records = [_record(crop, values) for crop, values in scores.items()]
+    summary = {"result": str(result), "scene": str(scene), "scores": records}
+    (folder / "scores.json").write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
+    with (folder / "scores.csv").open("w", newline="", encoding="utf-8") as stream:
+        writer = csv.DictWriter(stream, fieldnames=list(records[0]))
+        writer.writeheader()
+        writer.writerows(records)
+
+
+def _record(crop: int, values: DepthScores) -> dict[str, float | None]:
+    """The scores by name; None where they are infinite or undefined, which JSON cannot say."""
+    numbers = {name: float(getattr(values, name)) for name in _COLUMNS}
+    return (
+        {"crop": crop}
+        | {name: value if np.isfinite(value) else None for name, value in numbers.items()}
+        | {"not_finite": int(values.not_finite), "pixels": int(values.pixels)}
+    )
+
+
+def _draw(folder: Path, disparity: np.ndarray, truth: np.ndarray) -> None:
+    """The map, the ground truth at the same colours, and the errors, signed and logarithmic."""
+    from .. import plotting  # Matplotlib is slow to import, and only needed with --out
+
+    limits = float(np.nanmin(truth)), float(np.nanmax(truth))
+    for name, figure in (
+        ("disparity", plotting.disparity(disparity, limits=limits, title="disparity")),
+        ("truth", plotting.disparity(truth, limits=limits, title="ground truth")),
+        ("error_signed", plotting.signed_error(disparity, truth)),
+        ("error_log", plotting.log_error(disparity, truth)),
+    ):
+        figure.savefig(folder / f"{name}.png", bbox_inches="tight")
