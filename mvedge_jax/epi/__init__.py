@@ -1,1 +1,16 @@
 """Multi-view edges from epipolar-plane images (Thesis 4.1)."""
+
+from ._bank import (
+    FilterBank as FilterBank,
+    bank_radius as bank_radius,
+    exponential_disparities as exponential_disparities,
+    line_taps as line_taps,
+    prewitt_bank as prewitt_bank,
+)
+from ._edges import multiview_edges as multiview_edges
+from ._params import EdgeParams as EdgeParams, EdgeSizes as EdgeSizes
+from ._points import EdgePoints as EdgePoints, Edges as Edges, EdgeStats as EdgeStats
+from ._range import disparity_range as disparity_range
+from ._refine import Refined as Refined, refine_points as refine_points
+from ._response import bank_response as bank_response, sheared_response as sheared_response
+from ._support import neighbour_support as neighbour_support

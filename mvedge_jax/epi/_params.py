@@ -1,0 +1,126 @@
+"""Parameters (traced) and sizes (static) of the multi-view edges."""
+
+import math
+from dataclasses import dataclass
+
+import equinox as eqx
+from jaxtyping import Array, Float
+
+from .._params import number
+from ..lightfield import LightField
+from ._bank import FilterBank, bank_radius
+from ._range import disparity_range
+
+
+class EdgeParams(eqx.Module):
+    """Continuous parameters of `multiview_edges`; every one is traced and differentiable.
+
+    Colours are CIE Lab or grey on a scale of 0..100.
+
+    Attributes:
+        banks: filters of the horizontal and of the vertical arm; None for Prewitt filters on the
+            grid of `EdgeSizes`. Give them to learn them.
+        step: spacing of the filters, px per view step. A coarse bank with a parabola through
+            three filters beats a fine one: neighbours must differ.
+        saturation: variance over the views, grey levels squared, beyond which a pixel of a window
+            counts as another surface.
+        noise_gain: how much the noise of the scene adds to `saturation`.
+        robustness: residual of a view, relative to the contrast, that quarters its weight.
+        strength_floor: weakest edge considered, Lab units per px.
+        contrast_floor: added to the contrast where residuals are compared with it.
+        residual_limit: largest residual, relative to the contrast, of an accepted point half of
+            whose neighbours agree with it; in proportion for other shares.
+        support_radius: standard deviation, px, of the neighbourhood that votes.
+        support_tolerance: disparity difference, px, at which a neighbour's vote is one half.
+        confidence_scale: strength, Lab units per px, at which the confidence is one half.
+        visibility_limit: largest residual of a view, relative to the contrast, that shows the
+            point.
+        error_floor: smallest standard error, px: interpolation and calibration are not perfect.
+    """
+
+    banks: tuple[FilterBank, FilterBank] | None = None
+    step: Float[Array, ""] = number(0.1)
+    saturation: Float[Array, ""] = number(0.2)
+    noise_gain: Float[Array, ""] = number(1.0)
+    robustness: Float[Array, ""] = number(0.2)
+    strength_floor: Float[Array, ""] = number(0.1)
+    contrast_floor: Float[Array, ""] = number(0.05)
+    residual_limit: Float[Array, ""] = number(0.5)
+    support_radius: Float[Array, ""] = number(2.0)
+    support_tolerance: Float[Array, ""] = number(0.1)
+    confidence_scale: Float[Array, ""] = number(2.0)
+    visibility_limit: Float[Array, ""] = number(1.0)
+    error_floor: Float[Array, ""] = number(0.0005)
+
+
+@dataclass(frozen=True)
+class EdgeSizes:
+    """Static sizes of `multiview_edges`.
+
+    Attributes:
+        first: index of the first filter: its disparity is `first * step`.
+        filters: number of filters.
+        capacity: slots for points, a multiple of `chunk`.
+        window: side of the window of the photo-consistency, px, odd.
+        iterations: Gauss-Newton steps.
+        tile: side of the tiles in which the volumes are computed, px.
+        chunk: points refined at a time.
+    """
+
+    first: int
+    filters: int
+    capacity: int
+    window: int = 5
+    iterations: int = 2
+    tile: int = 64
+    chunk: int = 128
+
+    def __post_init__(self):
+        if self.filters < 3:
+            raise ValueError(f"`filters` must be at least 3, got {self.filters}.")
+        if self.window < 3 or self.window % 2 == 0:
+            raise ValueError(f"`window` must be odd and at least 3, got {self.window}.")
+        if self.iterations < 0:
+            raise ValueError(f"`iterations` must not be negative, got {self.iterations}.")
+        if self.chunk < 1 or self.capacity < self.chunk or self.capacity % self.chunk:
+            raise ValueError(
+                "`capacity` must be a positive multiple of `chunk`, got capacity "
+                f"{self.capacity} and chunk {self.chunk}."
+            )
+        if self.tile < 8:
+            raise ValueError(f"`tile` must be at least 8 px, got {self.tile}.")
+
+    def radius(self, views: int) -> int:
+        """Reach of the taps for an arm of so many views, px.
+
+        Sized for `step` up to its default of 0.1 px; a longer step is cut off at the ends.
+        """
+        return bank_radius(self.reach, views)
+
+    @property
+    def reach(self) -> float:
+        """Largest disparity of the grid in magnitude, at the default step."""
+        return 0.1 * max(abs(self.first), abs(self.first + self.filters - 1))
+
+    @staticmethod
+    def for_light_field(light_field: LightField, *, fill: float = 0.55) -> "EdgeSizes":
+        """Chooses sizes on the host, from the shape and the disparity range of a light field.
+
+        Args:
+            light_field: its range is measured by `disparity_range` where it is not given.
+            fill: points per pixel to reserve.
+
+        Returns:
+            Sizes; equal ones share a compiled program.
+        """
+        known = light_field.disparity_range
+        if known is None:
+            known = disparity_range(light_field)
+        low, high = float(known[0]), float(known[1])
+        first = math.floor(round(low / 0.1, 6)) - 1
+        last = math.ceil(round(high / 0.1, 6)) + 1
+        height, width = light_field.views.shape[2:4]
+        chunk = 128
+        capacity = -(-int(fill * height * width) // chunk) * chunk
+        tile = min(64, -(-max(height, width) // 8) * 8)
+        return EdgeSizes(first, last - first + 1, max(capacity, chunk), tile=tile, chunk=chunk)

@@ -1,0 +1,60 @@
+"""Multi-view edge points: the sparse, labelled features that the whole method rests on."""
+
+import equinox as eqx
+from jaxtyping import Array, Bool, Float, Int
+
+
+class EdgePoints(eqx.Module):
+    """A padded set of points of the centre view, each on an edge that is seen in many views.
+
+    Slots that are not `valid` hold zeros and mean nothing.
+
+    Attributes:
+        xy: position in the centre view, px, sub-pixel along the directions in which an edge was
+            found.
+        disparity: px per view step, larger is nearer.
+        confidence: strength of the edge in (0, 1).
+        error: standard error of `disparity`, px, from the residuals and the contrast around the
+            point.
+        normal: unit direction of the image gradient, `(x, y)`.
+        visible: in which views of the crosshair the point is seen: the vertical arm first, then
+            the horizontal one.
+        valid: which slots hold a point.
+    """
+
+    xy: Float[Array, "n 2"]
+    disparity: Float[Array, " n"]
+    confidence: Float[Array, " n"]
+    error: Float[Array, " n"]
+    normal: Float[Array, "n 2"]
+    visible: Bool[Array, "n s"]
+    valid: Bool[Array, " n"]
+
+
+class EdgeStats(eqx.Module):
+    """How many points were there after each step of `multiview_edges`.
+
+    Attributes:
+        candidates: pixels at which the filter bank found an edge along a row or a column.
+        overflow: candidates that found no slot; the weakest are left out.
+        consistent: points whose views agree at the refined disparity.
+        supported: of those, points that enough of their neighbours agree with.
+        recovered: rejected points that a neighbour's disparity brought back.
+        hidden: lines found behind a nearer one: seen in some views, not in the centre.
+        valid: points returned.
+    """
+
+    candidates: Int[Array, ""]
+    overflow: Int[Array, ""]
+    consistent: Int[Array, ""]
+    supported: Int[Array, ""]
+    recovered: Int[Array, ""]
+    hidden: Int[Array, ""]
+    valid: Int[Array, ""]
+
+
+class Edges(eqx.Module):
+    """The result of `multiview_edges`: the points, and how they came about."""
+
+    points: EdgePoints
+    stats: EdgeStats

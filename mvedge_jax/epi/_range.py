@@ -1,0 +1,86 @@
+"""The disparity range of a scene, measured where it is not given."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from ..color import srgb_to_gray, srgb_to_lab
+from ..lightfield import LightField
+from ._bank import bank_radius, prewitt_bank
+from ._search import Maps, search
+
+_STEP = 0.1
+# Beyond this a scene point leaves most views; nothing in the literature is wider.
+_WIDEST = 12.0
+
+
+@eqx.filter_jit
+def _coarse(across: Array, down: Array, disparity: Array, radius: int, tile: int) -> Maps:
+    down = jnp.swapaxes(down, 1, 2)
+    banks = tuple(prewitt_bank(disparity, arm.shape[0], radius) for arm in (across, down))
+    return search(
+        (srgb_to_lab(across), srgb_to_lab(down)),
+        (100 * srgb_to_gray(across), 100 * srgb_to_gray(down)),
+        banks,
+        jnp.asarray(0.2, across.dtype),
+        window=5,
+        tile=tile,
+    )
+
+
+def disparity_range(light_field: LightField, *, start: float = 4.0) -> tuple[float, float]:
+    """Measures the disparity range of a scene from the crosshair of views, on the host.
+
+    The search of `multiview_edges` runs on shrunk views over a wide range, which is doubled as
+    long as the best disparities lie at its ends. Textureless pixels have no say, and the margin
+    covers what shrinking loses.
+
+    Args:
+        light_field: a `disparity_range` it may have is not looked at.
+        start: first magnitude tried, px per view step.
+
+    Returns:
+        Lowest and highest disparity, px per view step, with a margin.
+
+    Raises:
+        ValueError: if the views show no edges at all to measure.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> stripes = jnp.tile(jnp.arange(64.0) % 16 / 16, (3, 3, 64, 1))[..., None]
+        >>> low, high = disparity_range(LightField(jnp.tile(stripes, 3)))
+        >>> low < 0 < high
+        True
+    """
+    side = min(light_field.views.shape[2:4])
+    # 128 px keep fine structure measurable; smaller views are searched as they are.
+    factor = max(1, side // 128)
+    vc, uc = light_field.centre
+    coarse = light_field.without_truth().downsample(factor)
+    across, down = coarse.views[vc], coarse.views[:, uc]
+    reach = start
+    while True:
+        count = int(np.ceil(reach / factor / _STEP))
+        disparity = _STEP * jnp.arange(-count, count + 1, dtype=across.dtype)
+        radius = bank_radius(_STEP * count, max(across.shape[0], down.shape[0]))
+        tile = min(64, -(-max(across.shape[1:3]) // 8) * 8)
+        maps = jax.tree.map(np.asarray, _coarse(across, down, disparity, radius, tile))
+        edge = maps.strength.max(0) > 1.0
+        # The end filters win by accident in places without contrast or depth: leave those out.
+        sure = edge & (maps.cost < 0.6)
+        if not edge.any():
+            raise ValueError(
+                "`light_field` shows no edges from which to measure the disparity range; give "
+                "`disparity_range`."
+            )
+        values = factor * maps.disparity[sure if sure.sum() > 0.05 * edge.sum() else edge]
+        low, high = np.quantile(values, [0.002, 0.998])
+        wide = factor * _STEP * count
+        outermost = (np.abs(values) > 0.95 * wide).mean()
+        if outermost < 0.01 or 2 * reach > _WIDEST:
+            break
+        reach *= 2
+    margin = 0.1 + 0.05 * (high - low)
+    return float(low - margin), float(high + margin)

@@ -1,0 +1,99 @@
+"""Responses of the filter bank: explicit taps, and the sheared sums that they are equal to."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Float
+
+from ._bank import FilterBank
+
+_ROWS = 16
+_LAYOUT = ("NWC", "WIO", "NWC")
+
+
+def correlate(rows: Float[Array, "b x i"], taps: Float[Array, "k i w"]) -> Float[Array, "b x2 k"]:
+    """Correlates rows of `i` channels with `k` sets of taps; only where the taps fit."""
+    kernel = jnp.transpose(taps, (2, 1, 0))
+    return lax.conv_general_dilated(rows, kernel, (1,), "VALID", dimension_numbers=_LAYOUT)
+
+
+def in_row_blocks(function, rows: Array) -> Array:
+    """Maps `function` over blocks of rows, which bounds the memory."""
+    count = rows.shape[0]
+    block = min(_ROWS, count)
+    blocks = -(-count // block)
+    padded = jnp.pad(rows, [(0, blocks * block - count)] + [(0, 0)] * (rows.ndim - 1))
+    out = lax.map(function, padded.reshape(blocks, block, *rows.shape[1:]))
+    return out.reshape(-1, *out.shape[2:])[:count]
+
+
+def bank_response(arm: Float[Array, "u y x c"], bank: FilterBank) -> Float[Array, "y x c k"]:
+    """Response of every filter at every pixel of the centre view, per channel, with its sign.
+
+    Rows are padded with their edge values: zeros would invent an edge at the border.
+
+    Args:
+        arm: the views of one arm of the crosshair. For the vertical arm swap x and y first.
+        bank: the filters.
+
+    Returns:
+        `sum_u sum_w taps[k, u, w] arm[u, y, x + w - radius, c]`. Linear, hence differentiable, in
+        the views and in the taps.
+
+    Raises:
+        ValueError: if the bank was made for another number of views.
+
+    Source: Thesis 4.1.1.
+    """
+    views, _, _, channels = arm.shape
+    if bank.taps.shape[1] != views:
+        raise ValueError(f"`bank` is for {bank.taps.shape[1]} views, `arm` has {views}.")
+    radius = bank.radius
+    padded = jnp.pad(arm, ((0, 0), (0, 0), (radius, radius), (0, 0)), mode="edge")
+    taps = bank.taps.astype(arm.dtype)
+
+    def block(rows: Array) -> Array:
+        out = correlate(rows.reshape(-1, *rows.shape[2:]), taps)
+        return jnp.swapaxes(out.reshape(rows.shape[0], channels, *out.shape[1:]), 1, 2)
+
+    return in_row_blocks(block, jnp.transpose(padded, (1, 3, 2, 0)))
+
+
+def sheared_response(
+    arm: Float[Array, "u y x c"], disparity: Float[Array, " k"]
+) -> Float[Array, "y x c k"]:
+    """The response of `prewitt_bank` without taps: shift each view by its step times `d`, average.
+
+    Equal to `bank_response` with `prewitt_bank(disparity, ...)` up to rounding, at the borders
+    too; needs no radius, and its cost does not grow with the disparity range.
+
+    Args:
+        arm: the views of one arm of the crosshair.
+        disparity: px per view step.
+
+    Returns:
+        `A(x + 1) - A(x - 1)` with `A(x) = mean_u arm[u](x + (u_c - u) d)`, linearly interpolated.
+        Differentiable in the views, and piecewise in `disparity`.
+    """
+    views, _, width, _ = arm.shape
+    steps = jnp.asarray(views // 2 - np.arange(views), arm.dtype)
+    columns = jnp.arange(width)
+
+    def one(d: Array) -> Array:
+        def line(image: Array, step: Array) -> Array:
+            shift = step * d
+            whole = jnp.floor(shift)
+            part = shift - whole
+
+            def at(offset: int) -> Array:
+                index = columns + whole.astype(jnp.int32) + offset
+                return image[:, jnp.clip(index, 0, width - 1)]
+
+            after = (1 - part) * at(1) + part * at(2)
+            before = (1 - part) * at(-1) + part * at(0)
+            return after - before
+
+        return jax.vmap(line)(arm, steps).mean(0)
+
+    return jnp.moveaxis(lax.map(one, disparity.astype(arm.dtype)), 0, -1)
