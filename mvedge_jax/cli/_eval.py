@@ -72,7 +72,7 @@ def evaluate(
     if out is not None:
         with output_folder(out, overwrite=overwrite) as folder:
             _write_scores(folder, result, scene, scores)
-            _draw(folder, disparity, truth[window])
+            _draw(folder, result.stem, disparity, truth[window], scores[0])
         note(f"written to {out}")
 
 
@@ -124,7 +124,7 @@ def _write_scores(folder: Path, result: Path, scene: Path, scores: dict[int, Dep
         writer.writerows(records)
 
 
-def _record(crop: int, values: DepthScores) -> dict[str, float | None]:
+def _record(crop: int, values: DepthScores) -> dict[str, int | float | None]:
     """The scores by name; None where they are infinite or undefined, which JSON cannot say."""
     numbers = {name: float(getattr(values, name)) for name in _COLUMNS}
     return (
@@ -134,15 +134,18 @@ def _record(crop: int, values: DepthScores) -> dict[str, float | None]:
     )
 
 
-def _draw(folder: Path, disparity: np.ndarray, truth: np.ndarray) -> None:
-    """The map, the ground truth at the same colours, and the errors, signed and logarithmic."""
-    from .. import plotting  # Matplotlib is slow to import, and only needed with --out
+def _draw(
+    folder: Path, name: str, disparity: np.ndarray, truth: np.ndarray, scores: DepthScores
+) -> None:
+    """The map beside the ground truth at the same colours, and its errors, signed and log."""
+    # Matplotlib is slow to import, and only needed with --out.
+    from ..plotting import disparity_limits, plot_comparison, plot_disparity, plot_error
 
-    limits = float(np.nanmin(truth)), float(np.nanmax(truth))
-    for name, figure in (
-        ("disparity", plotting.disparity(disparity, limits=limits, title="disparity")),
-        ("truth", plotting.disparity(truth, limits=limits, title="ground truth")),
-        ("error_signed", plotting.signed_error(disparity, truth)),
-        ("error_log", plotting.log_error(disparity, truth)),
+    caption = f"MSE*100 {float(scores.mse):.3f}, BadPix(0.07) {float(scores.bad_07):.2f} %"
+    for file, figure in (
+        ("comparison", plot_comparison([disparity], truth, names=[name], captions=[caption])),
+        ("disparity", plot_disparity(disparity, limits=disparity_limits([truth], percent=0.0))),
+        ("error_signed", plot_error(disparity, truth, kind="signed")),
+        ("error_log", plot_error(disparity, truth, kind="log")),
     ):
-        figure.savefig(folder / f"{name}.png", bbox_inches="tight")
+        figure.savefig(folder / f"{file}.png")

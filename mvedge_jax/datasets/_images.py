@@ -62,23 +62,6 @@ def read_raw(path: Path) -> np.ndarray:
     return pixels
 
 
-def write_image(path: Path, image: np.ndarray) -> None:
-    """Writes an RGB or single-channel image of 8 or 16 bit; the suffix chooses the format.
-
-    Args:
-        path: the file to write; an existing one is replaced.
-        image: uint8 or uint16, `[y, x, 3]` or `[y, x]`.
-
-    Raises:
-        OSError: if OpenCV cannot write it.
-    """
-    stored = cv2.cvtColor(image, cv2.COLOR_RGB2BGR) if image.ndim == 3 else image
-    done, data = cv2.imencode(path.suffix, stored)
-    if not done:
-        raise OSError(f"{path} could not be encoded.")
-    path.write_bytes(data.tobytes())
-
-
 def _damage(data: bytes) -> str | None:
     """What is wrong with the file, None if nothing is or the format is unknown.
 

@@ -74,7 +74,7 @@ def test_files_are_written_whole(scene, tmp_path, capsys):
     captured = capsys.readouterr()
     assert "1 disparities" in captured.err
     names = {path.name for path in out.iterdir()}
-    assert {"scores.json", "scores.csv", "error_signed.png", "error_log.png"} <= names
+    assert {"scores.json", "scores.csv", "comparison.png", "error_signed.png"} <= names
     summary = json.loads((out / "scores.json").read_text())
     assert [record["crop"] for record in summary["scores"]] == [0, 2]
     assert summary["scores"][0]["mse"] is None  # infinite: JSON has no such number
