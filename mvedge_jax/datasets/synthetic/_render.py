@@ -300,20 +300,25 @@ def render(
     pinholes = [_grid_pinhole(scene, shape, v, u) for v in range(rows) for u in range(columns)]
     mode = _mode(scene, (height, width), samples)
     images, depth, ids = _trace_views(scene, pinholes, mode, progress, key)
-    dtype = images.dtype
+    # Moved into JAX one by one: what is held twice is one array at a time.
+    views = jnp.asarray(images.reshape(*shape, 3))
+    del images
     gain, focus = float(scene.rig.gain), float(scene.rig.focus)
-    disparity = (gain / depth - gain / focus).astype(dtype).reshape(shape)
-    ids = ids.reshape(shape)
+    np.divide(gain, depth, out=depth)
+    np.subtract(depth, gain / focus, out=depth)
+    disparity = jnp.asarray(depth.reshape(shape))
+    del depth
+    ids = jnp.asarray(ids.reshape(shape))
     vc, uc = rows // 2, columns // 2
     return LightField(
-        images.reshape(*shape, 3),
+        views,
         disparity_range=scene.disparity_range,
         truth=GroundTruth(
-            disparity=jnp.asarray(disparity[vc, uc]),
+            disparity=disparity[vc, uc],
             valid=jnp.ones((height, width), bool),
-            object_ids=jnp.asarray(ids[vc, uc]),
-            view_disparity=jnp.asarray(disparity),
-            view_ids=jnp.asarray(ids),
+            object_ids=ids[vc, uc],
+            view_disparity=disparity,
+            view_ids=ids,
         ),
         camera=scene.rig.camera(height, width),
         name=scene.name,

@@ -16,16 +16,18 @@ _FOCAL, _GAIN, _FOCUS = 1.4, 20.0, 4.0
 
 # Surfaces that several scenes share.
 _BRICK = Material(
-    dark=(0.42, 0.2, 0.14),
-    light=(0.76, 0.48, 0.36),
+    dark=(0.47, 0.25, 0.18),
+    light=(0.74, 0.47, 0.36),
     accent=(0.68, 0.66, 0.61),
+    contrast=0.8,
     pattern="bricks",
     size=0.26,
     aspect=2.6,
-    tint=0.5,
-    grain=0.35,
+    tint=0.55,
+    grain=0.2,
+    gain=0.75,
 )
-_PLASTER = Material(dark=(0.5, 0.47, 0.42), light=(0.86, 0.82, 0.75), grain=0.7, gain=0.68)
+_PLASTER = Material(dark=(0.5, 0.47, 0.42), light=(0.86, 0.82, 0.75), grain=0.6, gain=0.73)
 _SLATE = Material(dark=(0.16, 0.19, 0.21), light=(0.46, 0.5, 0.52), grain=0.5, gain=0.7)
 _MOSS = Material(dark=(0.12, 0.2, 0.07), light=(0.55, 0.62, 0.3), grain=0.3, gain=0.75)
 _SAND = Material(dark=(0.5, 0.38, 0.22), light=(0.88, 0.77, 0.56), grain=0.25, gain=0.75)
@@ -41,11 +43,17 @@ _WOOD = Material(
     tint=0.5,
 )
 _MARBLE = Material(
-    dark=(0.42, 0.45, 0.48), light=(0.95, 0.93, 0.9), contrast=1.3, grain=0.45, gain=0.6
+    dark=(0.42, 0.45, 0.48), light=(0.95, 0.93, 0.9), contrast=1.2, grain=0.4, gain=0.68
 )
-_RED = Material(dark=(0.45, 0.06, 0.05), light=(0.8, 0.25, 0.18), grain=0.3, contrast=0.8)
-_BLUE = Material(dark=(0.07, 0.16, 0.36), light=(0.35, 0.55, 0.78), grain=0.3, contrast=0.9)
-_OCHRE = Material(dark=(0.55, 0.36, 0.07), light=(0.93, 0.73, 0.3), grain=0.25, contrast=0.8)
+_RED = Material(
+    dark=(0.45, 0.06, 0.05), light=(0.8, 0.25, 0.18), grain=0.25, gain=0.72, contrast=0.8
+)
+_BLUE = Material(
+    dark=(0.07, 0.16, 0.36), light=(0.35, 0.55, 0.78), grain=0.25, gain=0.72, contrast=0.9
+)
+_OCHRE = Material(
+    dark=(0.55, 0.36, 0.07), light=(0.93, 0.73, 0.3), grain=0.2, gain=0.72, contrast=0.8
+)
 _CHECKS = Material(
     dark=(0.6, 0.57, 0.5),
     light=(0.92, 0.9, 0.84),
@@ -130,7 +138,7 @@ class _Recipe(NamedTuple):
 
 
 def _slanted() -> _Recipe:
-    floor = plane((0.0, 0.95, 4.4), (12.0, 4.6), axes=rotation(pitch=90.0), material=_CHECKS)
+    floor = plane((0.0, 1.02, 4.4), (12.0, 4.6), axes=rotation(pitch=90.0), material=_CHECKS)
     left = plane((-1.62, 0.0, 4.6), (4.4, 5.0), axes=rotation(yaw=68.0), material=_BRICK)
     right = plane((1.75, 0.0, 4.6), (4.4, 5.0), axes=rotation(yaw=-62.0), material=_PLASTER)
     back = plane((0.0, 0.0, 6.2), (9.0, 6.0), axes=rotation(yaw=6.0, pitch=-9.0), material=_SLATE)
@@ -140,7 +148,7 @@ def _slanted() -> _Recipe:
         _card(-0.2, 0.2, 0.9, (0.22, 0.2), _MOSS, axes=rotation(pitch=55.0, roll=-12.0)),
         _card(0.2, -0.28, 0.3, (0.3, 0.16), _OCHRE, axes=rotation(pitch=-50.0, roll=10.0)),
     ]
-    return _Recipe([floor, left, right, back, *cards], (-2.1, 2.4))
+    return _Recipe([floor, left, right, back, *cards], (-2.1, 2.3))
 
 
 def _edges() -> _Recipe:
@@ -175,7 +183,7 @@ def _thin() -> _Recipe:
         _card(-0.22, 0.32, 1.2, (0.5, 0.28), _MOSS, cutout="leaves", cutout_size=0.26),
         _card(0.27, 0.34, 1.0, (0.36, 0.22), _WOOD, cutout="slats", cutout_size=0.12),
     ]
-    return _Recipe([_wall(-1.0, _SLATE), *verticals, *slanted, *screens], (-1.1, 1.6))
+    return _Recipe([_wall(-1.07, _SLATE), *verticals, *slanted, *screens], (-1.1, 1.6))
 
 
 def _textureless() -> _Recipe:
@@ -186,7 +194,7 @@ def _textureless() -> _Recipe:
     solids = [
         _wall(-1.2, wall),
         plane(
-            (0.0, 0.95, 4.6),
+            (0.0, 1.02, 4.6),
             (14.0, 6.0),
             axes=rotation(pitch=90.0),
             material=paint((0.6, 0.6, 0.58)),
@@ -201,12 +209,12 @@ def _textureless() -> _Recipe:
         ),
         _card(-0.02, -0.24, 0.0, (0.5, 0.2), paint((0.45, 0.55, 0.42)), axes=rotation(roll=-6.0)),
     ]
-    return _Recipe(solids, (-1.3, 2.3), softness=0.05)
+    return _Recipe(solids, (-1.4, 2.3), softness=0.05)
 
 
 def _wide() -> _Recipe:
     solids = [
-        _wall(-3.5, _PLASTER),
+        _wall(-3.45, _PLASTER),
         plane((0.0, 1.35, 6.8), (30.0, 9.2), axes=rotation(pitch=90.0), material=_CHECKS),
         _card(-0.27, -0.1, -2.4, (0.28, 0.5), _BRICK),
         box(_at(0.26, -0.02, -1.2), (1.1, 1.6, 1.1), axes=rotation(yaw=28.0), material=_WOOD),
@@ -230,7 +238,7 @@ def _specular() -> _Recipe:
     solids = [
         _wall(-1.1, _PLASTER),
         plane(
-            (0.0, 0.9, 4.4),
+            (0.0, 1.02, 4.4),
             (12.0, 5.0),
             axes=rotation(pitch=90.0),
             material=replace(_WOOD, mirror=0.12),
@@ -246,50 +254,72 @@ def _specular() -> _Recipe:
         ),
         _rod((-0.4, -0.4, 0.6), (0.44, -0.26, 0.2), 0.03, glossy(_OCHRE, 0.3)),
     ]
-    return _Recipe(solids, (-1.2, 2.2))
+    return _Recipe(solids, (-1.3, 2.3))
 
 
 def _crossing() -> _Recipe:
     fence = replace(_SAND, tint=0.0)
     solids = [
-        _wall(-1.0, replace(_BRICK, pattern="none")),
-        _card(0.0, 0.0, 1.0, (0.9, 0.5), fence, cutout="slats", cutout_size=0.24),
+        _wall(-1.13, replace(_BRICK, pattern="none")),
+        _card(0.0, 0.0, 0.87, (0.9, 0.5), fence, cutout="slats", cutout_size=0.24),
     ]
-    return _Recipe(solids, (-1.1, 1.1), shadow=0.0)
+    return _Recipe(solids, (-1.3, 1.1), shadow=0.0)
 
 
 def _still_life() -> _Recipe:
+    top = 1.1  # height of the table, below the camera
     table = plane(
-        (0.0, 0.82, 4.0),
-        (9.0, 3.4),
+        (0.0, top, 4.4),
+        (9.0, 4.2),
         axes=rotation(pitch=90.0),
-        material=replace(_WOOD, mirror=0.05),
+        material=replace(_WOOD, mirror=0.04),
+    )
+    ball = sphere(
+        (-0.8, top - 0.68, 3.85), 0.26, material=replace(_BLUE, specular=0.35, mirror=0.06)
     )
     books = [
-        box((-0.72, 0.74, 3.75), (0.85, 0.15, 0.6), axes=rotation(yaw=12.0), material=_RED),
-        box((-0.74, 0.6, 3.77), (0.78, 0.12, 0.55), axes=rotation(yaw=4.0), material=_STRIPES),
-    ]
-    ball = replace(_BLUE, specular=0.35, mirror=0.08)
-    solids = [
-        _wall(-1.35, _BRICK),
-        table,
-        *books,
-        sphere((-0.74, 0.3, 3.75), 0.24, material=ball),
-        box((0.72, 0.4, 4.35), (0.6, 0.84, 0.6), axes=rotation(yaw=35.0), material=_CHECKS),
-        sphere((0.7, -0.3, 4.35), 0.28, material=_MOSS),
-        sphere((0.2, 0.66, 3.35), 0.16, material=replace(_OCHRE, specular=0.25)),
-        plane(
-            (-0.12, 0.02, 4.7),
-            (1.0, 1.6),
-            axes=rotation(yaw=-14.0),
-            material=_MARBLE,
-            cutout="holes",
-            cutout_size=0.17,
+        box((-0.8, top - 0.08, 3.8), (0.95, 0.16, 0.66), axes=rotation(yaw=14.0), material=_RED),
+        box(
+            (-0.82, top - 0.22, 3.82), (0.86, 0.12, 0.6), axes=rotation(yaw=4.0), material=_STRIPES
         ),
-        bar((1.02, 0.82, 3.6), (0.62, -0.95, 3.7), 0.016, material=_SAND),
-        bar((0.4, 0.82, 3.55), (1.12, -0.75, 3.75), 0.011, material=_RED),
+        box(
+            (-0.79, top - 0.35, 3.82), (0.76, 0.14, 0.54), axes=rotation(yaw=20.0), material=_OCHRE
+        ),
     ]
-    return _Recipe(solids, (-1.5, 2.0))
+    screen = plane(
+        (-0.25, top - 0.95, 4.8),
+        (1.25, 1.9),
+        axes=rotation(yaw=-12.0),
+        material=_MARBLE,
+        cutout="holes",
+        cutout_size=0.19,
+    )
+    chest = box(
+        (0.86, top - 0.42, 4.45), (0.66, 0.84, 0.66), axes=rotation(yaw=35.0), material=_CHECKS
+    )
+    moss = sphere((0.86, top - 1.13, 4.45), 0.29, material=_MOSS)
+    plain = Material(dark=(0.86, 0.84, 0.8), light=(0.86, 0.84, 0.8), contrast=0.0, specular=0.3)
+    vase = [
+        sphere((0.16, top - 0.2, 3.7), 0.2, material=plain, object_id=10),
+        bar((0.16, top - 0.36, 3.7), (0.16, top - 0.5, 3.7), 0.08, material=plain, object_id=10),
+    ]
+    twigs = [
+        (-0.1, 1.3, 3.62, 0.011),
+        (0.1, 1.5, 3.78, 0.009),
+        (0.3, 1.35, 3.66, 0.012),
+        (0.5, 1.05, 3.74, 0.008),
+        (-0.3, 0.95, 3.76, 0.008),
+    ]
+    bark = Material(dark=(0.2, 0.13, 0.08), light=(0.5, 0.38, 0.26), grain=0.05)
+    bunch = []
+    for x, height, z, radius in twigs:
+        tip = (x, top - height, z)
+        bunch.append(bar((0.16, top - 0.45, 3.7), tip, radius, material=bark))
+        bunch.append(sphere(tip, 0.045, material=replace(_RED, specular=0.2, grain=0.08)))
+    stick = bar((1.12, top, 3.62), (0.62, -1.1, 3.8), 0.014, material=_SAND)
+    wall = _wall(-1.35, _BRICK)
+    solids = [wall, table, *books, ball, screen, chest, moss, *vase, *bunch, stick]
+    return _Recipe(solids, (-1.5, 1.7))
 
 
 _RECIPES: dict[str, Callable[[], _Recipe]] = {
