@@ -1,0 +1,16 @@
+"""Pictures of light fields, disparity maps and scores: every function returns a figure.
+
+Nothing is shown, saved or registered with pyplot: `figure.savefig(path)` is the caller's choice.
+"""
+
+from ._curves import (
+    plot_consistency as plot_consistency,
+    plot_precision_recall as plot_precision_recall,
+)
+from ._light_field import plot_edges as plot_edges, plot_epi as plot_epi, plot_views as plot_views
+from ._maps import (
+    disparity_limits as disparity_limits,
+    plot_comparison as plot_comparison,
+    plot_disparity as plot_disparity,
+    plot_error as plot_error,
+)

@@ -1,0 +1,120 @@
+"""Precision-recall curves and view consistency."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from ..metrics import BoundaryScores, ViewConsistency
+from ._style import COLOURS, WIDTH, check_names, colour_bar, colour_map, new_figure, show, style
+
+
+def plot_precision_recall(
+    scores: Sequence[BoundaryScores],
+    *,
+    names: Sequence[str] | None = None,
+    width: float = WIDTH / 2,
+) -> Figure:
+    """Draws precision over recall of depth boundaries, with lines of equal F1 (Fig. 6.4).
+
+    Args:
+        scores: One per method, from `metrics.boundary_scores`.
+        names: A label per method; its peak F1 is added.
+        width: Width of the figure, inches.
+
+    Returns:
+        The figure; a dot marks the threshold of the best F1.
+
+    Raises:
+        ValueError: if the number of names is not that of the scores.
+    """
+    names = check_names(names, len(scores))
+    with style():
+        figure = new_figure(width, 0.9 * width)
+        axes = figure.subplots()
+        recall = np.linspace(0.01, 1, 200)
+        for level in (0.2, 0.4, 0.6, 0.8):
+            with np.errstate(divide="ignore"):
+                precision = level * recall / (2 * recall - level)
+            shown = (precision > 0) & (precision <= 1)
+            axes.plot(recall[shown], precision[shown], color="#cccccc", linewidth=0.6, zorder=0)
+            axes.annotate(
+                f"F1 = {level}",
+                (1, level / (2 - level)),
+                xytext=(-1, 2),
+                textcoords="offset points",
+                ha="right",
+                fontsize=6,
+                color="#999999",
+            )
+        for number, (score, name) in enumerate(zip(scores, names, strict=True)):
+            curve = np.stack([np.asarray(score.recall), np.asarray(score.precision)])
+            curve = curve[:, curve[0] > 0]
+            label = f"{name} ({float(score.peak_f1):.2f})"
+            colour = COLOURS[number % len(COLOURS)]
+            dashes = ("-", "--", ":")[number // len(COLOURS) % 3]
+            axes.plot(curve[0], curve[1], label=label, color=colour, linestyle=dashes)
+            best = int(np.argmax(np.asarray(score.f1)))
+            at = (float(score.recall[best]), float(score.precision[best]))
+            axes.plot(at[0], at[1], "o", markersize=3.5, color=colour)
+        axes.set(xlim=(0, 1), ylim=(0, 1.02), xlabel="recall", ylabel="precision")
+        axes.set_aspect("equal", adjustable="box")
+        axes.legend(title="peak F1 in brackets", title_fontsize=7, loc="lower left")
+    return figure
+
+
+def plot_consistency(
+    scores: Sequence[ViewConsistency],
+    *,
+    names: Sequence[str] | None = None,
+    width: float = WIDTH,
+) -> Figure:
+    """Draws how the disagreement between views is distributed (Fig. 6.5).
+
+    Args:
+        scores: One per method, from `metrics.view_consistency`.
+        names: A label per method.
+        width: Width of the figure, inches.
+
+    Returns:
+        The figure: a box plot over views per method (box: quartiles, whiskers: 1.5 times the box,
+        line: median) and, on one colour scale, its angular distribution.
+
+    Raises:
+        ValueError: if the number of names is not that of the scores.
+    """
+    if not scores:
+        raise ValueError("`scores` must hold at least one method's, got none.")
+    names = check_names(names, len(scores))
+    grids = [np.asarray(score.per_view) for score in scores]
+    finite = [grid[np.isfinite(grid)] for grid in grids]
+    high = max((values.max() for values in finite if values.size), default=1.0) or 1.0
+    count = len(grids)
+    with style():
+        figure = new_figure(width, 0.25 + min(2.4, 0.72 * width / (count + 1.2)) + 0.35)
+        axes = figure.subplots(1, count + 1, width_ratios=[1.25] + [1] * count)
+        thin = {"linewidth": 0.7}
+        boxes = axes[0].boxplot(
+            finite,
+            widths=0.55,
+            patch_artist=True,
+            flierprops={"markersize": 2.5, "markeredgewidth": 0.7},
+            whiskerprops=thin,
+            capprops=thin,
+            medianprops={"linewidth": 1.0, "color": "black"},
+        )
+        for number, patch in enumerate(boxes["boxes"]):
+            patch.set(facecolor=COLOURS[number % len(COLOURS)], alpha=0.55, linewidth=0.6)
+        axes[0].set(ylabel="variance between views (px²)", ylim=(0, 1.05 * high))
+        axes[0].set_xticks(range(1, count + 1), names)
+        options = {"cmap": colour_map("inferno"), "vmin": 0, "vmax": high}
+        shown = [
+            show(ax, grid, name, **options)
+            for ax, grid, name in zip(axes[1:], grids, names, strict=True)
+        ]
+        for ax, grid in zip(axes[1:], grids, strict=True):
+            rows, columns = grid.shape
+            ax.set(xticks=[0, columns // 2, columns - 1], yticks=[0, rows // 2, rows - 1])
+            ax.set(xlabel="view u", ylabel="view v" if ax is axes[1] else "")
+        colour_bar(figure, shown[-1], list(axes[1:]), "variance between views (px²)")
+    return figure

@@ -1,0 +1,208 @@
+"""Plots: what is drawn is what was passed, on shared scales, with nothing left behind."""
+
+import inspect
+import io
+import subprocess
+import sys
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from matplotlib.collections import LineCollection
+
+from mvedge_jax import plotting
+from mvedge_jax.lightfield import LightField
+from mvedge_jax.metrics import ViewConsistency, boundary_scores
+
+
+def _array(artist: Any) -> Any:
+    return artist.get_array()
+
+
+def _draw(figure):
+    """Rasterises a figure: constrained layout and colour bars run only then."""
+    figure.savefig(io.BytesIO(), format="png", dpi=40)
+
+
+def _scene(shape=(3, 5, 12, 17), missing=False):
+    rng = np.random.default_rng(0)
+    views = rng.random((*shape, 3))
+    available = np.ones(shape[:2], bool)
+    if missing:
+        available[0, 0] = False
+        views[0, 0] = 0
+    return LightField(views, available=available)
+
+
+def _maps():
+    rng = np.random.default_rng(1)
+    truth = np.linspace(-1, 1, 12 * 17).reshape(12, 17)
+    return truth, [truth + 0.02 * rng.normal(size=truth.shape) for _ in range(2)]
+
+
+def _images(figure):
+    return [image for axes in figure.axes for image in axes.images]
+
+
+def test_views_are_where_their_labels_say():
+    scene = _scene(missing=True)
+    figure = plotting.plot_views(scene, gap=2)
+    (mosaic,) = _images(figure)
+    pixels = _array(mosaic)
+    assert pixels.shape == (3 * 14 - 2, 5 * 19 - 2, 3)
+    np.testing.assert_allclose(pixels[14:26, 19:36], scene.views[1, 1])
+    assert (pixels[:12, :17] == pixels[0, 0]).all()  # the missing view is one flat grey
+    assert 0 < pixels[0, 0].min() < 1
+    assert [label.get_text() for label in figure.axes[0].get_xticklabels()] == list("01234")
+    _draw(figure)
+
+
+def test_large_views_are_shrunk():
+    (mosaic,) = _images(plotting.plot_views(_scene(), gap=0, pixels=30))
+    assert _array(mosaic).shape == (3 * 4, 5 * 5, 3)
+
+
+@pytest.mark.parametrize("along", ["row", "column"])
+def test_epi_lines_have_the_slope_of_the_convention(along):
+    scene = _scene()
+    figure = plotting.plot_epi(
+        scene,
+        row=6 if along == "row" else None,
+        column=6 if along == "column" else None,
+        positions=jnp.array([4.0, 9.0, 2.0]),
+        disparities=jnp.array([1.0, -0.5, 0.0]),
+        valid=jnp.array([True, True, False]),
+    )
+    lower = figure.axes[1]
+    epi = _array(lower.images[0])
+    expected = scene.views[1, :, 6] if along == "row" else scene.views[:, 2, :, 6]
+    np.testing.assert_allclose(epi, expected)
+    collections = [c for c in lower.collections if isinstance(c, LineCollection)]
+    segments = collections[-1].get_segments()
+    assert len(segments) == 2
+    centre = 2 if along == "row" else 1
+    for segment, at, d in zip(segments, (4.0, 9.0), (1.0, -0.5), strict=True):
+        np.testing.assert_allclose(segment[:, 0], at + (centre - segment[:, 1]) * d)
+    _draw(figure)
+
+
+def test_epi_zooms():
+    figure = plotting.plot_epi(_scene(), span=(3, 9))
+    assert figure.axes[1].get_xlim() == (2.5, 9.5)
+    with pytest.raises(ValueError, match="exclude each other"):
+        plotting.plot_epi(_scene(), row=1, column=2)
+    with pytest.raises(ValueError, match="belong together"):
+        plotting.plot_epi(_scene(), positions=jnp.zeros(3))
+
+
+def test_edges_are_coloured_by_disparity_and_near_ones_are_on_top():
+    image = np.random.default_rng(2).random((12, 17, 3))
+    points = jnp.array([[3.0, 4.0], [10.0, 2.0], [5.0, 5.0]])
+    figure = plotting.plot_edges(
+        image,
+        points,
+        jnp.array([0.5, -0.5, 9.0]),
+        valid=jnp.array([True, True, False]),
+        limits=(-1.0, 1.0),
+        name="edges",
+    )
+    dots: Any = figure.axes[0].collections[0]
+    np.testing.assert_allclose(dots.get_offsets(), [[10, 2], [3, 4]])
+    np.testing.assert_allclose(_array(dots), [-0.5, 0.5])
+    assert dots.get_clim() == (-1.0, 1.0)
+    _draw(figure)
+
+
+def test_maps_of_a_scene_share_range_colours_and_bar():
+    truth, maps = _maps()
+    maps[0][3, 4] = np.nan
+    figure = plotting.plot_disparity([truth, *maps], names=["truth", "a", "b"])
+    images = _images(figure)[:3]
+    assert len({image.get_clim() for image in images}) == 1
+    assert len({image.get_cmap().name for image in images}) == 1
+    assert figure.axes[-1].get_ylabel() == "disparity (px per view step)"
+    assert np.ma.getmaskarray(_array(images[1]))[3, 4]
+    fixed = plotting.plot_disparity(maps[1], limits=(-2.0, 2.0))
+    assert _images(fixed)[0].get_clim() == (-2.0, 2.0)
+    _draw(figure)
+    with pytest.raises(ValueError, match="`names` must have one entry"):
+        plotting.plot_disparity(maps, names=["a"])
+
+
+def test_limits_ignore_outliers_and_survive_empty_maps():
+    values = np.linspace(0.0, 1.0, 1001)[None]
+    low, high = plotting.disparity_limits([values, np.full((1, 3), np.nan)], percent=10.0)
+    assert (low, high) == pytest.approx((0.1, 0.9))
+    assert plotting.disparity_limits([np.full((2, 2), np.nan)]) == (0.0, 1.0)
+    low, high = plotting.disparity_limits([np.ones((2, 2))])
+    assert low < 1 < high
+
+
+def test_errors_show_sign_size_and_gaps():
+    truth, maps = _maps()
+    signed = _images(plotting.plot_error(maps[0], truth, kind="signed", limit=0.05))[0]
+    np.testing.assert_allclose(_array(signed), maps[0] - truth)
+    assert signed.get_clim() == (-0.05, 0.05)
+    spoilt = maps[0].copy()
+    spoilt[0, 0], spoilt[1, 1] = np.inf, truth[1, 1]
+    figure = plotting.plot_error(spoilt, truth, name="a")
+    size = _array(_images(figure)[0])
+    assert np.ma.getmaskarray(size)[0, 0]
+    assert not np.ma.getmaskarray(size)[1, 1]  # an exact pixel is dark, not missing
+    np.testing.assert_allclose(size[2:], np.abs(spoilt - truth)[2:])
+    _draw(figure)
+    with pytest.raises(ValueError, match="`kind` must be"):
+        inspect.unwrap(plotting.plot_error)(spoilt, truth, kind="relative")
+    with pytest.raises(ValueError, match="`truth` must have the shape"):
+        inspect.unwrap(plotting.plot_error)(spoilt, truth[1:])
+
+
+def test_comparison_has_a_column_per_method():
+    truth, maps = _maps()
+    image = np.zeros((12, 17, 3))
+    figure = plotting.plot_comparison(
+        maps, truth, names=["a", "b"], captions=["1", "2"], image=image
+    )
+    assert [axes.get_title() for axes in figure.axes[:3]] == ["ground truth", "a", "b"]
+    assert [axes.get_xlabel() for axes in figure.axes[3:6]] == ["centre view", "1", "2"]
+    limits = {image.get_clim() for axes in figure.axes[:3] for image in axes.images}
+    assert limits == {(-1.0, 1.0)}
+    np.testing.assert_allclose(_array(figure.axes[5].images[0]), np.abs(maps[1] - truth))
+    _draw(figure)
+
+
+def test_precision_recall_curves_are_the_scores():
+    truth = jnp.zeros((12, 17)).at[:, 8:].set(1.0)
+    noise = 0.3 * jnp.asarray(np.random.default_rng(3).normal(size=(12, 17)))
+    scores = [boundary_scores(truth, truth), boundary_scores(truth + noise, truth)]
+    figure = plotting.plot_precision_recall(scores, names=["exact", "noisy"])
+    axes = figure.axes[0]
+    curves: list[Any] = [line for line in axes.lines if str(line.get_label())[0] != "_"]
+    assert [line.get_label() for line in curves] == ["exact (1.00)", curves[1].get_label()]
+    seen = np.asarray(scores[1].recall) > 0
+    np.testing.assert_allclose(curves[1].get_xdata(), scores[1].recall[seen])
+    np.testing.assert_allclose(curves[1].get_ydata(), scores[1].precision[seen])
+    _draw(figure)
+
+
+def test_consistency_shares_one_scale_and_leaves_out_missing_views():
+    grids = [np.linspace(0.1, 0.5, 9).reshape(3, 3), np.linspace(0.2, 0.9, 9).reshape(3, 3)]
+    grids[0][0, 0] = np.nan
+    scores = [ViewConsistency(jnp.asarray(g), jnp.ones((3, 3)), jnp.nanmean(g)) for g in grids]
+    figure = plotting.plot_consistency(scores, names=["a", "b"])
+    images = _images(figure)[:2]
+    assert {image.get_clim() for image in images} == {(0, 0.9)}
+    lines: list[Any] = list(figure.axes[0].lines)
+    medians = [y for line in lines if line.get_color() == "black" for y in line.get_ydata()]
+    assert np.nanmedian(grids[0]) in medians
+    assert np.median(grids[1]) in medians
+    _draw(figure)
+
+
+def test_importing_and_drawing_never_touch_pyplot():
+    code = (
+        "import sys, numpy as np; from mvedge_jax import plotting; "
+        "plotting.plot_disparity(np.eye(3)); assert 'matplotlib.pyplot' not in sys.modules"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
