@@ -68,7 +68,7 @@ def test_lytro():
 def test_cotton_within_time_and_memory():
     """81 views of 512x512 in under 4 s and 600 MB, the interpreter with JAX included.
 
-    On a busy machine the processor's time stands for the clock's: it is the longer one on a quiet machine.
+    On a busy machine the processor's time stands for the clock's; on a quiet one it is the longer.
     """
     code = f"""
 import resource, time
