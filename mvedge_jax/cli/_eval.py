@@ -3,6 +3,7 @@
 import csv
 import json
 from pathlib import Path
+from typing import Annotated
 
 import jax.numpy as jnp
 import numpy as np
@@ -25,12 +26,12 @@ _COLUMNS = {
 
 
 def evaluate(
-    result: tyro.conf.Positional[Path],
-    scene: tyro.conf.Positional[Path],
+    result: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RESULT.pfm")],
+    scene: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="SCENE")],
     /,
     *,
     crop: int = 15,
-    out: Path | None = None,
+    out: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")] = None,
     overwrite: bool = False,
 ) -> None:
     """Scores a disparity map against the ground truth of a scene.

@@ -1,6 +1,7 @@
 """`mvedge info`: what is in a light field, and whether it is the right way round."""
 
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 import tyro
@@ -15,14 +16,14 @@ _IRREGULAR = 0.05
 
 
 def info(
-    path: tyro.conf.Positional[Path],
+    path: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="SCENE")],
     /,
     *,
-    views: int | None = None,
+    views: Annotated[int | None, tyro.conf.arg(metavar="N")] = None,
     scale: float = 1.0,
     flip_u: bool = False,
     flip_v: bool = False,
-    check: bool = True,
+    quick: bool = False,
 ) -> None:
     """Says what is in a light field and checks that its views are the right way round.
 
@@ -31,11 +32,11 @@ def info(
 
     Args:
         path: folder or file of a light field (HCI, Stanford, Lytro, any grid of images).
-        views: keep the central VIEWS x VIEWS views.
+        views: keep the central N x N views.
         scale: shrink the views by this factor as they are read.
         flip_u: reverse the view columns.
         flip_v: reverse the view rows.
-        check: look at the occlusions, which takes some seconds.
+        quick: leave out the look at the occlusions, which takes some seconds.
     """
     with open_source(path) as source:
         layout = source.layout
@@ -51,7 +52,7 @@ def info(
     ]
     if layout == "Stanford archive":
         lines.append(("camera spacing", _spacing(path, flip_u, flip_v)))
-    if not check:
+    if quick:
         _print(lines)
         return
     try:

@@ -51,7 +51,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     enable_compilation_cache()
     try:
         result = tyro.extras.subcommand_cli_from_dict(
-            _commands(), prog="mvedge", description=_DESCRIPTION, args=words
+            _commands(),
+            prog="mvedge",
+            description=_DESCRIPTION,
+            args=words,
+            config=(tyro.conf.FlagCreatePairsOff,),  # --overwrite, without a --no-overwrite
         )
     except SystemExit as stop:  # tyro's own answer to --help or a wrong option
         return stop.code if isinstance(stop.code, int) else 2

@@ -40,7 +40,7 @@ def test_everything_that_is_known_is_said(tmp_path, capsys):
     truth = np.linspace(-1, 1, 48, dtype=np.float32).reshape(6, 8)
     folder = write_hci(tmp_path / "toy", random_views(), disparity=truth)
     save_image(folder / "objectids_lowres.png", np.arange(48, dtype=np.uint8).reshape(6, 8) // 16)
-    info(folder, check=False)
+    info(folder, quick=True)
     lines = _lines(capsys.readouterr().out)
     assert lines["light field"] == "toy (HCI 4D benchmark)"
     assert lines["views"] == "3x3 of 8x6 px (width x height), all there"
@@ -54,16 +54,16 @@ def test_everything_that_is_known_is_said(tmp_path, capsys):
 def test_missing_views_are_listed(tmp_path, capsys):
     folder = write_grid(tmp_path / "toy", random_views())
     (folder / "lf_01_03.png").unlink()
-    info(folder, check=False)
+    info(folder, quick=True)
     assert "1 of 9 missing: (v, u) = (0, 2)" in _lines(capsys.readouterr().out)["views"]
     for name in ("lf_01_01.png", "lf_03_01.png", "lf_03_03.png"):
         (folder / name).unlink()
-    info(folder, check=False)
+    info(folder, quick=True)
     assert "the 5 of the crosshair only" in _lines(capsys.readouterr().out)["views"]
 
 
 def test_uneven_cameras_are_reported(tmp_path, capsys):
-    info(write_stanford(tmp_path / "rig", random_views(), jitter=8.0), check=False)
+    info(write_stanford(tmp_path / "rig", random_views(), jitter=8.0), quick=True)
     spacing = _lines(capsys.readouterr().out)["camera spacing"]
     assert re.search(r"at most \d+\.\d % of a step off a regular grid \(irregular\)", spacing)
 
@@ -99,7 +99,7 @@ def test_command_line(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(_main, "_commands", lambda: {"info": info, "other": info})
     monkeypatch.setitem(os.environ, "MVEDGE_CACHE", "off")
     folder = write_grid(tmp_path / "toy", random_views((5, 5, 6, 8, 3)))
-    assert _main.main(["info", str(folder), "--views", "3", "--no-check"]) == 0
+    assert _main.main(["info", str(folder), "--views", "3", "--quick"]) == 0
     assert "3x3 of 8x6 px" in capsys.readouterr().out
     assert _main.main(["info", str(tmp_path / "nowhere")]) == 2
     error = capsys.readouterr().err
