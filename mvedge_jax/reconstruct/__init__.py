@@ -1,5 +1,10 @@
 """Dense depth from multi-view edges (Thesis 6 and 7)."""
 
+from ._edge_to_depth import (
+    DepthResult as DepthResult,
+    DepthStats as DepthStats,
+    edge_to_depth as edge_to_depth,
+)
 from ._grow import (
     Grown as Grown,
     grow as grow,
@@ -34,11 +39,31 @@ from ._optimise import (
     optimise as optimise,
     save_state as save_state,
 )
+from ._parameters import (
+    CentreParams as CentreParams,
+    Parameters as Parameters,
+    Sizes as Sizes,
+)
+from ._photometric import (
+    PhotometricLabels as PhotometricLabels,
+    PhotometricParams as PhotometricParams,
+    photometric_labels as photometric_labels,
+)
 from ._routine import (
     Rates as Rates,
     Routine as Routine,
     all_at_once as all_at_once,
     one_at_a_time as one_at_a_time,
+)
+from ._sharpen import (
+    MedianParams as MedianParams,
+    Sharpening as Sharpening,
+    sharpen as sharpen,
+    weighted_median as weighted_median,
+)
+from ._smoothness import (
+    SmoothnessParams as SmoothnessParams,
+    edge_smoothness as edge_smoothness,
 )
 from ._sweep import (
     Sweep as Sweep,
@@ -46,3 +71,4 @@ from ._sweep import (
     SweepSizes as SweepSizes,
     plane_sweep as plane_sweep,
 )
+from ._volume import VolumeParams as VolumeParams, hypotheses as hypotheses

@@ -1,0 +1,162 @@
+"""Surface vectors: on which side of its edge each label belongs."""
+
+from typing import Literal, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Float
+
+from mvedge_jax._params import cast, number
+from mvedge_jax.epi import EdgePoints
+
+from ._evidence import map_evidence, neighbour_evidence
+from ._raster import rasterise
+
+Side = Literal["bidirectional", "thesis", "reprojection", "naive"]
+
+
+class SurfaceParams(eqx.Module):
+    """Parameters of the choice of side.
+
+    Attributes:
+        offset: length of a surface vector, px.
+        response: weight of the bidirectional response.
+        neighbours: weight of the evidence from neighbouring labels.
+        dense: weight of the evidence from a dense map, where there is one.
+        radius: standard deviation of the neighbourhood of a label, px.
+        cap: where differences of disparity stop counting, px.
+        temperature: of the relaxed choice, px of evidence.
+    """
+
+    offset: Float[Array, ""] = number(1.0)
+    response: Float[Array, ""] = number(0.3)
+    neighbours: Float[Array, ""] = number(1.0)
+    dense: Float[Array, ""] = number(1.0)
+    radius: Float[Array, ""] = number(6.0)
+    cap: Float[Array, ""] = number(0.3)
+    temperature: Float[Array, ""] = number(0.05)
+
+
+class SurfaceVectors(NamedTuple):
+    """The choice per point.
+
+    Attributes:
+        score: positive speaks for `+normal`, px of evidence, `[n]`.
+        forward: probability of `+normal`, `[n]`: 0 or 1 for the hard choice, between for the
+            relaxed one, one half where nothing speaks for either side.
+        offset: surface vectors in px, `(x, y)`, `[n, 2]`; of the likelier side.
+    """
+
+    score: Float[Array, " n"]
+    forward: Float[Array, " n"]
+    offset: Float[Array, "n 2"]
+
+
+def surface_vectors(
+    points: EdgePoints,
+    response: Float[Array, " n"] | None,
+    disparity: Float[Array, "y x"] | None,
+    params: SurfaceParams,
+    *,
+    shape: tuple[int, int],
+    reach: int = 6,
+    relaxed: bool = False,
+) -> SurfaceVectors:
+    """Combines what is known about both sides of every edge and smooths it along the edge.
+
+    Args:
+        points: positions, disparities, unit normals.
+        response: of the bidirectional diffusion, px, `[n]`, or None.
+        disparity: a dense map that already knows the surfaces, or None.
+        params: see `SurfaceParams`.
+        shape: rows and columns of the centre view.
+        reach: how far the score is averaged along the edge to either side, px.
+        relaxed: keep both sides with probabilities instead of choosing one.
+
+    Returns:
+        Scores, probabilities, vectors. Differentiable where relaxed; the hard choice is a
+        selection.
+
+    Source: Thesis 4.2.2.
+    """
+    params = cast(params, points.disparity.dtype)
+    raster = rasterise(points.xy, points.disparity, points.valid, shape)
+    score = params.neighbours * neighbour_evidence(
+        points, raster, radius=params.radius, cap=params.cap
+    )
+    if response is not None:
+        # Saturated like the other evidence: the response grows without bound with the step.
+        bounded = params.cap * jnp.tanh(response / params.cap)
+        score = score + params.response * bounded
+    if disparity is not None:
+        score = score + params.dense * map_evidence(points, disparity, cap=params.cap)
+    score = along_edge(points, score, shape=shape, reach=reach)
+    return choose(points, score, params, relaxed=relaxed)
+
+
+def choose(
+    points: EdgePoints, score: Float[Array, " n"], params: SurfaceParams, *, relaxed: bool = False
+) -> SurfaceVectors:
+    """Turns scores into surface vectors; see `surface_vectors`."""
+    params = cast(params, points.disparity.dtype)
+    if relaxed:
+        forward = jax.nn.sigmoid(score / params.temperature)
+    else:
+        forward = jnp.where(score > 0, 1, jnp.where(score < 0, 0, 0.5)).astype(score.dtype)
+    forward = jnp.where(points.valid, forward, 0.5)
+    sign = jnp.sign(lax.stop_gradient(score))
+    offset = jnp.where(points.valid, params.offset * sign, 0)[:, None] * points.normal
+    return SurfaceVectors(score, forward, offset)
+
+
+def along_edge(
+    points: EdgePoints,
+    score: Float[Array, " n"],
+    *,
+    shape: tuple[int, int],
+    reach: int,
+) -> Float[Array, " n"]:
+    """Averages a score over the points along the edge, signs taken from the normals.
+
+    Args:
+        points: positions and normals.
+        score: positive speaks for `+normal`.
+        shape: rows and columns of the centre view.
+        reach: to either side along the tangent, px; 0 returns the score.
+
+    Returns:
+        The averaged score, `[n]`. Differentiable in `score` at the rasterisation chosen.
+
+    Source: Thesis 4.2.2 (regularisation), the authors' walk along the edge as a mean.
+    """
+    if reach == 0:
+        return score
+    height, width = shape
+    raster = rasterise(points.xy, points.disparity, points.valid, shape)
+    index_map, count = raster.index.reshape(-1), points.disparity.shape[0]
+    padded_score = jnp.concatenate([score, jnp.zeros_like(score[:1])])
+    padded_normal = jnp.concatenate([points.normal, jnp.zeros_like(points.normal[:1])])
+    padded_disparity = jnp.concatenate([points.disparity, jnp.zeros_like(score[:1])])
+    tangent = jnp.stack([-points.normal[:, 1], points.normal[:, 0]], -1)
+
+    def add(total: tuple[Array, Array], step: Array) -> tuple[tuple[Array, Array], None]:
+        xy = lax.stop_gradient(points.xy + step * tangent)
+        column = jnp.round(xy[:, 0]).astype(jnp.int32)
+        row = jnp.round(xy[:, 1]).astype(jnp.int32)
+        inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
+        other = jnp.where(inside, index_map[jnp.where(inside, row * width + column, 0)], count)
+        turn = jnp.sum(padded_normal[other] * points.normal, -1)
+        same = jnp.exp(-(((padded_disparity[other] - points.disparity) / 0.1) ** 2))
+        weight = lax.stop_gradient(jnp.where(other < count, jnp.abs(turn) * same, 0))
+        signed = jnp.sign(lax.stop_gradient(turn)) * padded_score[other]
+        return (total[0] + weight * signed, total[1] + weight), None
+
+    offsets = jnp.concatenate(
+        [jnp.arange(-reach, 0, dtype=score.dtype), jnp.arange(1, reach + 1, dtype=score.dtype)]
+    )
+    # A point is its own neighbour with a weight that a lone point keeps.
+    start = (score, jnp.ones_like(score))
+    (total, weight), _ = lax.scan(add, start, offsets)
+    return jnp.where(points.valid, total / weight, 0)

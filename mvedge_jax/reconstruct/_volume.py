@@ -1,0 +1,190 @@
+"""Hypotheses: per pixel, the disparity whose views agree best, whatever hides some of them."""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Float
+
+from mvedge_jax._crosshair import Arm
+from mvedge_jax._params import cast, number
+
+
+class VolumeParams(eqx.Module):
+    """Parameters of the hypotheses.
+
+    Attributes:
+        truncation: squared colour differences saturate at this many times the scene's noise, so
+            that a view in which the pixel is hidden says nothing, instead of a lot.
+        noise_floor: least noise assumed, standard deviation in units of sRGB.
+        colour: neighbours whose CIELAB colour differs by much more than this do not take part.
+    """
+
+    truncation: Float[Array, ""] = number(4.0)
+    noise_floor: Float[Array, ""] = number(1.0 / 255)
+    colour: Float[Array, ""] = number(4.0)
+
+
+def hypotheses(
+    horizontal: Arm,
+    vertical: Arm,
+    lab: Float[Array, "c y x"],
+    disparities: Float[Array, " d"],
+    params: VolumeParams,
+    *,
+    window: int,
+) -> Float[Array, "y x"]:
+    r"""Per pixel, the disparity at which the views agree best.
+
+    A pixel beside a nearer surface is hidden in the views of one side of each arm. Of each
+    arm, therefore, only the half that agrees better counts:
+    $\min(C_{left}, C_{right}) + \min(C_{above}, C_{below})$, each a mean of truncated
+    squared colour differences to the centre view over a colour-weighted window.
+
+    Args:
+        horizontal: the horizontal arm.
+        vertical: the vertical arm, transposed.
+        lab: the centre view in CIELAB, `[c, y, x]`.
+        disparities: what to try, px per view step, increasing.
+        params: see `VolumeParams`.
+        window: half the width of the window, px.
+
+    Returns:
+        One of `disparities` per pixel. A selection: no gradient passes.
+    """
+    params = cast(params, lab.dtype)
+    horizontal, vertical, lab, disparities, params = lax.stop_gradient(
+        (horizontal, vertical, lab, disparities, params)
+    )
+    noise = noise_variance(horizontal, disparities, params.noise_floor)
+    truncation = params.truncation * horizontal.planes.shape[1] * noise
+    support = _colour_weights(lab, params.colour, window)
+
+    def consider(best: tuple[Array, Array], disparity: Array) -> tuple[tuple[Array, Array], None]:
+        left, right, above, below = agreement(horizontal, vertical, disparity, truncation)
+        left, right, above, below = (
+            _weighted_mean(cost, support, window) for cost in (left, right, above, below)
+        )
+        cost = jnp.minimum(left, right) + jnp.minimum(above, below)
+        better = cost < best[0]
+        return (jnp.where(better, cost, best[0]), jnp.where(better, disparity, best[1])), None
+
+    start = jnp.full_like(lab[0], jnp.inf), jnp.full_like(lab[0], disparities[0])
+    return lax.scan(consider, start, disparities)[0][1]
+
+
+def noise_variance(
+    arm: Arm, disparities: Float[Array, " d"], floor: Float[Array, ""]
+) -> Float[Array, ""]:
+    """Variance of a colour channel that the best disparity leaves unexplained.
+
+    The median over every eighth row of the smallest mean squared difference between two views,
+    over two, but never less than `floor` squared.
+    """
+    rows = arm._replace(planes=arm.planes[:, :, ::8])
+    wide = jnp.asarray(1e3, arm.planes.dtype)
+
+    def consider(best: Array, disparity: Array) -> tuple[Array, None]:
+        cost = jnp.minimum(*_half_arms(rows, disparity, wide))
+        padded = jnp.pad(cost, ((0, 0), (3, 3)), mode="edge")
+        width = cost.shape[1]
+        smooth = sum(padded[:, i : i + width] for i in range(7)) / 7
+        return jnp.minimum(best, smooth), None
+
+    start = jnp.full(rows.planes.shape[2:], jnp.inf, arm.planes.dtype)
+    best, _ = lax.scan(consider, start, disparities)
+    return jnp.maximum(jnp.median(best) / (2 * arm.planes.shape[1]), floor**2)
+
+
+def _colour_weights(lab: Array, scale: Array, window: int) -> Array:
+    """Weights of the neighbours, `[offset, y, x]`, that sum to 1."""
+    size = 2 * window + 1
+    padded = jnp.pad(lab, ((0, 0), (window, window), (window, window)), mode="edge")
+
+    def weight(offset: Array) -> Array:
+        start = (0, offset // size, offset % size)
+        other = lax.dynamic_slice(padded, start, lab.shape)
+        square = jnp.zeros_like(lab[0])
+        for c in range(lab.shape[0]):
+            square = square + (other[c] - lab[c]) ** 2
+        return jnp.exp(-jnp.sqrt(square) / scale)
+
+    weights = lax.map(weight, jnp.arange(size * size))
+    total, _ = lax.scan(lambda t, w: (t + w, None), jnp.zeros_like(lab[0]), weights)
+    return weights / total[None]
+
+
+def _weighted_mean(image: Array, weights: Array, window: int) -> Array:
+    size = 2 * window + 1
+    padded = jnp.pad(image, window, mode="edge")
+
+    def add(total: Array, term: tuple[Array, Array]) -> tuple[Array, None]:
+        offset, weight = term
+        start = (offset // size, offset % size)
+        return total + weight * lax.dynamic_slice(padded, start, image.shape), None
+
+    return lax.scan(add, jnp.zeros_like(image), (jnp.arange(size * size), weights))[0]
+
+
+def sweep_views(count: int) -> tuple[int, ...]:
+    """Views of an arm that a sweep looks at: the ends and half of the way to them."""
+    centre = count // 2
+    near = centre // 2
+    picked = {0, centre - near, centre + near, count - 1} - {centre}
+    return tuple(sorted(picked))
+
+
+def agreement(
+    horizontal: Arm,
+    vertical: Arm,
+    disparity: Float[Array, ""],
+    truncation: Float[Array, ""],
+) -> tuple[Array, Array, Array, Array]:
+    """Truncated squared colour difference to the centre view: left, right, upper, lower views."""
+    left, right = _half_arms(horizontal, disparity, truncation)
+    above, below = _half_arms(vertical, disparity, truncation)
+    return left, right, above.T, below.T
+
+
+def _half_arms(arm: Arm, disparity: Array, truncation: Array) -> tuple[Array, Array]:
+    indices = sweep_views(arm.planes.shape[0])
+    before = tuple(i for i in indices if i < arm.centre)
+    after = tuple(i for i in indices if i > arm.centre)
+    height, width = arm.planes.shape[2:]
+    centre = [arm.planes[arm.centre, c] for c in range(arm.planes.shape[1])]
+
+    def half(views: tuple[int, ...]) -> Array:
+        def add(total: Array, view: tuple[Array, Array, Array]) -> tuple[Array, None]:
+            planes, step, there = view
+            shift = step * disparity
+            whole = jnp.floor(shift)
+            weights = _cubic(shift - whole)
+            first = jnp.clip(whole.astype(jnp.int32), -width, width) + width - 1
+            window = lax.dynamic_slice(planes, (0, 0, first), (len(centre), height, width + 3))
+            # Colours are summed by hand: XLA on CPU does not vectorise a sum over a leading axis.
+            square = jnp.zeros_like(total)
+            for c, reference in enumerate(centre):
+                value = sum(weights[j] * window[c, :, j : j + width] for j in range(4))
+                square = square + (value - reference) ** 2
+            return total + there * (truncation * square / (square + truncation)), None
+
+        chosen = np.asarray(views)
+        padding = ((0, 0), (0, 0), (0, 0), (width, width + 3))
+        planes = jnp.pad(arm.planes[chosen], padding, mode="edge")
+        there = arm.available[chosen].astype(arm.planes.dtype)
+        start = jnp.zeros((height, width), arm.planes.dtype)
+        total, _ = lax.scan(add, start, (planes, arm.steps[chosen], there))
+        return total / jnp.maximum(jnp.sum(there), 1)
+
+    return half(before), half(after)
+
+
+def _cubic(fraction: Array) -> tuple[Array, Array, Array, Array]:
+    """Weights of Keys' cubic interpolation."""
+    f = fraction
+    return (
+        -0.5 * f * (1 - f) ** 2,
+        1 + 0.5 * f * f * (3 * f - 5),
+        0.5 * f * (1 + f * (4 - 3 * f)),
+        0.5 * f * f * (f - 1),
+    )
