@@ -11,6 +11,7 @@ from ..lightfield import LightField
 
 # Sizes in pixels, contrasts in sRGB units; measured on the benchmark's scenes and a Lytro's.
 _VIEWS = 9  # central views of an arm that are looked at
+_MEMORY = 3e7  # matches of strips, columns and disparities that are held at a time
 _HEIGHT = 5  # rows that share one disparity, to tell textures apart
 _WINDOW = 5  # width of a matching window
 _SIGMA = 0.7  # of the blur against aliasing
@@ -214,10 +215,11 @@ def _match(arm: Float[np.ndarray, "u y x c"], reach: float, count: int) -> _Matc
     """Matches windows of at most `count` strips of rows at disparities up to `reach`."""
     views, height, width, _ = arm.shape
     middle = views // 2
-    y = np.linspace(_HEIGHT, height - 1 - _HEIGHT, min(count, height // _HEIGHT)).astype(int)
+    number = 2 * math.ceil(reach * middle / _STEP) + 1
+    count = min(count, height // _HEIGHT, max(12, int(_MEMORY / (number * width))))
+    y = np.linspace(_HEIGHT, height - 1 - _HEIGHT, count).astype(int)
     rows = (y[:, None] + np.arange(-(_HEIGHT // 2), _HEIGHT // 2 + 1)).ravel()
     arm = np.stack([cv2.GaussianBlur(view, (0, 0), _SIGMA)[rows] for view in arm])
-    number = 2 * math.ceil(reach * middle / _STEP) + 1
     disparities = np.linspace(-reach, reach, number).astype(np.float32)
 
     def strips(image: np.ndarray) -> np.ndarray:

@@ -27,7 +27,18 @@ def open_hci(path: Path, names: list[str]) -> Source:
     grid is the smallest odd square that holds the highest number, so that a folder with the
     crosshair alone is recognised.
     """
-    numbers = {int(match[1]): name for name in names if (match := _VIEW.fullmatch(name))}
+    numbers: dict[int, str] = {}
+    for name in names:
+        match = _VIEW.fullmatch(name)
+        if match is None:
+            continue
+        number = int(match[1])
+        if number in numbers:
+            raise ValueError(
+                f"{path / name} and {path / numbers[number]} are both view {number}; expected one "
+                "image per view."
+            )
+        numbers[number] = name
     settings = _Settings(path / "parameters.cfg") if "parameters.cfg" in names else None
     grid = settings.grid() if settings else None
     if grid is None:
@@ -119,7 +130,15 @@ class _Settings:
 
     def disparity_range(self) -> tuple[float, float] | None:
         values = self._numbers("meta", "disp_min", "disp_max")
-        return None if values is None else (values[0], values[1])
+        if values is None:
+            return None
+        low, high = values
+        if not low < high:
+            raise ValueError(
+                f"{self._path} says disp_min = {low:g} and disp_max = {high:g}; expected the first "
+                "to be smaller."
+            )
+        return low, high
 
 
 def _truth_reader(path: Path, names: list[str], grid: tuple[int, int], centre: int):

@@ -106,18 +106,25 @@ def test_ids_of_another_size(scene):
         ("num_cams_x = 3", "num_cams_x = 2.5", "promises 3 x 2.5 cameras"),
         ("num_cams_x = 3", "num_cams_x = 2", "lies outside the grid of 3x2 views"),
         ("_x_px = 8", "_x_px = 9", "6x8 px .* expected 6x9, as .*parameters.cfg"),
+        ("disp_min = -1.5", "disp_min = 1.5", "disp_min = 1.5 and disp_max = 1.25"),
         ("[meta]", "meta", "cannot be read as a configuration"),
     ],
 )
 def test_settings_that_contradict(scene, old, new, text):
     file = scene / "parameters.cfg"
     assert old in file.read_text()
-    file.write_text(file.read_text().replace(old, new).replace("disp_min", "disp_min"))
+    file.write_text(file.read_text().replace(old, new))
     if new == "meta":
         file.write_text("meta\n" + file.read_text())
     with pytest.raises(ValueError, match=text) as caught:
         load_light_field(scene)
     assert str(scene) in str(caught.value)
+
+
+def test_two_images_of_one_view(scene):
+    save_image(scene / "input_Cam003.bmp", random_views()[0, 0])
+    with pytest.raises(ValueError, match=r"input_Cam003\.png and .*input_Cam003\.bmp are both"):
+        load_light_field(scene)
 
 
 def test_settings_may_be_partial(scene):
