@@ -37,7 +37,8 @@ class ConventionCheck:
     that moves like the surface on one side and unlike the one on the other votes for its owner. And
     a spot that is hidden in the views to one side votes for the one surface that moves over it
     there. A reversed view axis negates all disparities along it, and all its votes. The two axes
-    are also held against each other: both must see the same disparity.
+    are also held against each other: both must see the same disparity. Where that does not decide,
+    votes at half the size are added.
 
     Attributes:
         columns: votes along `u`, (for the convention, against it).
@@ -61,6 +62,11 @@ class ConventionCheck:
         if self.flip_u or self.flip_v:
             return False
         return None if self.flip_u is None or self.flip_v is None else True
+
+    @property
+    def votes(self) -> tuple[tuple[int, int], tuple[int, int], tuple[int, int]]:
+        """`columns`, `rows` and `agreement`."""
+        return self.columns, self.rows, self.agreement
 
 
 @dataclasses.dataclass(frozen=True)
@@ -129,20 +135,40 @@ def check_convention(
     if disparity_range is None and light_field.disparity_range is not None:
         low, high = (float(limit) for limit in light_field.disparity_range)
         disparity_range = low - 0.2, high + 0.2
-    reach = None if disparity_range is None else max(abs(limit) for limit in disparity_range)
-    if reach is None:
+    if disparity_range is not None:
+        reach = max(abs(limit) for limit in disparity_range)
+    else:
         reach = _search(arms)
     if reach is None:
         return ConventionCheck((0, 0), (0, 0), (0, 0), None, None, None)
-    results = [_arm(arm, reach) for arm in arms]
-    (columns, across), (rows, along) = results
+    full = _check(arms, reach)
+    if None not in (full.flip_u, full.flip_v) or min(height, width) < 8 * _HEIGHT:
+        return full
+    # At half the size noise is averaged and surfaces meet within fewer pixels.
+    half = _check([np.stack([_halved(view) for view in arm]) for arm in arms], reach / 2)
+    columns, rows, agreement = (
+        (one[0] + other[0], one[1] + other[1])
+        for one, other in zip(full.votes, half.votes, strict=True)
+    )
+    flips = _decide(columns, rows, agreement)
+    return ConventionCheck(columns, rows, agreement, *flips, full.disparity_range)
+
+
+def _check(arms: list[np.ndarray], reach: float) -> ConventionCheck:
+    (columns, across), (rows, along) = [_arm(arm, reach) for arm in arms]
     agreement = _agreement(across, along)
-    flip_u, flip_v = _decide(columns, rows, agreement)
     found = np.concatenate([s.disparity[s.valid] for s in (across, along)])
     limits = None
     if found.size:
         limits = float(np.percentile(found, 0.5)), float(np.percentile(found, 99.5))
-    return ConventionCheck(columns, rows, agreement, flip_u, flip_v, limits)
+    return ConventionCheck(columns, rows, agreement, *_decide(columns, rows, agreement), limits)
+
+
+def _halved(view: np.ndarray) -> np.ndarray:
+    height, width = (side // 2 for side in view.shape[:2])
+    return cv2.resize(
+        view[: 2 * height, : 2 * width], (width, height), interpolation=cv2.INTER_AREA
+    )
 
 
 def _central(arm: np.ndarray) -> np.ndarray:
