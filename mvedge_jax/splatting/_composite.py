@@ -56,9 +56,14 @@ def _geometry(point: Array, origin: Array, offsets: Array) -> Array:
     return dx * dx + dy * dy
 
 
+def _optical(square: Array, point: Array, physics: Physics) -> Array:
+    """Optical thickness of one point per tile at the tile's pixels."""
+    return physics.thickness * point[:, 4:5] * jnp.exp(-square * physics.inverse_label)
+
+
 @partial(jax.custom_vjp, nondiff_argnums=(3,))
 def composite(
-    table: Float[Array, "n 4"], physics: Physics, lists: Lists, sizes: SplatSizes
+    table: Float[Array, "n 5"], physics: Physics, lists: Lists, sizes: SplatSizes
 ) -> Rays:
     """Composites the points of every tile front to back.
 
@@ -68,7 +73,7 @@ def composite(
     minus what lies in front, so nothing is stored per candidate.
 
     Args:
-        table: rows (x, y, label, weight); the last row is far outside and empty.
+        table: rows (x, y, label, weight, opacity); the last row is far outside and empty.
         physics: widths and thickness.
         lists: the tiles' points.
         sizes: static choices.
@@ -91,8 +96,8 @@ def _forward(table: Array, physics: Physics, lists: Lists, sizes: SplatSizes):
         def step(k: Array, rays: Rays) -> Rays:
             point = table[_row(lists, start, count, k, last)]
             square = _geometry(point, origin, offsets)
-            gaussian = jnp.exp(-square * physics.inverse_label)
-            absorbed, _, passed, _ = absorption(physics.thickness * gaussian, sizes.absorption)
+            optical = _optical(square, point, physics)
+            absorbed, _, passed, _ = absorption(optical, sizes.absorption)
             flat = jnp.exp(-jax.lax.integer_pow(square * physics.inverse_weight, sizes.order))
             return Rays(
                 rays.label + rays.transmittance * absorbed * point[:, 2:3],
@@ -135,7 +140,7 @@ def _backward(sizes: SplatSizes, saved, cotangent: Rays):
             point = table[row]
             square = _geometry(point, origin, offsets)
             relative = point[:, :2] - origin
-            optical = physics.thickness * jnp.exp(-square * physics.inverse_label)
+            optical = _optical(square, point, physics)
             absorbed, slope, passed, constant = absorption(optical, sizes.absorption)
             u = square * physics.inverse_weight
             power = jax.lax.integer_pow(u, sizes.order - 1) if sizes.order > 1 else jnp.ones_like(u)
@@ -170,6 +175,7 @@ def _backward(sizes: SplatSizes, saved, cotangent: Rays):
                     position,
                     jnp.sum(own_label, axis=1, keepdims=True),
                     jnp.sum(own_weight, axis=1, keepdims=True),
+                    (sum_q / jnp.where(point[:, 4] > 0, point[:, 4], 1))[:, None],
                 ],
                 axis=1,
             )

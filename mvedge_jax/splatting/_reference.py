@@ -20,6 +20,8 @@ def splat_reference(
     params: SplatParams,
     shape: tuple[int, int],
     sizes: SplatSizes,
+    *,
+    opacity: Float[Array, "n"] | None = None,
 ) -> Splat:
     """Splats like `splat`, without tiles, lists, radius or custom gradient: the oracle.
 
@@ -33,6 +35,7 @@ def splat_reference(
         params: widths and density.
         shape: height and width of the raster.
         sizes: static choices; only order, absorption and nearest matter.
+        opacity: factor of each point's density.
 
     Returns:
         The maps, differentiable by JAX alone.
@@ -49,6 +52,8 @@ def splat_reference(
     on = valid[:, None, None]
     through_centre = params.density * params.sigma_depth * (2 * jnp.pi) ** 0.5
     gaussian = jnp.where(on, jnp.exp(-square / (2 * params.sigma_label**2)), 0)
+    if opacity is not None:
+        gaussian = gaussian * opacity[order][:, None, None]
     absorbed, _, _, constant = absorption(through_centre * gaussian, sizes.absorption)
     optical = constant * through_centre * gaussian
     in_front = jnp.exp(-(jnp.cumsum(optical, axis=0) - optical))

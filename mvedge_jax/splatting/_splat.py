@@ -61,6 +61,8 @@ def splat(
     params: SplatParams,
     shape: tuple[int, int],
     sizes: SplatSizes,
+    *,
+    opacity: Float[Array, "n"] | None = None,
 ) -> Splat:
     r"""Splats points onto a raster with occlusion in depth order.
 
@@ -78,10 +80,13 @@ def splat(
         params: widths and density.
         shape: height and width of the raster.
         sizes: static choices; `sizes.scale` is not used here.
+        opacity: factor of each point's density, > 0; 1 by default, as in the thesis. A point in
+            front hides those behind it whatever its weight; with an opacity that falls with the
+            weight, an optimisation can see through a wrong one.
 
     Returns:
-        The maps. Differentiable with respect to `xy`, `label`, `weight` and `params`; the depth
-        order is piecewise constant.
+        The maps. Differentiable with respect to `xy`, `label`, `weight`, `opacity` and `params`;
+        the depth order is piecewise constant.
 
     Source:
         Thesis 7.1.2-7.1.3, Eq. 7.3-7.14, in the corrected closed form.
@@ -98,8 +103,9 @@ def splat(
     dtype = xy.dtype
     params = cast(params, dtype)
     # The last row stands for "no point"; it also makes an empty set an ordinary case.
-    empty = jnp.array([[1e6, 1e6, 0, 0]], dtype)
-    table = jnp.concatenate([xy, label[:, None], weight[:, None]], axis=1)
+    empty = jnp.array([[1e6, 1e6, 0, 0, 0]], dtype)
+    opacity = jnp.ones_like(label) if opacity is None else opacity
+    table = jnp.concatenate([xy, label[:, None], weight[:, None], opacity[:, None]], axis=1)
     table = jnp.concatenate([table, empty])
     usable = jnp.all(jnp.isfinite(table), axis=1) & jnp.append(valid, False)
     table = jnp.where(usable[:, None], table, empty)

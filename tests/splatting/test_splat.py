@@ -37,9 +37,9 @@ def random_functional(function, sizes):
     direction = jnp.asarray(np.random.default_rng(5).normal(size=(3, *SHAPE)))
 
     def value(tree):
-        xy, label, weight, params = tree
+        xy, label, weight, params, opacity = tree
         valid = cloud()[3]
-        result = function(xy, label, weight, valid, params, SHAPE, sizes)
+        result = function(xy, label, weight, valid, params, SHAPE, sizes, opacity=opacity)
         return jnp.vdot(direction, maps(result)) + jnp.sum(result.label**2)
 
     return value
@@ -60,7 +60,7 @@ def test_fast_path_equals_every_point_at_every_pixel(sizes):
     slow = splat_reference(*points, SplatParams(), SHAPE, sizes)
     np.testing.assert_allclose(maps(fast), maps(slow), atol=1e-13)
     assert int(fast.overflow) == 0
-    tree = (*points[:3], SplatParams())
+    tree = (*points[:3], SplatParams(), 0.01 + points[2] / 3)
     gradient_fast = jax.grad(random_functional(splat, sizes))(tree)
     gradient_slow = jax.grad(random_functional(splat_reference, sizes))(tree)
     for a, b in zip(jax.tree.leaves(gradient_fast), jax.tree.leaves(gradient_slow), strict=True):
@@ -68,7 +68,7 @@ def test_fast_path_equals_every_point_at_every_pixel(sizes):
 
 
 def test_gradient_against_differences():
-    tree = (*cloud()[:3], SplatParams())
+    tree = (*cloud()[:3], SplatParams(), 0.3 + cloud()[2] / 3)
     check_gradient(
         random_functional(splat, SplatSizes(lanes=16)), tree, rtol=1e-5, key=jax.random.key(0)
     )
@@ -121,7 +121,8 @@ def test_masked_points_change_neither_value_nor_gradient():
     xy, label, weight, valid = cloud()
 
     def value(tree):
-        result = splat(*tree, valid, SplatParams(), SHAPE, SplatSizes())
+        xy, label, weight = tree
+        result = splat(xy, label, weight, valid, SplatParams(), SHAPE, SplatSizes())
         return jnp.sum(maps(result) ** 2)
 
     spoiled = (
@@ -179,7 +180,8 @@ def test_degenerate_sets_are_defined_with_finite_gradients(case):
     valid = jnp.full(n, case != "none valid")
 
     def value(tree):
-        result = splat(*tree, valid, SplatParams(), SHAPE, SplatSizes())
+        xy, label, weight = tree
+        result = splat(xy, label, weight, valid, SplatParams(), SHAPE, SplatSizes())
         return jnp.sum(maps(result)) + jnp.sum(result.label), result
 
     (_, result), gradient = jax.value_and_grad(value, has_aux=True)((xy, label, jnp.ones(n)))
@@ -190,6 +192,17 @@ def test_degenerate_sets_are_defined_with_finite_gradients(case):
         np.testing.assert_array_equal(result.label, 0)
     else:
         assert float(result.label[5, 5]) == pytest.approx(float(label[0]), abs=1e-6)
+
+
+def test_a_transparent_point_hides_nothing():
+    xy = jnp.array([[10.0, 10.0], [10.2, 10.0]])
+    label, weight, valid = jnp.array([0.5, 2.0]), jnp.ones(2), jnp.ones(2, bool)
+    for opacity, expected in ((1.0, 2.0), (1e-6, 0.5)):
+        result = splat(
+            xy, label, weight, valid, SplatParams(), SHAPE, SplatSizes(),
+            opacity=jnp.array([1.0, opacity]),
+        )  # fmt: skip
+        assert float(result.label[10, 10]) == pytest.approx(expected, abs=1e-3)
 
 
 def test_equal_depths_are_ordered_by_index():
@@ -205,7 +218,7 @@ def test_jit_vmap_and_one_trace():
     sizes = SplatSizes()
     traced, traces = count_traces(lambda p, z: maps(splat(xy, z, weight, valid, p, SHAPE, sizes)))
     shifts = jnp.array([0.0, 0.3, -1.2])
-    loop = jnp.stack([traced(SplatParams(density=5.0 + s), label * s) for s in (0.0, 0.3, -1.2)])
+    loop = jnp.stack([traced(SplatParams(density=5.0 + s), label * s) for s in shifts])
     assert traces() == 1
     params = eqx.filter_vmap(lambda s: SplatParams(density=5.0 + s))(shifts)
     batch = jax.vmap(lambda p, s: maps(splat(xy, label * s, weight, valid, p, SHAPE, sizes)))(
@@ -213,7 +226,9 @@ def test_jit_vmap_and_one_trace():
     )
     np.testing.assert_allclose(batch, loop, atol=1e-12)
     eager = maps(
-        splatting.splat(xy, label * 0.3, weight, valid, SplatParams(density=5.3), SHAPE, sizes)
+        splatting.splat(
+            xy, label * 0.3, weight, valid, SplatParams(density=jnp.asarray(5.3)), SHAPE, sizes
+        )
     )
     np.testing.assert_allclose(eager, loop[1], atol=1e-12)
 

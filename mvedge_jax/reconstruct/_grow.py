@@ -1,0 +1,190 @@
+"""Adding points where the map is wrong, in the place of points that do nothing."""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from mvedge_jax._params import cast
+
+from ._model import DepthModel, ModelParams, ModelSizes, opacities, splat_model
+from ._objectives import SelfSupervised, Supervised
+from ._optimise import State
+
+
+class Grown(NamedTuple):
+    """What adding points did.
+
+    Attributes:
+        state: with the new points; their moments are forgotten.
+        objective: whose trust knows the new points.
+        added: how many points are new.
+        recycled: how many of them took the place of a point that did nothing.
+        refused: how many found no place.
+    """
+
+    state: State
+    objective: Supervised | SelfSupervised
+    added: Int[Array, ""]
+    recycled: Int[Array, ""]
+    refused: Int[Array, ""]
+
+
+def with_capacity(model: DepthModel, capacity: int) -> DepthModel:
+    """Appends free places to the model.
+
+    Args:
+        model: the model.
+        capacity: number of places, at least what the model has.
+
+    Returns:
+        The model with `capacity` places.
+
+    Raises:
+        ValueError: the model has more places already.
+    """
+    extra = capacity - model.valid.size
+    if extra < 0:
+        raise ValueError(
+            f"`capacity` is {capacity}, but the model has {model.valid.size} places already."
+        )
+    return DepthModel(
+        jnp.pad(model.disparity, (0, extra)),
+        jnp.pad(model.xy, ((0, extra), (0, 0))),
+        jnp.pad(model.log_weight, (0, extra)),
+        model.roughness,
+        jnp.pad(model.valid, (0, extra)),
+    )
+
+
+def usefulness(model: DepthModel, params: ModelParams, sizes: ModelSizes) -> Float[Array, "n"]:
+    """How much data weight each point contributes to the map, in raster pixels.
+
+    A point in the open contributes about `exp(-R)` times 1.4; one that nearer neighbours hide
+    contributes next to nothing, and gets next to no gradient.
+
+    Args:
+        model: the points.
+        params: of the rendering.
+        sizes: of the rendering.
+
+    Returns:
+        Σ over pixels of w λ T; zero for places that are free.
+    """
+    weight = jnp.exp(-model.log_weight)
+    opacity = opacities(model, params, sizes)
+
+    def total(weight: Array) -> Array:
+        return jnp.sum(splat_model(model, weight, opacity, params, sizes).weight)
+
+    return jnp.where(model.valid, weight * jax.grad(total)(weight), 0)
+
+
+def worst_pixels(
+    residual: Float[Array, "y x"], count: int, *, block: int = 2
+) -> tuple[Int[Array, "n 2"], Float[Array, "n"]]:
+    """The pixels of largest residual, at most one per block.
+
+    Args:
+        residual: how wrong the map is, >= 0.
+        count: how many pixels.
+        block: side of the blocks, px.
+
+    Returns:
+        `(x, y)` and the residual there, largest first. There may be fewer blocks than `count`.
+    """
+    height, width = residual.shape
+    rows, columns = -(-height // block), -(-width // block)
+    padded = jnp.pad(
+        residual,
+        ((0, rows * block - height), (0, columns * block - width)),
+        constant_values=-jnp.inf,
+    )
+    cells = padded.reshape(rows, block, columns, block).transpose(0, 2, 1, 3)
+    cells = cells.reshape(rows * columns, block * block)
+    value, cell = jax.lax.top_k(jnp.max(cells, axis=1), min(count, rows * columns))
+    inside = jnp.argmax(cells, axis=1).astype(cell.dtype)[cell]
+    x = cell % columns * block + inside % block
+    y = cell // columns * block + inside // block
+    return jnp.stack([x, y], axis=-1), value
+
+
+@eqx.filter_jit
+def grow(
+    state: State,
+    objective: Supervised | SelfSupervised,
+    residual: Float[Array, "y x"],
+    label: Float[Array, "y x"],
+    *,
+    count: int,
+    least: Float[Array, ""] | float = 0.05,
+    threshold: Float[Array, ""] | float = 0.0,
+) -> Grown:
+    """Puts new points where the residual is largest.
+
+    Free places are used first, then those of the points that contribute least (nearly all are
+    points that nearer neighbours hide: recycling is what brings them back, since they receive no
+    gradient of their own).
+
+    Args:
+        state: of the optimisation.
+        objective: what is minimised; its trust takes the new points in.
+        residual: how wrong the map is, per pixel.
+        label: what new points say at each pixel.
+        count: most points to add.
+        least: points that contribute less than this may be replaced, see `usefulness`.
+        threshold: residuals at or below this need no point.
+
+    Returns:
+        The new state and objective, and counts.
+
+    Source:
+        Named as future work in thesis 8.1.1.
+    """
+    model = state.model
+    dtype = model.disparity.dtype
+    use = usefulness(model, cast(objective.params, dtype), objective.sizes)
+    xy, value = worst_pixels(residual, min(count, model.valid.size))
+    place = jnp.argsort(jnp.where(model.valid, use, -1))[: xy.shape[0]]
+    open_place = ~model.valid[place] | (use[place] < jnp.asarray(least).astype(dtype))
+    wanted = value > jnp.asarray(threshold).astype(dtype)
+    # Places run from the least useful one, pixels from the worst one.
+    fits = open_place & wanted
+    new_label = label[xy[:, 1], xy[:, 0]].astype(dtype)
+
+    def put(old: Array, new: Array | float | bool) -> Array:
+        keep = fits.reshape((-1,) + (1,) * (old.ndim - 1))
+        return old.at[place].set(jnp.where(keep, jnp.asarray(new).astype(old.dtype), old[place]))
+
+    def renewed(old: DepthModel) -> DepthModel:
+        return DepthModel(
+            put(old.disparity, new_label),
+            put(old.xy, xy),
+            put(old.log_weight, 0.0),
+            old.roughness,
+            put(old.valid, True),
+        )
+
+    recycled = jnp.sum(fits & model.valid[place])
+    n = model.valid.size
+
+    def forget(moment: Array) -> Array:
+        is_point = moment.ndim >= 1 and moment.shape[0] == n and moment.shape != residual.shape
+        return put(moment, 0.0) if is_point else moment
+
+    state = eqx.tree_at(
+        lambda s: (s.model, s.moments, s.best_loss),
+        state,
+        (
+            renewed(model),
+            jax.tree.map(forget, state.moments),
+            jnp.full_like(state.best_loss, jnp.inf),
+        ),
+    )
+    trust = objective.trust
+    error = put(trust.error, jnp.asarray(jnp.inf).astype(trust.error.dtype))
+    trust = eqx.tree_at(lambda t: (t.origin, t.error), trust, (renewed(trust.origin), error))
+    objective = eqx.tree_at(lambda o: o.trust, objective, trust)
+    return Grown(state, objective, jnp.sum(fits), recycled, jnp.sum(wanted & ~open_place))

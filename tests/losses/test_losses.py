@@ -1,0 +1,193 @@
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from helpers import check_gradient
+from skimage.metrics import structural_similarity
+
+from mvedge_jax import losses
+from mvedge_jax.lightfield import LightField
+from mvedge_jax.losses import (
+    Colours,
+    FilterBank,
+    LossWeights,
+    SupervisedWeights,
+    Views,
+    gather_views,
+    load_vgg16,
+    occlusion_masks,
+    self_supervised_loss,
+    supervised_loss,
+)
+from mvedge_jax.warping import backward_warp
+
+ssim = jax.jit(losses.ssim)
+edge_aware_smoothness = jax.jit(losses.edge_aware_smoothness)
+reprojection_error = eqx.filter_jit(losses.reprojection_error)
+self_supervised = eqx.filter_jit(self_supervised_loss)
+
+
+def smooth_light_field(shape=(12, 15), disparity=0.6):
+    """A textured plane of constant disparity, sampled exactly."""
+    y, x = np.mgrid[: shape[0], : shape[1]].astype(float)
+    views = np.zeros((3, 3, *shape, 3))
+    for v in range(3):
+        for u in range(3):
+            px, py = x - (1 - u) * disparity, y - (1 - v) * disparity
+            for c in range(3):
+                views[v, u, ..., c] = 0.5 + 0.3 * np.sin(0.5 * px + c) * np.cos(0.4 * py - c)
+    return LightField(jnp.asarray(views))
+
+
+def test_views_are_the_crosshair_and_the_true_disparity_explains_them():
+    light_field = smooth_light_field()
+    views = gather_views(light_field)
+    np.testing.assert_array_equal(views.steps, [[0, 1], [0, -1], [1, 0], [-1, 0]])
+
+    @jax.jit
+    def loss(d):
+        return self_supervised_loss(
+            jnp.full((12, 15), d), views, LossWeights(gradient=jnp.asarray(0.0))
+        )[0]
+
+    found = [float(loss(d)) for d in (0.4, 0.6, 0.8)]
+    assert found[1] < 0.5 * min(found[0], found[2])
+    assert found[1] < 0.01  # what bilinear interpolation leaves
+
+
+def test_reprojection_error_is_the_mean_over_visible_views():
+    rng = np.random.default_rng(0)
+    image = jnp.asarray(rng.random((3, 7, 9)))
+    others = jnp.asarray(rng.random((2, 3, 7, 9)))
+    views = Views(image, others, jnp.array([[1.0, 0.0], [0.0, -2.0]]), jnp.ones(2, bool))
+    disparity = jnp.asarray(rng.normal(size=(7, 9)))
+    visible = jnp.asarray(rng.random((2, 7, 9)) > 0.4)
+    found = reprojection_error(disparity, views, visible, Colours())
+    total, count = np.zeros((7, 9)), np.zeros((7, 9))
+    for k in range(2):
+        warped, _ = backward_warp(jnp.moveaxis(others[k], 0, -1), disparity, views.steps[k])
+        difference = np.abs(np.asarray(warped) - np.moveaxis(np.asarray(image), 0, -1)).mean(-1)
+        total += np.where(visible[k], difference, 0)
+        count += np.asarray(visible[k])
+    np.testing.assert_allclose(found, total / np.maximum(count, 1), atol=1e-12)
+
+
+@pytest.mark.parametrize("features", [Colours(), FilterBank()], ids=["colours", "bank"])
+def test_gradient_of_every_term(features):
+    light_field = smooth_light_field((9, 10))
+    views = gather_views(light_field)
+    disparity = 0.5 + 0.1 * jax.random.normal(jax.random.key(0), (9, 10))
+    visible = jax.jit(occlusion_masks)(disparity, views)
+    weights = LossWeights(dissimilarity=jnp.asarray(0.3))
+
+    def loss(tree):
+        return self_supervised_loss(
+            tree[0], views, tree[1], visible=visible, features=features, similarity=True
+        )[0]
+
+    check_gradient(loss, (disparity, weights), rtol=1e-5, key=jax.random.key(1), directions=2)
+
+
+def test_all_views_masked_is_defined():
+    views = gather_views(smooth_light_field((6, 7)))
+    hidden = jnp.zeros((4, 6, 7), bool)
+
+    def loss(d):
+        return self_supervised_loss(d, views, LossWeights(), visible=hidden)[0]
+
+    run = jax.jit(jax.value_and_grad(loss))
+    value, gradient = run(jnp.full((6, 7), 0.3))
+    assert bool(jnp.isfinite(value))
+    assert bool(jnp.isfinite(gradient).all())
+    assert float(run(jnp.full((6, 7), 0.9))[0]) == pytest.approx(float(value), abs=1e-12)
+
+
+def test_missing_views_do_not_count():
+    light_field = smooth_light_field((6, 7))
+    views = gather_views(light_field, [(1, 0), (1, 2), (0, 1)])
+    some = Views(views.centre, views.others, views.steps, jnp.array([True, True, False]))
+    disparity = jnp.full((6, 7), 0.55)
+    a, _ = self_supervised(disparity, some, LossWeights())
+    b, _ = self_supervised(disparity, views.take(jnp.array([0, 1])), LossWeights())
+    assert float(a) == pytest.approx(float(b), rel=1e-12)
+
+
+def test_ssim_equals_scikit_image_away_from_the_border():
+    rng = np.random.default_rng(0)
+    a = rng.random((3, 24, 27))
+    b = np.clip(a + 0.1 * rng.normal(size=a.shape), 0, 1)
+    _, expected = structural_similarity(
+        a, b, channel_axis=0, gaussian_weights=True, sigma=1.5, use_sample_covariance=False,
+        data_range=1.0, full=True,
+    )  # fmt: skip
+    found = ssim(jnp.asarray(a), jnp.asarray(b))
+    np.testing.assert_allclose(found[5:-5, 5:-5], expected.mean(0)[5:-5, 5:-5], atol=1e-10)
+    np.testing.assert_allclose(ssim(jnp.asarray(a), jnp.asarray(a)), 1, atol=1e-12)
+
+
+def test_smoothness_is_zero_on_planes_of_no_slope_and_less_at_image_edges():
+    step = jnp.zeros((8, 9)).at[:, 5:].set(1.0)
+    plain, edge = jnp.full((3, 8, 9), 0.5), jnp.zeros((3, 8, 9)).at[:, :, 5:].set(1.0)
+    assert float(edge_aware_smoothness(jnp.ones((8, 9)), plain).sum()) == 0
+    with_edge = edge_aware_smoothness(step, edge).sum()
+    assert float(with_edge) < 0.1 * float(edge_aware_smoothness(step, plain).sum())
+
+
+def test_filters_see_structure_but_no_constant():
+    bank = FilterBank()
+    kernels = jax.jit(bank.kernels, static_argnums=0)(jnp.dtype(float))
+    np.testing.assert_allclose(kernels.sum((1, 2, 3)), 0, atol=1e-12)
+    np.testing.assert_allclose(jnp.abs(kernels).sum((1, 2, 3)), 1, atol=1e-12)
+    x = jnp.broadcast_to(jnp.sin(2 * jnp.pi / 6 * jnp.arange(24.0))[None, None], (3, 20, 24))
+    response = jnp.abs(eqx.filter_jit(bank)(0.5 + 0.4 * x)[3:, 10, 6:18]).max(1)
+    # scale 2 (period 6), orientation 0: the filters that the grating was made for
+    assert int(jnp.argmax(response)) in (8, 9)
+
+
+def test_supervised_loss_skips_unknown_pixels():
+    truth = jnp.array([[0.0, jnp.nan], [1.0, 2.0]])
+    known = jnp.isfinite(truth)
+    disparity = jnp.array([[0.5, 9.0], [1.0, 4.0]])
+    weights = SupervisedWeights(square=jnp.asarray(10.0))
+    value, gradient = jax.value_and_grad(supervised_loss)(disparity, truth, known, weights)
+    assert float(value) == pytest.approx((2.5 + 10 * 4.25) / 3)
+    assert bool(jnp.isfinite(gradient).all())
+    assert float(gradient[0, 1]) == 0
+    nothing = supervised_loss(disparity, truth, jnp.zeros_like(known), weights)
+    assert float(nothing) == 0
+
+
+def save(path, arrays):
+    np.savez(path, **arrays)
+
+
+def test_vgg_runs_on_a_users_weights_and_says_what_is_wrong(tmp_path):
+    rng = np.random.default_rng(0)
+    arrays = {
+        "features.0.weight": rng.normal(size=(64, 3, 3, 3)),
+        "features.0.bias": rng.normal(size=64),
+        "features.2.weight": rng.normal(size=(64, 64, 3, 3)),
+        "features.2.bias": rng.normal(size=64),
+    }
+    with pytest.raises(FileNotFoundError, match="no file of VGG16 weights"):
+        load_vgg16(tmp_path / "none.npz")
+    save(tmp_path / "bad.npz", {**arrays, "features.0.bias": np.zeros(3)})
+    with pytest.raises(ValueError, match=r"'features.0.bias' .* has the shape \(3,\)"):
+        load_vgg16(tmp_path / "bad.npz")
+    np.savez(tmp_path / "less.npz", **{"features.0.bias": np.zeros(64)})
+    with pytest.raises(ValueError, match=r"has no array 'features.0.weight'"):
+        load_vgg16(tmp_path / "less.npz")
+    save(tmp_path / "good.npz", arrays)
+    out = load_vgg16(tmp_path / "good.npz")(jnp.full((3, 6, 7), 0.5))
+    assert out.shape == (64, 6, 7)
+    assert float(out.min()) >= 0
+    np.testing.assert_allclose(out[:, 2, 3], out[:, 3, 3], atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("choice", "message"), [([], "names no view"), ([(3, 0)], r"view \(3, 0\); the grid is 3x3")]
+)
+def test_bad_choice_of_views(choice, message):
+    with pytest.raises(ValueError, match=message):
+        gather_views(smooth_light_field((4, 5)), choice)
