@@ -1,6 +1,7 @@
 """Band-limited procedural noise: gradient noise on an integer lattice, summed over octaves."""
 
 import math
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -24,7 +25,7 @@ def _mix(bits: Array) -> Array:
     return bits ^ (bits >> 16)
 
 
-def hash_unit(i: Array, j: Array, seed: Array, dtype: jnp.dtype) -> Array:
+def hash_unit(i: Array, j: Array, seed: Array, dtype: Any) -> Array:
     """A pseudo-random number in [0, 1) for each pair of lattice indices.
 
     Args:
@@ -34,8 +35,8 @@ def hash_unit(i: Array, j: Array, seed: Array, dtype: jnp.dtype) -> Array:
         dtype: floating dtype of the result.
     """
     bits = i.astype(jnp.int32).astype(jnp.uint32) * jnp.uint32(0x9E3779B1)
-    bits = bits ^ (j.astype(jnp.int32).astype(jnp.uint32) * jnp.uint32(0x85EBCA77))
-    bits = _mix(bits ^ (seed.astype(jnp.uint32) * jnp.uint32(0xC2B2AE3D)))
+    bits = bits + j.astype(jnp.int32).astype(jnp.uint32) * jnp.uint32(0x85EBCA77)
+    bits = _mix(bits + (seed.astype(jnp.uint32) * jnp.uint32(0xC2B2AE3D)))
     return (bits >> 8).astype(dtype) * (1.0 / 2**24)
 
 
@@ -64,7 +65,8 @@ def gradient_noise(point: Vector, seed: Int[Array, "*s"]) -> Float[Array, "*s"]:
     def corner(dx: int, dy: int, dz: int) -> Array:
         bits = salt
         for k, step in enumerate((dx, dy, dz)):
-            bits = bits ^ (low[k] + jnp.uint32(step * primes[k] & 0xFFFFFFFF))
+            # A sum: with exclusive or, opposite odd cells would have equal gradients.
+            bits = bits + (low[k] + jnp.uint32(step * primes[k]))
         bits = _mix(bits)
         value = jnp.zeros_like(point[0])
         for k, step in enumerate((dx, dy, dz)):

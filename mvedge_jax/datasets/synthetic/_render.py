@@ -74,31 +74,22 @@ def _encode(linear: Array) -> Array:
     return jnp.where(linear <= 0.0031308, 12.92 * linear, curve)
 
 
-def _expose(
-    image: Float[Array, "y x 3"],
-    sensor: Sensor,
-    key: PRNGKeyArray,
-    *,
-    blurred: bool,
-    noisy: bool,
-) -> Array:
-    """Blur of the optics, sRGB, noise of the sensor."""
-    dtype = image.dtype
-    if blurred:
-        reach = _BLUR_REACH
-        offsets = jnp.arange(-reach, reach + 1, dtype=dtype)
-        taps = jnp.exp(-0.5 * (offsets / sensor.blur) ** 2)
-        taps = taps / taps.sum()
-        padded = jnp.pad(image, ((reach, reach), (reach, reach), (0, 0)), mode="edge")
-        planes = jnp.moveaxis(padded, -1, 0)[:, None]
-        for kernel in (taps[None, None, :, None], taps[None, None, None, :]):
-            planes = lax.conv_general_dilated(planes, kernel, (1, 1), "VALID")
-        image = jnp.moveaxis(planes[:, 0], 0, -1)
-    image = _encode(image)
-    if noisy:
-        deviation = jnp.sqrt(sensor.read_noise**2 + sensor.shot_noise * image)
-        image = image + deviation * jax.random.normal(key, image.shape, dtype)
-    return jnp.clip(image, 0.0, 1.0)
+def _blur(image: Float[Array, "y x 3"], sigma: Array) -> Array:
+    """Gaussian blur; the identity for a width of 0."""
+    reach = _BLUR_REACH
+    offsets = jnp.arange(-reach, reach + 1, dtype=image.dtype)
+    taps = jnp.exp(-0.5 * (offsets / jnp.maximum(sigma, 1e-2)) ** 2)
+    taps = taps / taps.sum()
+    padded = jnp.pad(image, ((reach, reach), (reach, reach), (0, 0)), mode="edge")
+    planes = jnp.moveaxis(padded, -1, 0)[:, None]
+    for kernel in (taps[None, None, :, None], taps[None, None, None, :]):
+        planes = lax.conv_general_dilated(planes, kernel, (1, 1), "VALID")
+    return jnp.moveaxis(planes[:, 0], 0, -1)
+
+
+def _add_noise(image: Float[Array, "y x 3"], sensor: Sensor, key: PRNGKeyArray) -> Array:
+    deviation = jnp.sqrt(sensor.read_noise**2 + sensor.shot_noise * image)
+    return image + deviation * jax.random.normal(key, image.shape, image.dtype)
 
 
 class _Mode(NamedTuple):
@@ -106,8 +97,7 @@ class _Mode(NamedTuple):
 
     size: tuple[int, int]
     samples: int
-    blurred: bool
-    noisy: bool
+    exposed: bool  # blur or noise
 
 
 def _mode(scene: Scene, size: tuple[int, int], samples: int) -> _Mode:
@@ -115,8 +105,7 @@ def _mode(scene: Scene, size: tuple[int, int], samples: int) -> _Mode:
     return _Mode(
         size,
         samples,
-        blurred=float(sensor.blur) > 0,
-        noisy=float(sensor.read_noise) > 0 or float(sensor.shot_noise) > 0,
+        exposed=any(float(x) > 0 for x in (sensor.blur, sensor.read_noise, sensor.shot_noise)),
     )
 
 
@@ -182,9 +171,11 @@ def _trace_view(
     depth, index = (p.reshape(blocks * rows, width)[:height] for p in (depth, index))
     image = jnp.moveaxis(colour, 1, -1).reshape(blocks * rows, width, 3)[:height]
     ids = jnp.where(index < 0, 0, world.solids.object_id[jnp.maximum(index, 0)])
-    image = _expose(
-        image, sensor, jax.random.fold_in(key, view), blurred=mode.blurred, noisy=mode.noisy
-    )
+    if mode.exposed:
+        image = _encode(_blur(image, sensor.blur))
+        image = jnp.clip(_add_noise(image, sensor, jax.random.fold_in(key, view)), 0.0, 1.0)
+    else:
+        image = _encode(image)
     return image, depth, ids
 
 
@@ -208,6 +199,8 @@ def _trace_views(
         images[k], depth[k], ids[k] = (np.asarray(part) for part in result)
 
     trace(0)  # compiles
+    if progress is not None:
+        progress(1, count)
     with concurrent.futures.ThreadPoolExecutor(os.cpu_count() or 1) as pool:
         try:
             tasks = pool.map(trace, range(1, count))

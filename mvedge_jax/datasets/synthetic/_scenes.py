@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -113,6 +113,18 @@ def _wall(disparity: float, material: Material) -> Solid:
     return _card(0.0, 0.0, disparity, (4.0, 4.0), material)
 
 
+def _floor(y: float, nearest: float, farthest: float, material: Material) -> Solid:
+    """A level plane `y` metres below the cameras, between two disparities.
+
+    It ends where the scene's disparity range does: an outer view of a small picture sees its edge,
+    not something nearer than the range.
+    """
+    front, back = _depth(nearest), _depth(farthest)
+    centre = (0.0, y, 0.5 * (front + back))
+    axes = rotation(pitch=90.0)
+    return plane(centre, (60.0, back - front), axes=axes, material=material)
+
+
 def _rod(
     start: tuple[float, float, float],
     stop: tuple[float, float, float],
@@ -138,7 +150,7 @@ class _Recipe(NamedTuple):
 
 
 def _slanted() -> _Recipe:
-    floor = plane((0.0, 1.02, 4.4), (12.0, 4.6), axes=rotation(pitch=90.0), material=_CHECKS)
+    floor = _floor(1.02, 2.2, -2.0, _CHECKS)
     left = plane((-1.62, 0.0, 4.6), (4.4, 5.0), axes=rotation(yaw=68.0), material=_BRICK)
     right = plane((1.75, 0.0, 4.6), (4.4, 5.0), axes=rotation(yaw=-62.0), material=_PLASTER)
     back = plane((0.0, 0.0, 6.2), (9.0, 6.0), axes=rotation(yaw=6.0, pitch=-9.0), material=_SLATE)
@@ -148,7 +160,7 @@ def _slanted() -> _Recipe:
         _card(-0.2, 0.2, 0.9, (0.22, 0.2), _MOSS, axes=rotation(pitch=55.0, roll=-12.0)),
         _card(0.2, -0.28, 0.3, (0.3, 0.16), _OCHRE, axes=rotation(pitch=-50.0, roll=10.0)),
     ]
-    return _Recipe([floor, left, right, back, *cards], (-2.1, 2.3))
+    return _Recipe([floor, left, right, back, *cards, _wall(-2.2, _SLATE)], (-2.3, 2.3))
 
 
 def _edges() -> _Recipe:
@@ -193,12 +205,7 @@ def _textureless() -> _Recipe:
     wall = Material(dark=(0.7, 0.68, 0.63), light=(0.74, 0.72, 0.68), contrast=0.5, grain=2.5)
     solids = [
         _wall(-1.2, wall),
-        plane(
-            (0.0, 1.02, 4.6),
-            (14.0, 6.0),
-            axes=rotation(pitch=90.0),
-            material=paint((0.6, 0.6, 0.58)),
-        ),
+        _floor(1.02, 2.2, -1.2, paint((0.6, 0.6, 0.58))),
         sphere(_at(-0.22, 0.12, 0.6), _width(0.17, 0.6), material=paint((0.75, 0.35, 0.25))),
         sphere(_at(0.1, 0.27, 1.3), _width(0.09, 1.3), material=paint((0.92, 0.85, 0.55))),
         box(
@@ -215,7 +222,7 @@ def _textureless() -> _Recipe:
 def _wide() -> _Recipe:
     solids = [
         _wall(-3.45, _PLASTER),
-        plane((0.0, 1.35, 6.8), (30.0, 9.2), axes=rotation(pitch=90.0), material=_CHECKS),
+        _floor(1.35, 1.2, -3.45, _CHECKS),
         _card(-0.27, -0.1, -2.4, (0.28, 0.5), _BRICK),
         box(_at(0.26, -0.02, -1.2), (1.1, 1.6, 1.1), axes=rotation(yaw=28.0), material=_WOOD),
         sphere(_at(-0.05, -0.22, 0.0), _width(0.12, 0.0), material=_BLUE),
@@ -237,12 +244,7 @@ def _specular() -> _Recipe:
 
     solids = [
         _wall(-1.1, _PLASTER),
-        plane(
-            (0.0, 1.02, 4.4),
-            (12.0, 5.0),
-            axes=rotation(pitch=90.0),
-            material=replace(_WOOD, mirror=0.12),
-        ),
+        _floor(1.02, 2.2, -1.1, replace(_WOOD, mirror=0.12)),
         sphere(_at(-0.25, 0.12, 0.7), _width(0.17, 0.7), material=glossy(_BLUE, 0.2)),
         sphere(_at(0.1, -0.06, 0.1), _width(0.14, 0.1), material=glossy(_RED, 0.3)),
         sphere(_at(0.1, 0.3, 1.6), _width(0.08, 1.6), material=glossy(_MARBLE, 0.55)),
@@ -268,12 +270,7 @@ def _crossing() -> _Recipe:
 
 def _still_life() -> _Recipe:
     top = 1.1  # height of the table, below the camera
-    table = plane(
-        (0.0, top, 4.4),
-        (9.0, 4.2),
-        axes=rotation(pitch=90.0),
-        material=replace(_WOOD, mirror=0.04),
-    )
+    table = _floor(top, 1.6, -1.35, replace(_WOOD, mirror=0.04))
     ball = sphere(
         (-0.8, top - 0.68, 3.85), 0.26, material=replace(_BLUE, specular=0.35, mirror=0.06)
     )
@@ -405,9 +402,7 @@ def make_scene(
     )
 
 
-def scene(
-    name: str, *, dtype: jnp.dtype | type = jnp.float32, key: PRNGKeyArray | None = None
-) -> Scene:
+def scene(name: str, *, dtype: Any = jnp.float32, key: PRNGKeyArray | None = None) -> Scene:
     """A scene by its name.
 
     | name | what it stresses |

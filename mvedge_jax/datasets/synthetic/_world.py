@@ -245,7 +245,7 @@ def make_world(
     softness: float = 0.03,
     shadow: float = 1.0,
     seed: int = 0,
-    dtype: jnp.dtype = jnp.float32,
+    dtype: Any = jnp.float32,
 ) -> World:
     """Gathers solids and a light into the arrays that the ray caster reads.
 
