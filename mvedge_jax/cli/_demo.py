@@ -1,0 +1,211 @@
+"""`mvedge demo`: a synthetic light field, rendered, measured and drawn."""
+
+import csv
+import json
+import platform
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, NamedTuple
+
+import jax
+import numpy as np
+import tyro
+from jax import Array
+from matplotlib.figure import Figure
+
+from .. import plotting
+from ..datasets import synthetic, write_pfm
+from ..lightfield import GroundTruth, LightField
+from ..metrics import BoundaryScores, DepthScores, boundary_scores, depth_scores, reprojection_error
+from ..reconstruct import plane_sweep
+from ._common import note, output_folder, stage
+
+
+def _sweep(light_field: LightField) -> Array:
+    return plane_sweep(light_field).disparity
+
+
+# Name -> centre view's disparity from a light field without its truth. Every method is timed,
+# scored and drawn in the same way.
+_METHODS: dict[str, Callable[[LightField], Array]] = {"plane sweep": _sweep}
+
+# Title of a column of the table -> how to get the figure.
+_COLUMNS: dict[str, Callable[["_Result"], Array]] = {
+    "MSE*100": lambda r: r.depth.mse,
+    "Q25*100": lambda r: r.depth.q25,
+    "BP(0.01) %": lambda r: r.depth.bad_01,
+    "BP(0.03) %": lambda r: r.depth.bad_03,
+    "BP(0.07) %": lambda r: r.depth.bad_07,
+    "edge MSE*100": lambda r: r.depth.edge_mse,
+    "boundary F1": lambda r: r.boundary.peak_f1,
+    "boundary AUC": lambda r: r.boundary.auc,
+    "reprojection*100": lambda r: r.reprojection,
+}
+
+
+class _Result(NamedTuple):
+    """One method's map and scores."""
+
+    name: str
+    disparity: Array
+    seconds: float
+    depth: DepthScores
+    boundary: BoundaryScores
+    reprojection: Array
+
+
+def demo(
+    out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT")] = Path("demo_out"),
+    /,
+    *,
+    scene: str = "demo",
+    views: int = 9,
+    size: tuple[int, int] = (256, 256),
+    seed: int = 0,
+    overwrite: bool = False,
+) -> None:
+    """Renders a light field, estimates its depth, scores and draws it; takes about a minute.
+
+    OUT gets figures (views, an epipolar-plane image with its lines, disparity and error maps,
+    precision and recall of depth boundaries), metrics.csv, metrics.json and the disparity maps.
+
+    Args:
+        out: folder to make.
+        scene: a synthetic scene, see `mvedge render --help`.
+        views: VIEWS x VIEWS views, an odd number of at least 3.
+        size: height and width in px.
+        seed: of the sensor's noise.
+        overwrite: replace OUT if it is there.
+    """
+    if views < 3:
+        raise ValueError(f"--views must be odd and at least 3, got {views}.")
+    if min(size) < 32:
+        raise ValueError(f"--size must be at least 32 x 32 px, got {size[0]} x {size[1]}.")
+    world = synthetic.scene(scene)
+    with output_folder(out, overwrite=overwrite) as folder:
+        with stage(f"rendering {scene}, {views}x{views} views of {size[1]}x{size[0]} px"):
+            light_field = synthetic.render(
+                world, shape=(views, views, *size), key=jax.random.key(seed)
+            )
+            jax.block_until_ready(light_field.views)
+        truth = light_field.truth
+        assert truth is not None
+        results = [_run(name, light_field, truth) for name in _METHODS]
+        with stage("writing figures and metrics"):
+            for name, figure in _figures(light_field, truth, results):
+                figure.savefig(folder / f"{name}.png")
+            for result in results:
+                path = folder / f"disparity_{result.name.replace(' ', '_')}.pfm"
+                write_pfm(path, np.asarray(result.disparity))
+            _write_metrics(folder, light_field, results)
+    note(_table(results))
+    note(f"figures and metrics are in {out}")
+
+
+def _run(name: str, light_field: LightField, truth: GroundTruth) -> _Result:
+    blind = light_field.without_truth()
+    with stage(f"estimating disparity: {name}"):
+        start = time.perf_counter()
+        disparity = jax.block_until_ready(_METHODS[name](blind))
+        seconds = time.perf_counter() - start
+    with stage(f"scoring: {name}"):
+        maps = (disparity, truth.disparity)
+        return _Result(
+            name,
+            disparity,
+            seconds,
+            depth_scores(*maps, mask=truth.valid),
+            boundary_scores(*maps, mask=truth.valid),
+            reprojection_error(disparity, light_field).error,
+        )
+
+
+def _figures(
+    light_field: LightField, truth: GroundTruth, results: list[_Result]
+) -> list[tuple[str, Figure]]:
+    """Name and figure; disparity has one colour range in all of them."""
+    known = np.where(np.asarray(truth.valid), np.asarray(truth.disparity), np.nan)
+    names = [result.name for result in results]
+    maps = [result.disparity for result in results]
+    captions = [
+        f"MSE*100 {float(r.depth.mse):.3g}    BP(0.07) {float(r.depth.bad_07):.3g} %"
+        for r in results
+    ]
+    return [
+        ("views", plotting.plot_views(light_field)),
+        ("epi", _epi(light_field, truth)),
+        ("disparity", plotting.plot_disparity([known, *maps], names=["ground truth", *names])),
+        (
+            "comparison",
+            plotting.plot_comparison(
+                maps, known, names=names, captions=captions, image=light_field.centre_view
+            ),
+        ),
+        ("error_signed", plotting.plot_error(maps[-1], known, kind="signed", name=names[-1])),
+        ("boundaries", plotting.plot_precision_recall([r.boundary for r in results], names=names)),
+    ]
+
+
+def _epi(light_field: LightField, truth: GroundTruth) -> Figure:
+    """The row whose disparities vary most, with lines where the image changes most."""
+    known = np.where(np.asarray(truth.valid), np.asarray(truth.disparity), np.nan)
+    row = int(np.nanargmax(np.nanmean(np.abs(np.diff(known, axis=1)), axis=1)))
+    change = np.abs(np.diff(np.asarray(light_field.centre_view)[row].mean(-1)))
+    peaks = np.r_[False, (change[1:-1] >= change[:-2]) & (change[1:-1] > change[2:]), False]
+    columns = np.flatnonzero(peaks)
+    columns = columns[np.argsort(change[columns])[-40:]]
+    # An edge belongs to the nearest of the surfaces beside it.
+    around = np.clip(columns[:, None] + np.arange(-1, 3), 0, known.shape[1] - 1)
+    nearer = np.fmax.reduce(known[row, around], axis=1)
+    return plotting.plot_epi(
+        light_field,
+        row=row,
+        positions=columns + 0.5,
+        disparities=nearer,
+        valid=np.isfinite(nearer),
+        limits=plotting.disparity_limits([known], percent=0.0),
+    )
+
+
+def _values(result: _Result) -> list[float]:
+    return [float(get(result)) for get in _COLUMNS.values()]
+
+
+def _table(results: list[_Result]) -> str:
+    rows = [["method", *_COLUMNS, "seconds"]]
+    for result in results:
+        cells = [f"{value:#.3g}" for value in _values(result)]
+        rows.append([result.name, *cells, f"{result.seconds:.1f}"])
+    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
+    return "\n".join(
+        "  ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True))
+        for row in rows
+    )
+
+
+def _write_metrics(folder: Path, light_field: LightField, results: list[_Result]) -> None:
+    with (folder / "metrics.csv").open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(["scene", "method", *_COLUMNS, "seconds with compilation"])
+        for result in results:
+            writer.writerow(
+                [light_field.name, result.name, *_values(result), round(result.seconds, 3)]
+            )
+    summary = {
+        "scene": light_field.name,
+        "shape [v, u, y, x]": list(light_field.views.shape[:4]),
+        "crop": 0,
+        "jax": jax.__version__,
+        "device": jax.devices()[0].device_kind,
+        "machine": platform.platform(),
+        "methods": [
+            {
+                "name": result.name,
+                "seconds with compilation": round(result.seconds, 3),
+                **dict(zip(_COLUMNS, _values(result), strict=True)),
+            }
+            for result in results
+        ],
+    }
+    (folder / "metrics.json").write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")

@@ -1,0 +1,69 @@
+"""`mvedge demo`: leaves what it promises, or nothing."""
+
+import csv
+import json
+
+import cv2
+import numpy as np
+import pytest
+
+from mvedge_jax.cli import _demo, main
+from mvedge_jax.datasets import read_pfm
+
+_FIGURES = {"views", "epi", "disparity", "comparison", "error_signed", "boundaries"}
+
+
+def test_figures_and_metrics_are_on_disk(tmp_path, capsys):
+    out = tmp_path / "a" / "demo"
+    assert main(["demo", str(out), "--views", "3", "--size", "40", "48"]) == 0
+    assert {path.stem for path in out.glob("*.png")} == _FIGURES
+    for path in out.glob("*.png"):
+        assert np.std(np.asarray(cv2.imread(str(path)))) > 5, f"{path.name} is blank"
+    disparity = read_pfm(out / "disparity_plane_sweep.pfm")
+    assert disparity.shape == (40, 48)
+    assert np.isfinite(disparity).all()
+    (row,) = csv.DictReader((out / "metrics.csv").read_text().splitlines())
+    summary = json.loads((out / "metrics.json").read_text())
+    (method,) = summary["methods"]
+    assert row["method"] == method["name"] == "plane sweep"
+    assert float(row["MSE*100"]) == method["MSE*100"]
+    assert 0 < method["MSE*100"] < 30  # the truth's variance x 100 is 80
+    assert method["BP(0.01) %"] > method["BP(0.07) %"] > 0
+    assert summary["shape [v, u, y, x]"] == [3, 3, 40, 48]
+    printed = capsys.readouterr().out
+    assert "MSE*100" in printed
+    assert str(out) in printed
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--views", "1"], "--views must be"),
+        (["--views", "4"], "odd"),
+        (["--size", "8", "8"], "--size must be"),
+        (["--scene", "moon"], "moon"),
+    ],
+)
+def test_mistakes_are_one_line(tmp_path, capsys, arguments, message):
+    assert main(["demo", str(tmp_path / "demo"), *arguments]) == 2
+    assert message in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt, RuntimeError])
+def test_nothing_is_left_when_it_stops_half_way(tmp_path, monkeypatch, error):
+    def stop(*arguments):
+        raise error
+
+    monkeypatch.setattr(_demo, "_write_metrics", stop)
+    monkeypatch.setattr(_demo, "_figures", lambda *arguments: [])
+    arguments = ["demo", str(tmp_path / "demo"), "--views", "3", "--size", "40", "48"]
+    assert main(arguments) == (130 if error is KeyboardInterrupt else 1)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_folder_in_use_is_kept(tmp_path, capsys):
+    (tmp_path / "mine.txt").write_text("keep")
+    assert main(["demo", str(tmp_path)]) == 2
+    assert "--overwrite" in capsys.readouterr().err
+    assert (tmp_path / "mine.txt").read_text() == "keep"
