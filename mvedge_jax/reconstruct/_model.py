@@ -9,14 +9,8 @@ from jaxtyping import Array, Bool, Float
 
 from mvedge_jax._params import cast, number
 from mvedge_jax.color import srgb_to_lab
-from mvedge_jax.diffusion import (
-
-    Solver,
-    SolveStats,
-    System,
-    diffuse,
-    edge_weights,
-)
+from mvedge_jax.diffusion import Solver, SolveStats, System, diffuse, edge_weights
+from mvedge_jax.diffusion._weights import Pairing
 from mvedge_jax.splatting import Splat, SplatParams, SplatSizes, splat
 
 
