@@ -1,5 +1,11 @@
 """Multi-view edges from epipolar-plane images (Thesis 4.1)."""
 
+from ._alignment import (
+    aligned_count as aligned_count,
+    alignment as alignment,
+    line_visibility as line_visibility,
+    longest_run as longest_run,
+)
 from ._bank import (
     FilterBank as FilterBank,
     bank_radius as bank_radius,
@@ -8,9 +14,19 @@ from ._bank import (
     prewitt_bank as prewitt_bank,
 )
 from ._edges import multiview_edges as multiview_edges
+from ._entropy import entropy_search as entropy_search, line_entropy as line_entropy
+from ._joint_filter import joint_filter as joint_filter
+from ._lines import (
+    EpiLines as EpiLines,
+    epi_edge_map as epi_edge_map,
+    fit_lines as fit_lines,
+    merge_scales as merge_scales,
+)
+from ._noise import noise_variance as noise_variance
 from ._params import EdgeParams as EdgeParams, EdgeSizes as EdgeSizes
 from ._points import EdgePoints as EdgePoints, Edges as Edges, EdgeStats as EdgeStats
 from ._range import disparity_range as disparity_range
 from ._refine import Refined as Refined, refine_points as refine_points
 from ._response import bank_response as bank_response, sheared_response as sheared_response
 from ._support import neighbour_support as neighbour_support
+from ._vote import spatial_vote as spatial_vote

@@ -10,10 +10,11 @@ from jaxtyping import Array, Bool, Float, Int
 from .._params import cast
 from ..color import srgb_to_gray, srgb_to_lab
 from ..lightfield import LightField
-from ._bank import prewitt_bank
+from ._bank import FilterBank, prewitt_bank
+from ._noise import noise_variance
 from ._params import EdgeParams, EdgeSizes
 from ._points import EdgePoints, Edges, EdgeStats
-from ._refine import refine_chunks
+from ._refine import Refined, refine_chunks
 from ._search import Maps, search, vertex
 from ._spline import spline_coefficients
 from ._support import neighbour_support
@@ -26,18 +27,20 @@ class _Candidates(NamedTuple):
     column: Int[Array, " n"]
     valid: Bool[Array, " n"]
     found: Bool[Array, "2 n"]
-    count: Int[Array, ""]
+    total: Int[Array, ""]
     overflow: Int[Array, ""]
 
 
-def scene_banks(params: EdgeParams, sizes: EdgeSizes, views: tuple[int, int]) -> tuple:
+def scene_banks(
+    params: EdgeParams, sizes: EdgeSizes, views: tuple[int, ...]
+) -> tuple[FilterBank, FilterBank]:
     """The filters of both arms: those of `params`, or Prewitt filters on the grid of `sizes`."""
     if params.banks is not None:
         return params.banks
     index = sizes.first + jnp.arange(sizes.filters)
     disparity = index.astype(params.step.dtype) * params.step
     radius = max(sizes.radius(count) for count in views)
-    return tuple(prewitt_bank(disparity, count, radius) for count in (views[1], views[0]))
+    return prewitt_bank(disparity, views[1], radius), prewitt_bank(disparity, views[0], radius)
 
 
 def line_maxima(strength: Float[Array, "y x"], floor: Float[Array, ""]) -> Bool[Array, "y x"]:
@@ -104,6 +107,48 @@ def unit_gradient(gray: Float[Array, "y x"]) -> Float[Array, "y x 2"]:
     return jnp.where(square > 1e-12, gradient / jnp.sqrt(safe), 0)
 
 
+class _Measured(NamedTuple):
+    """All that is known of the candidates before any is judged."""
+
+    maps: Maps
+    candidates: _Candidates
+    refined: Refined
+
+
+def _measure(light_field: LightField, params: EdgeParams, sizes: EdgeSizes) -> _Measured:
+    across = light_field.horizontal_arm
+    down = jnp.swapaxes(light_field.vertical_arm, 1, 2)
+    gray = (100 * srgb_to_gray(across), 100 * srgb_to_gray(down))
+    banks = scene_banks(params, sizes, light_field.views.shape[:2])
+    noise = params.noise_gain * noise_variance(gray[0][light_field.centre[1]])
+    saturation = params.saturation + noise
+    maps = search(
+        (srgb_to_lab(across), srgb_to_lab(down)),
+        gray,
+        banks,
+        saturation,
+        window=sizes.window,
+        tile=sizes.tile,
+    )
+    candidates = _candidates(maps, params.strength_floor, sizes.capacity)
+    row, column = candidates.row, candidates.column
+    refined = refine_chunks(
+        (spline_coefficients(gray[0], axis=-1), spline_coefficients(gray[1], axis=-1)),
+        column,
+        row,
+        maps.disparity[row, column],
+        None,
+        candidates.valid,
+        params.robustness,
+        saturation,
+        params.contrast_floor + noise,
+        window=sizes.window,
+        iterations=sizes.iterations,
+        chunk=sizes.chunk,
+    )
+    return _Measured(maps, candidates, refined)
+
+
 @eqx.filter_jit
 def multiview_edges(light_field: LightField, params: EdgeParams, sizes: EdgeSizes) -> Edges:
     """Finds edge points with accurate disparities, from the crosshair of a light field.
@@ -136,35 +181,14 @@ def multiview_edges(light_field: LightField, params: EdgeParams, sizes: EdgeSize
         0
     """
     params = cast(params, light_field.views.dtype)
-    across = light_field.horizontal_arm
-    down = jnp.swapaxes(light_field.vertical_arm, 1, 2)
-    gray = (100 * srgb_to_gray(across), 100 * srgb_to_gray(down))
-    banks = scene_banks(params, sizes, light_field.views.shape[:2])
-    maps = search(
-        (srgb_to_lab(across), srgb_to_lab(down)),
-        gray,
-        banks,
-        params.saturation,
-        window=sizes.window,
-        tile=sizes.tile,
-    )
-    candidates = _candidates(maps, params.strength_floor, sizes.capacity)
+    maps, candidates, refined = _measure(light_field, params, sizes)
     row, column = candidates.row, candidates.column
-    refined = refine_chunks(
-        (spline_coefficients(gray[0], axis=-1), spline_coefficients(gray[1], axis=-1)),
-        column,
-        row,
-        maps.disparity[row, column],
-        None,
-        candidates.valid,
-        params.robustness,
-        params.saturation,
-        window=sizes.window,
-        iterations=sizes.iterations,
-        chunk=sizes.chunk,
-    )
-    mismatch = refined.core_residual / (refined.core_contrast + params.contrast_floor)
-    consistent = candidates.valid & (mismatch < params.residual_limit)
+    # The views are quantised: equal samples do not make a disparity certain.
+    variance = refined.residual + params.noise_floor
+    error = jnp.sqrt(variance / jnp.maximum(refined.information, 1e-6) + params.error_floor**2)
+    mismatch = refined.mismatch
+    precise = candidates.valid & (error < params.error_limit)
+    consistent = precise & (mismatch < params.residual_limit)
 
     shape = maps.disparity.shape
     place = jnp.where(consistent, row * shape[1] + column, shape[0] * shape[1])
@@ -182,15 +206,13 @@ def multiview_edges(light_field: LightField, params: EdgeParams, sizes: EdgeSize
         params.support_tolerance,
     )[row, column]
     # A point that its neighbours agree with may have twice the residual, a lone one next to none.
-    valid = candidates.valid & (mismatch < 2 * params.residual_limit * support)
+    valid = precise & (mismatch < 2 * params.residual_limit * support)
 
     strength = jnp.where(candidates.found, maps.strength[:, row, column], 0).max(0)
     confidence = strength / (strength + params.confidence_scale) * vote
-    variance = refined.residual / jnp.maximum(refined.information, 1e-6)
-    error = jnp.sqrt(variance + params.error_floor**2)
     view_mismatch = refined.view_residual / (refined.core_contrast + params.contrast_floor)[None]
     visible = refined.inside & (view_mismatch < params.visibility_limit)
-    normal = unit_gradient(gray[0][light_field.centre[1]])[row, column]
+    normal = unit_gradient(srgb_to_gray(light_field.centre_view))[row, column]
 
     def only(values: Array) -> Array:
         keep = valid.reshape(-1, *([1] * (values.ndim - 1)))
@@ -205,9 +227,9 @@ def multiview_edges(light_field: LightField, params: EdgeParams, sizes: EdgeSize
         visible=only(visible.T),
         valid=valid,
     )
-    zero = jnp.zeros((), candidates.count.dtype)
+    zero = jnp.zeros((), candidates.total.dtype)
     stats = EdgeStats(
-        candidates=candidates.count,
+        candidates=candidates.total,
         overflow=candidates.overflow,
         consistent=consistent.sum(),
         supported=valid.sum(),

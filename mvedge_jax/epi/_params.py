@@ -24,17 +24,20 @@ class EdgeParams(eqx.Module):
             three filters beats a fine one: neighbours must differ.
         saturation: variance over the views, grey levels squared, beyond which a pixel of a window
             counts as another surface.
-        noise_gain: how much the noise of the scene adds to `saturation`.
+        noise_gain: how much the variance of the scene's noise adds to `saturation` and to
+            `contrast_floor`.
         robustness: residual of a view, relative to the contrast, that quarters its weight.
         strength_floor: weakest edge considered, Lab units per px.
         contrast_floor: added to the contrast where residuals are compared with it.
         residual_limit: largest residual, relative to the contrast, of an accepted point half of
             whose neighbours agree with it; in proportion for other shares.
+        error_limit: largest standard error of an accepted point, px.
         support_radius: standard deviation, px, of the neighbourhood that votes.
         support_tolerance: disparity difference, px, at which a neighbour's vote is one half.
         confidence_scale: strength, Lab units per px, at which the confidence is one half.
         visibility_limit: largest residual of a view, relative to the contrast, that shows the
             point.
+        noise_floor: variance of the quantisation, grey levels squared; 8 bits by default.
         error_floor: smallest standard error, px: interpolation and calibration are not perfect.
     """
 
@@ -45,11 +48,13 @@ class EdgeParams(eqx.Module):
     robustness: Float[Array, ""] = number(0.2)
     strength_floor: Float[Array, ""] = number(0.1)
     contrast_floor: Float[Array, ""] = number(0.05)
-    residual_limit: Float[Array, ""] = number(0.5)
+    residual_limit: Float[Array, ""] = number(0.4)
+    error_limit: Float[Array, ""] = number(0.03)
     support_radius: Float[Array, ""] = number(2.0)
     support_tolerance: Float[Array, ""] = number(0.1)
     confidence_scale: Float[Array, ""] = number(2.0)
     visibility_limit: Float[Array, ""] = number(1.0)
+    noise_floor: Float[Array, ""] = number(0.013)
     error_floor: Float[Array, ""] = number(0.0005)
 
 

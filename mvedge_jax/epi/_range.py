@@ -19,7 +19,10 @@ _WIDEST = 12.0
 @eqx.filter_jit
 def _coarse(across: Array, down: Array, disparity: Array, radius: int, tile: int) -> Maps:
     down = jnp.swapaxes(down, 1, 2)
-    banks = tuple(prewitt_bank(disparity, arm.shape[0], radius) for arm in (across, down))
+    banks = (
+        prewitt_bank(disparity, across.shape[0], radius),
+        prewitt_bank(disparity, down.shape[0], radius),
+    )
     return search(
         (srgb_to_lab(across), srgb_to_lab(down)),
         (100 * srgb_to_gray(across), 100 * srgb_to_gray(down)),

@@ -26,9 +26,11 @@ class Refined(NamedTuple):
             pixels, grey levels squared.
         residual: mean squared residual over views and the whole window.
         contrast: mean squared slope over the window, of the arm where it is larger.
-        core_residual: `residual` over the inner 3x3 pixels.
         core_contrast: `contrast` over the inner 3x3 pixels.
         view_residual: `core_residual` per view, vertical arm first.
+        mismatch: residual relative to the contrast on the best half (left, right, upper or lower,
+            centre line included) of the inner 3x3 pixels: at a depth edge the other half shows
+            another surface.
         inside: which views show the whole of the window that the centre view shows.
     """
 
@@ -36,9 +38,9 @@ class Refined(NamedTuple):
     information: Float[Array, " n"]
     residual: Float[Array, " n"]
     contrast: Float[Array, " n"]
-    core_residual: Float[Array, " n"]
     core_contrast: Float[Array, " n"]
     view_residual: Float[Array, "s n"]
+    mismatch: Float[Array, " n"]
     inside: Bool[Array, "s n"]
 
 
@@ -87,6 +89,7 @@ def refine_points(
     start: Float[Array, "s n"],
     robustness: Float[Array, ""],
     saturation: Float[Array, ""],
+    contrast_floor: Float[Array, ""],
     *,
     window: int,
     iterations: int,
@@ -108,6 +111,7 @@ def refine_points(
             quarter of its weight.
         saturation: variance over the views at which a pixel of the window has a quarter of its
             weight.
+        contrast_floor: added to the contrast where residuals are compared with it.
         window: side of the window, odd.
         iterations: Gauss-Newton steps.
 
@@ -167,6 +171,15 @@ def refine_points(
             (slope_x * slope_x)[core, core].mean((0, 1)),
             (slope_y * slope_y)[core, core].mean((0, 1)),
         )
+        pixel_residual = (seen[:, None, None] * squared).sum(0)
+        pixel_contrast = jnp.maximum(slope_x**2, slope_y**2)
+
+        def part(rows: slice, columns: slice) -> Array:
+            ratio = pixel_contrast[rows, columns].mean((0, 1)) + contrast_floor
+            return pixel_residual[rows, columns].mean((0, 1)) / ratio
+
+        before, after = slice(half - 1, half + 1), slice(half, half + 2)
+        halves = [part(core, before), part(core, after), part(before, core), part(after, core)]
         # The small constant keeps windows without contrast where they are.
         step = -gradient / (information + 1e-3)
         pixels = 1 / jnp.maximum((belief * belief).sum((0, 1)), 1e-12)
@@ -175,9 +188,9 @@ def refine_points(
             information * pixels,
             (seen * per_view).sum(0),
             contrast,
-            (seen * core_view).sum(0),
             core_contrast,
             core_view,
+            jnp.stack(halves).min(0),
             per_view,
         )
 
@@ -202,6 +215,7 @@ def refine_chunks(
     valid: Bool[Array, " n"],
     robustness: Float[Array, ""],
     saturation: Float[Array, ""],
+    contrast_floor: Float[Array, ""],
     *,
     window: int,
     iterations: int,
@@ -218,6 +232,7 @@ def refine_chunks(
         valid: which slots are points; the others come back as zeros.
         robustness: see `refine_points`.
         saturation: see `refine_points`.
+        contrast_floor: see `refine_points`.
         window: side of the window.
         iterations: Gauss-Newton steps.
         chunk: points at a time; the number of slots must be a multiple of it.
@@ -241,6 +256,7 @@ def refine_chunks(
             weight,
             robustness,
             saturation,
+            contrast_floor,
             window=window,
             iterations=iterations,
         )

@@ -1,0 +1,110 @@
+"""Alignment of lines with the gradient of their EPI: outlier rejection and visibility."""
+
+import math
+
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Bool, Float, Int
+
+from ._lines import EpiLines
+
+FILTER_ANGLE = math.pi / 13
+VISIBLE_ANGLE = math.pi / 10
+
+
+def _sobel(epi: Float[Array, "u x"]) -> tuple[Array, Array]:
+    padded = jnp.pad(epi, ((1, 1), (1, 1)), mode="edge")
+    down = padded[:-2] + 2 * padded[1:-1] + padded[2:]
+    along = padded[:, :-2] + 2 * padded[:, 1:-1] + padded[:, 2:]
+    return down[:, 2:] - down[:, :-2], along[2:] - along[:-2]
+
+
+def alignment(epi: Float[Array, "u x"], lines: EpiLines) -> Float[Array, "m u"]:
+    """Absolute cosine between a line's normal and the EPI's gradient, in every row.
+
+    The sign of an edge is arbitrary, hence the absolute value. Flat pixels count as 0, not
+    aligned.
+
+    Args:
+        epi: lightness of one EPI.
+        lines: its lines.
+
+    Returns:
+        Values in [0, 1]; 0 in slots that are not valid and outside the image.
+
+    Source: Thesis 4.1.5, the cosines of Eq. 4.3 and 4.4.
+    """
+    views, width = epi.shape
+    across, down = _sobel(epi)
+    rows = jnp.arange(views)
+    steps = jnp.asarray(views // 2 - np.arange(views), epi.dtype)
+    x = lines.position[:, None] + steps[None] * lines.disparity[:, None]
+    inside = (x >= -0.5) & (x <= width - 0.5)
+    column = jnp.clip(jnp.round(x).astype(jnp.int32), 0, width - 1)
+    gx, gu = across[rows[None], column], down[rows[None], column]
+    # x(u) = x_c + (u_c - u) d: along the line x falls by d per row, so its normal is (1, d).
+    dot = jnp.abs(gx + gu * lines.disparity[:, None])
+    square = (gx * gx + gu * gu) * (1 + lines.disparity**2)[:, None]
+    flat = square <= 1e-12
+    cosine = dot / jnp.sqrt(jnp.where(flat, 1, square))
+    return jnp.where(flat | ~inside | ~lines.valid[:, None], 0, cosine)
+
+
+def aligned_count(cosine: Float[Array, "m u"], *, angle: float = FILTER_ANGLE) -> Int[Array, " m"]:
+    """How many rows are aligned; the thesis keeps lines with a quarter of them (Eq. 4.3)."""
+    return (cosine > math.cos(angle)).sum(-1)
+
+
+def longest_run(cosine: Float[Array, "m u"], *, angle: float = FILTER_ANGLE) -> Int[Array, " m"]:
+    """Length of the longest run of aligned rows; the authors' code keeps lines with 4 or more."""
+    aligned = cosine > math.cos(angle)
+
+    def advance(carry: tuple[Array, Array], hit: Array) -> tuple[tuple[Array, Array], None]:
+        run, best = carry
+        run = jnp.where(hit, run + 1, 0)
+        return (run, jnp.maximum(best, run)), None
+
+    nothing = jnp.zeros(cosine.shape[0], jnp.int32)
+    (_, best), _ = lax.scan(advance, (nothing, nothing), aligned.T)
+    return best
+
+
+def line_visibility(
+    cosine: Float[Array, "m u"],
+    lines: EpiLines,
+    *,
+    width: int,
+    angle: float = VISIBLE_ANGLE,
+) -> Bool[Array, "m u"]:
+    """In which views of an arm each line is seen.
+
+    A line is seen in every view inside the image, unless a nearer line crosses it: then the views
+    where the gradient is aligned with it count, cleaned by a median of three along the views.
+
+    Args:
+        cosine: see `alignment`.
+        lines: the lines.
+        width: of the views, px.
+        angle: largest angle of an aligned gradient.
+
+    Returns:
+        One row per line.
+
+    Source: Thesis 4.1.5, Eq. 4.4 tests the centre view of every line; the authors' code tests
+    crossed lines in all views, as here.
+    """
+    views = cosine.shape[1]
+    steps = jnp.asarray(views // 2 - np.arange(views), cosine.dtype)
+    x = lines.position[:, None] + steps[None] * lines.disparity[:, None]
+    inside = (x >= -0.5) & (x <= width - 0.5)
+    top = x[:, None, 0] - x[None, :, 0]
+    bottom = x[:, None, -1] - x[None, :, -1]
+    nearer = lines.disparity[None, :] > lines.disparity[:, None]
+    crossed = ((top * bottom <= 0) & nearer & lines.valid[None]).any(1)
+    seen = cosine > math.cos(angle)
+    before = jnp.pad(seen[:, :-1], ((0, 0), (1, 0)))
+    after = jnp.pad(seen[:, 1:], ((0, 0), (0, 1)))
+    median = (before & seen) | (seen & after) | (before & after)
+    visible = jnp.where(crossed[:, None], median, True)
+    return visible & inside & lines.valid[:, None]

@@ -1,0 +1,179 @@
+"""Lines in epipolar-plane images: the edge map of Alg. 1, greedy fitting, merging of scales."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Bool, Float, Int
+
+from ._bank import FilterBank
+from ._response import bank_response
+
+
+class EpiLines(NamedTuple):
+    """Padded lines of one EPI; `vmap` over EPIs. Slots that are not `valid` hold zeros.
+
+    Attributes:
+        position: where the line crosses the centre view, px.
+        disparity: px per view step.
+        confidence: filter response.
+        valid: which slots hold a line.
+    """
+
+    position: Float[Array, "*e m"]
+    disparity: Float[Array, "*e m"]
+    confidence: Float[Array, "*e m"]
+    valid: Bool[Array, "*e m"]
+
+
+def _local_deviation(epi: Float[Array, "u x c"]) -> Float[Array, "u x c"]:
+    """Standard deviation over 3x3 pixels, border values repeated."""
+    padded = jnp.pad(epi, ((1, 1), (1, 1), (0, 0)), mode="edge")
+    rows, columns = epi.shape[:2]
+    parts = [padded[j : j + rows, i : i + columns] for j in range(3) for i in range(3)]
+    stack = jnp.stack(parts)
+    variance = ((stack - stack.mean(0)[None]) ** 2).mean(0)
+    return jnp.where(variance > 0, jnp.sqrt(jnp.where(variance > 0, variance, 1)), 0)
+
+
+def epi_edge_map(
+    epi: Float[Array, "u x c"], bank: FilterBank, *, modulate: bool = False
+) -> tuple[Float[Array, "u x"], Float[Array, "u x"]]:
+    """Edge confidence and slope at every pixel of an EPI, all rows.
+
+    All rows of a line see the same filter sum, so the response of row `u` at `x` to disparity `d`
+    is that of the centre row at `x - (u_c - u) d`. Where lines cross, each wins on the rows where
+    it is apart from the other: both survive.
+
+    Args:
+        epi: Lab values of one EPI, views by pixels.
+        bank: the filters.
+        modulate: multiply by the standard deviation of 3x3 pixels of the EPI (Alg. 1).
+
+    Returns:
+        Confidence after non-maximum suppression along x (0 elsewhere), and the disparity of the
+        winning filter. The confidence is differentiable in the EPI and the taps.
+
+    Source: Thesis 4.1.1, Alg. 1; maximum over channels, absolute response.
+    """
+    views, width, _ = epi.shape
+    response = jnp.abs(bank_response(epi[:, None], bank)[0])
+    steps = jnp.asarray(views // 2 - np.arange(views), epi.dtype)
+
+    def row(step: Array, deviation: Array) -> tuple[Array, Array]:
+        source = jnp.arange(width, dtype=epi.dtype)[:, None] - step * bank.disparity[None]
+        whole = jnp.floor(source)
+        part = source - whole
+        index = whole.astype(jnp.int32)[:, None]
+
+        def at(offset: int) -> Array:
+            clipped = jnp.clip(index + offset, 0, width - 1)
+            return jnp.take_along_axis(response, clipped, 0)
+
+        shifted = (1 - part)[:, None] * at(0) + part[:, None] * at(1)
+        if modulate:
+            shifted = shifted * deviation[..., None]
+        over_channels = shifted.max(1)
+        best = jnp.argmax(over_channels, -1)
+        value = jnp.take_along_axis(over_channels, best[:, None], -1)[:, 0]
+        left = jnp.pad(value[:-1], (1, 0))
+        right = jnp.pad(value[1:], (0, 1))
+        keep = (value > left) & (value >= right)
+        return jnp.where(keep, value, 0), bank.disparity[best]
+
+    return jax.vmap(row)(steps, _local_deviation(epi))
+
+
+def fit_lines(
+    confidence: Float[Array, "u x"],
+    disparity: Float[Array, "u x"],
+    radius: Float[Array, ""],
+    *,
+    capacity: int,
+) -> tuple[EpiLines, Int[Array, ""]]:
+    """Forms lines from the pixels of an edge map, strongest first.
+
+    Each line removes the pixels within a perpendicular distance of itself, until none is left or
+    the slots are full.
+
+    Args:
+        confidence: edge confidence, 0 where there is no edge.
+        disparity: slope at each pixel.
+        radius: suppression radius, px; the thesis has 0.2 times the height of the EPI.
+        capacity: slots.
+
+    Returns:
+        The lines, and the number of pixels left over when the slots were full.
+
+    Source: Thesis 4.1.2.
+    """
+    views, width = confidence.shape
+    steps = jnp.asarray(views // 2 - np.arange(views), confidence.dtype)[:, None]
+    columns = jnp.arange(width, dtype=confidence.dtype)[None]
+
+    def take(left: Array, _: None) -> tuple[Array, tuple[Array, ...]]:
+        best = jnp.argmax(left)
+        u, x = best // width, best % width
+        strength, slope = left[u, x], disparity[u, x]
+        position = x.astype(slope.dtype) - steps[u, 0] * slope
+        distance = jnp.abs(columns - position - steps * slope) / jnp.sqrt(1 + slope * slope)
+        found = strength > 0
+        rest = jnp.where(found & (distance < radius), 0, left)
+        return rest, (position, slope, strength, found)
+
+    rest, (position, slope, strength, found) = lax.scan(take, confidence, None, length=capacity)
+
+    def only(values: Array) -> Array:
+        return jnp.where(found, values, 0)
+
+    lines = EpiLines(only(position), only(slope), only(strength), found)
+    return lines, (rest > 0).sum()
+
+
+def _ends(lines: EpiLines, views: int) -> tuple[Array, Array]:
+    first, last = views // 2, views // 2 - (views - 1)
+    return lines.position + first * lines.disparity, lines.position + last * lines.disparity
+
+
+def merge_scales(
+    fine: EpiLines, coarse: EpiLines, radius: Float[Array, ""], *, views: int
+) -> EpiLines:
+    """Adds the lines of a coarser scale that a finer one has not found.
+
+    A coarse line is dropped if both of its ends are within `radius` of those of a fine line, or if
+    it crosses a fine line: then it is a blurred version of what is there.
+
+    Args:
+        fine: lines of an EPI at this scale.
+        coarse: lines of the same EPI found on views of half the size, in the pixels of those.
+        radius: px of the fine scale.
+        views: height of the EPI.
+
+    Returns:
+        Fine lines followed by the coarse ones that were kept, at the fine scale. A coarse pixel's
+        centre lies half a fine pixel off: `x_fine = 2 x + 0.5`.
+
+    Source: Thesis 4.1.4; the crossing test is the authors'.
+    """
+    grown = EpiLines(
+        jnp.where(coarse.valid, 2 * coarse.position + 0.5, 0),
+        2 * coarse.disparity,
+        coarse.confidence,
+        coarse.valid,
+    )
+    fine_top, fine_bottom = _ends(fine, views)
+    top, bottom = _ends(grown, views)
+    at_top = top[:, None] - fine_top[None]
+    at_bottom = bottom[:, None] - fine_bottom[None]
+    near = (jnp.abs(at_top) <= radius) & (jnp.abs(at_bottom) <= radius)
+    crossing = at_top * at_bottom < 0
+    known = ((near | crossing) & fine.valid[None]).any(1)
+    keep = grown.valid & ~known
+
+    def only(values: Array) -> Array:
+        return jnp.where(keep, values, 0)
+
+    kept = EpiLines(only(grown.position), only(grown.disparity), only(grown.confidence), keep)
+    return EpiLines(*(jnp.concatenate([a, b]) for a, b in zip(fine, kept, strict=True)))
