@@ -143,6 +143,7 @@ def test_floors_are_not_blurred():
     floors = [
         {"_params", "color"},
         {"lightfield"},
+        {"_crosshair"},
         {"diffusion", "splatting", "warping", "epi"},
         {"occlusion", "losses", "metrics"},
         {"reconstruct"},

@@ -10,12 +10,12 @@ import tyro
 
 from ._common import enable_compilation_cache
 
-# Command -> module, function. Modules are imported by name so that a missing extra costs only the
-# command that needs it.
+# Command -> module, function. Only the module of the command that runs is imported.
 _COMMANDS = {
     "info": ("._info", "info"),
     "render": ("._render", "render"),
     "eval": ("._eval", "evaluate"),
+    "depth": ("._depth", "depth"),
     "demo": ("._demo", "demo"),
 }
 _DESCRIPTION = (
@@ -25,11 +25,9 @@ _DESCRIPTION = (
 )
 
 
-def _commands() -> dict[str, Callable]:
-    return {
-        name: getattr(importlib.import_module(module, __package__), function)
-        for name, (module, function) in _COMMANDS.items()
-    }
+def _load(name: str) -> Callable:
+    module, function = _COMMANDS[name]
+    return getattr(importlib.import_module(module, __package__), function)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -50,13 +48,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
         os.environ["MVEDGE_CACHE"] = "off"
     enable_compilation_cache()
     try:
-        result = tyro.extras.subcommand_cli_from_dict(
-            _commands(),
-            prog="mvedge",
-            description=_DESCRIPTION,
-            args=words,
-            config=(tyro.conf.FlagCreatePairsOff,),  # --overwrite, without a --no-overwrite
-        )
+        # A flag is --overwrite, without a --no-overwrite beside it.
+        config = (tyro.conf.FlagCreatePairsOff,)
+        if words and words[0] in _COMMANDS:
+            command = _load(words[0])
+            result = tyro.cli(command, prog=f"mvedge {words[0]}", args=words[1:], config=config)
+        else:  # --help, or a mistake that the list of commands answers
+            result = tyro.extras.subcommand_cli_from_dict(
+                {name: _load(name) for name in _COMMANDS},
+                prog="mvedge",
+                description=_DESCRIPTION,
+                args=words,
+                config=config,
+            )
     except SystemExit as stop:  # tyro's own answer to --help or a wrong option
         return stop.code if isinstance(stop.code, int) else 2
     except KeyboardInterrupt:
