@@ -63,7 +63,7 @@ def _run(
 ) -> Iterate:
     return pcg(
         prepared.coefficients,
-        lambda residual: _multigrid.apply(prepared.hierarchy, residual),
+        _multigrid.cycle(prepared.hierarchy),
         jnp.where(prepared.keep, right, 0),
         prepared.keep,
         absolute,

@@ -1,61 +1,138 @@
-"""Aggregation multigrid: one V-cycle, a fixed symmetric positive definite operator."""
+"""Multigrid with operator-dependent interpolation: one V-cycle, fixed, symmetric, definite."""
 
+from collections.abc import Callable
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jaxtyping import Array
 
-from ._stencil import Coefficients, diagonal, double, halve, neighbours, pad
+from ._coarsen import Interpolation, Stencil, coarsen, degree, fill, interpolate, restrict, ties
+from ._fence import fenced
+from ._stencil import Coefficients
 
 _DEGREE = 3
 _LOWEST = 0.3
+# Levels that fit into this many pixels a side are padded to one shape and handled by a loop: they
+# cost nothing to run, but each level that is written out costs time to compile.
+_SMALL = 32
 
 
 class Level(NamedTuple):
-    """One level, scaled to a unit diagonal: `root` is the square root of the diagonal."""
+    """One level, scaled so that its eigenvalues lie between 0 and 2.
+
+    Attributes:
+        root: square roots of the numbers that it is scaled by.
+        diagonal: the scaled diagonal, or None where it is 1.
+        stencil: the scaled edges; the mass is that of the unscaled matrix.
+        weights: interpolation from the next level, unscaled.
+    """
 
     root: Array
-    tx: Array
-    ty: Array
+    diagonal: Array | None
+    stencil: Stencil
+    weights: Interpolation
 
 
 class Multigrid(NamedTuple):
-    """The hierarchy, finest level first. The coarsest has one pixel."""
+    """The hierarchy.
 
-    levels: tuple[Level, ...]
+    Attributes:
+        fine: the large levels, finest first.
+        small: the other ones, padded to one shape and stacked on the axis before the image, so
+            that a batch axis stays the first. The last has one pixel.
+    """
 
-
-def _coarsen(coefficients: Coefficients) -> Coefficients:
-    weight, tx, ty = coefficients
-    y, x = weight.shape[-2:]
-    crossing_x = pad(tx[..., 1::2], (0, y % 2), (0, 0))
-    crossing_y = pad(ty[..., 1::2, :], (0, 0), (0, x % 2))
-    return Coefficients(
-        halve(weight),
-        0.5 * (crossing_x[..., 0::2, :] + crossing_x[..., 1::2, :]),
-        0.5 * (crossing_y[..., 0::2] + crossing_y[..., 1::2]),
-    )
-
-
-def _scale(coefficients: Coefficients) -> Level:
-    root = jnp.sqrt(diagonal(coefficients))
-    inverse = jnp.where(root > 0, 1 / jnp.where(root > 0, root, 1), 0)
-    return Level(
-        root,
-        coefficients.tx * inverse[..., 1:] * inverse[..., :-1],
-        coefficients.ty * inverse[..., 1:, :] * inverse[..., :-1, :],
-    )
+    fine: tuple[Level, ...]
+    small: Level
 
 
 def build(coefficients: Coefficients) -> Multigrid:
     """Builds the hierarchy of a system."""
-    levels = [_scale(coefficients)]
-    while max(coefficients.weight.shape[-2:]) > 1:
-        coefficients = _coarsen(coefficients)
-        levels.append(_scale(coefficients))
-    return Multigrid(tuple(levels))
+    stencil = Stencil(*coefficients, None, None)
+    fine = []
+    while max(stencil.mass.shape[-2:]) > _SMALL:
+        coarse, weights = coarsen(stencil)
+        fine.append(fenced(_scale, stencil, weights))
+        stencil = coarse
+    y, x = stencil.mass.shape[-2:]
+    if stencil.falling is None:
+        diagonals = jnp.zeros((*stencil.mass.shape[:-2], y - 1, x - 1), stencil.mass.dtype)
+        stencil = Stencil(*coefficients, diagonals, diagonals)
+
+    def step(stencil: Stencil, _: None) -> tuple[Stencil, Level]:
+        coarse, weights = coarsen(stencil)
+        shapes = ((y, x), (y, x - 1), (y - 1, x), (y - 1, x - 1), (y - 1, x - 1))
+        filled = (fill(maps, shape) for maps, shape in zip(coarse, shapes, strict=True))
+        return Stencil(*filled), _scale(stencil, weights)
+
+    count = (max(y, x) - 1).bit_length() + 1
+    _, small = lax.scan(step, stencil, None, length=count)
+    return Multigrid(tuple(fine), jax.tree.map(lambda maps: jnp.moveaxis(maps, 0, -3), small))
+
+
+def cycle(multigrid: Multigrid) -> Callable[[Array], Array]:
+    """The V-cycle as a function from a residual to an estimate of the error behind it."""
+    small = jax.tree.map(lambda maps: jnp.moveaxis(maps, -3, 0), multigrid.small)
+    return lambda residual: _cycle(multigrid.fine, small, residual)
+
+
+def _cycle(fine: tuple[Level, ...], small: Level, residual: Array) -> Array:
+    if not fine:
+        return _small_cycle(small, residual)
+    level, *rest = fine
+    value, right, coarse = _down(level, residual)
+    return _up(level, value, right, _cycle(tuple(rest), small, coarse))
+
+
+def _small_cycle(levels: Level, residual: Array) -> Array:
+    shape = (residual.shape[-2], residual.shape[-1])
+
+    def down(residual: Array, level: Level) -> tuple[Array, tuple[Array, Array]]:
+        value, right, coarse = _down(level, residual)
+        return fill(coarse, shape), (value, right)
+
+    def up(correction: Array, visited: tuple[Level, Array, Array]) -> tuple[Array, None]:
+        return _up(*visited, correction), None
+
+    upper = jax.tree.map(lambda maps: maps[:-1], levels)
+    bottom, (values, rights) = lax.scan(down, residual, upper)
+    # Only one pixel is left, and the sum of all data weights.
+    solution = _inverse(levels.root[-1]) ** 2 * bottom
+    return lax.scan(up, solution, (upper, values, rights), reverse=True)[0]
+
+
+def _down(level: Level, residual: Array) -> tuple[Array, Array, Array]:
+    """Smooths from zero and restricts what remains."""
+    factors = _factors(residual.dtype)
+    right = _inverse(level.root) * residual
+    value = _smooth(factors[0] * right, right, level, factors[1:])
+    remaining = fenced(lambda: level.root * _residual(value, right, level))
+    return value, right, restrict(level.weights, remaining)
+
+
+def _up(level: Level, value: Array, right: Array, correction: Array) -> Array:
+    """Adds the correction of the next level and smooths."""
+    shape = (value.shape[-2], value.shape[-1])
+    correction = correction[..., : (shape[0] + 1) // 2, : (shape[1] + 1) // 2]
+    value = value + level.root * interpolate(level.weights, correction, shape)
+    return _inverse(level.root) * _smooth(value, right, level, _factors(value.dtype))
+
+
+def _smooth(value: Array, right: Array, level: Level, factors: Array) -> Array:
+    # The scan keeps XLA from fusing the steps: it would compute each stencil anew for each of
+    # its neighbours, 50 times slower for three steps.
+    def step(value: Array, factor: Array) -> tuple[Array, None]:
+        return value + factor * _residual(value, right, level), None
+
+    return lax.scan(step, value, factors)[0]
+
+
+def _residual(value: Array, right: Array, level: Level) -> Array:
+    own = value if level.diagonal is None else level.diagonal * value
+    return right - own + ties(level.stencil, value)
 
 
 def _factors(dtype: jnp.dtype) -> Array:
@@ -65,29 +142,25 @@ def _factors(dtype: jnp.dtype) -> Array:
     return jnp.asarray(1 / nodes, dtype)
 
 
-def _smooth(value: Array, right: Array, level: Level, factors: Array) -> Array:
-    # The scan keeps XLA from fusing the steps: it would compute each stencil anew for each of
-    # its neighbours, 50 times slower for three steps.
-    def step(value: Array, factor: Array) -> tuple[Array, None]:
-        return (1 - factor) * value + factor * (right + neighbours(value, level.tx, level.ty)), None
-
-    return lax.scan(step, value, factors)[0]
-
-
-def _cycle(levels: tuple[Level, ...], residual: Array) -> Array:
-    level = levels[0]
-    inverse = jnp.where(level.root > 0, 1 / jnp.where(level.root > 0, level.root, 1), 0)
-    right = inverse * residual
-    if len(levels) == 1:
-        return inverse * right
-    factors = _factors(residual.dtype)
-    value = _smooth(factors[0] * right, right, level, factors[1:])
-    remaining = level.root * (right - value + neighbours(value, level.tx, level.ty))
-    correction = _cycle(levels[1:], halve(remaining))
-    value = value + level.root * double(correction, (value.shape[-2], value.shape[-1]))
-    return inverse * _smooth(value, right, level, factors)
+def _scale(stencil: Stencil, weights: Interpolation) -> Level:
+    diagonal, size = degree(stencil)
+    root = jnp.sqrt(size)
+    inverse = _inverse(root)
+    diagonals: list[Array | None] = [None, None]
+    if stencil.falling is not None and stencil.rising is not None:
+        diagonals = [
+            stencil.falling * inverse[..., 1:, 1:] * inverse[..., :-1, :-1],
+            stencil.rising * inverse[..., 1:, :-1] * inverse[..., :-1, 1:],
+        ]
+    scaled = Stencil(
+        stencil.mass,
+        stencil.tx * inverse[..., 1:] * inverse[..., :-1],
+        stencil.ty * inverse[..., 1:, :] * inverse[..., :-1, :],
+        *diagonals,
+    )
+    flat = stencil.falling is None
+    return Level(root, None if flat else diagonal * inverse**2, scaled, weights)
 
 
-def apply(multigrid: Multigrid, residual: Array) -> Array:
-    """One V-cycle on `residual`, from zero: an estimate of the error that belongs to it."""
-    return _cycle(multigrid.levels, residual)
+def _inverse(root: Array) -> Array:
+    return jnp.where(root > 0, 1 / jnp.where(root > 0, root, 1), 0)

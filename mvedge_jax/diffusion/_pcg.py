@@ -24,6 +24,9 @@ class _State(NamedTuple):
     residual: Array
     direction: Array
     energy: Array
+    length: Array
+    longest: Array
+    last: Array
     iterations: Array
     estimate: Array
     converged: Array
@@ -70,12 +73,13 @@ def pcg(
         curvature = inner(direction, moved)
         able = state.active & (curvature > 0) & (energy > 0) & jnp.isfinite(energy / curvature)
         length = jnp.where(able, energy / _nonzero(curvature), 0)
+        longest, last = _longest(state, mixture, length)
         value = state.value + spread(length) * direction
         residual = state.residual - spread(length) * moved
         if stop == "error":
             # The step is taken after its estimate has been made, so that the answer is better
             # than the estimate by about the factor of one iteration.
-            estimate = largest(estimated_error)
+            estimate = largest(estimated_error) * jnp.maximum(longest, 1)
         else:
             estimate = jnp.sqrt(inner(residual, residual))
         converged = estimate <= absolute + relative * largest(value)
@@ -84,6 +88,9 @@ def pcg(
             residual,
             direction,
             energy,
+            length,
+            longest,
+            last,
             state.iterations + state.active.astype(jnp.int32),
             jnp.where(state.active, estimate, state.estimate),
             jnp.where(state.active, converged, state.converged),
@@ -97,6 +104,9 @@ def pcg(
         residual=residual,
         direction=nothing,
         energy=zero,
+        length=zero,
+        longest=zero,
+        last=zero,
         iterations=jnp.zeros(zero.shape, jnp.int32),
         estimate=jnp.full_like(zero, jnp.inf),
         converged=jnp.zeros(zero.shape, bool),
@@ -108,3 +118,28 @@ def pcg(
 
 def _nonzero(value: Array) -> Array:
     return jnp.where(value > 0, value, jnp.ones_like(value))
+
+
+def _longest(state: _State, mixture: Array, length: Array) -> tuple[Array, Array]:
+    """Lower bound on the norm of the inverse of the preconditioned matrix, from CG's own numbers.
+
+    Conjugate gradients build the Cholesky factor `R` of a tridiagonal matrix whose eigenvalues
+    approach those of the preconditioned matrix: `1 / sqrt(length)` on the diagonal, and
+    `sqrt(mixture / length)` above it. The squared norm of the inverse is estimated by extending
+    the maximising vector by one entry per step (Duff & Vömel 2002; Meurant & Tichý 2019).
+    """
+    first = state.iterations == 0
+    above = jnp.sqrt(mixture / _nonzero(state.length))
+    corner = state.longest + length * (above * state.last) ** 2
+    cross = -length * above * state.last
+    middle, half = 0.5 * (corner + length), 0.5 * (corner - length)
+    radius = jnp.sqrt(half**2 + cross**2)
+    longest = middle + radius
+    # Unit eigenvector (old, new) of [[corner, cross], [cross, length]].
+    old, new = jnp.where(half > 0, half + radius, cross), jnp.where(half > 0, cross, radius - half)
+    norm = _nonzero(jnp.sqrt(old**2 + new**2))
+    last = (new - old * above * state.last) / norm * jnp.sqrt(length)
+    moving = state.active & (length > 0)
+    longest = jnp.where(first, length, longest)
+    last = jnp.where(first, jnp.sqrt(length), last)
+    return jnp.where(moving, longest, state.longest), jnp.where(moving, last, state.last)

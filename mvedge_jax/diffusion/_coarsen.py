@@ -1,0 +1,311 @@
+"""Operator-dependent coarsening: nine-point stencils, interpolation and the Galerkin product.
+
+The coarse grid keeps the pixels with even coordinates. A kept pixel is a corner of a cell; each
+other pixel lies on a horizontal side of a cell, on a vertical side, or inside. The three kinds
+are `side_x`, `side_y` and `inside` below, arrays of the size of the coarse grid.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from ._fence import fenced
+from ._stencil import pad
+
+
+class Stencil(NamedTuple):
+    """A symmetric matrix: mass (row sums) and what ties a pixel to its eight neighbours.
+
+    Keeping the row sums instead of the diagonal means that a region which hangs on the rest by
+    edges a billion times weaker than its own does not lose them to rounding.
+    """
+
+    mass: Array
+    tx: Array
+    ty: Array
+    falling: Array | None  # (y, x) - (y + 1, x + 1)
+    rising: Array | None  # (y, x + 1) - (y + 1, x)
+
+
+class Interpolation(NamedTuple):
+    """What each fine pixel takes from the corners of its cell."""
+
+    side_x: tuple[Array, Array]
+    side_y: tuple[Array, Array]
+    inside: tuple[Array, Array, Array, Array]
+
+
+def ties(stencil: Stencil, values: Array) -> Array:
+    """Sum of the eight neighbours, each times the weight of the edge to it."""
+    total = (
+        pad(stencil.tx * values[..., 1:], (0, 0), (0, 1))
+        + pad(stencil.tx * values[..., :-1], (0, 0), (1, 0))
+        + pad(stencil.ty * values[..., 1:, :], (0, 1), (0, 0))
+        + pad(stencil.ty * values[..., :-1, :], (1, 0), (0, 0))
+    )
+    if stencil.falling is None or stencil.rising is None:
+        return total
+    return (
+        total
+        + pad(stencil.falling * values[..., 1:, 1:], (0, 1), (0, 1))
+        + pad(stencil.falling * values[..., :-1, :-1], (1, 0), (1, 0))
+        + pad(stencil.rising * values[..., :-1, 1:], (1, 0), (0, 1))
+        + pad(stencil.rising * values[..., 1:, :-1], (0, 1), (1, 0))
+    )
+
+
+def degree(stencil: Stencil) -> tuple[Array, Array]:
+    """The diagonal, and a diagonal `s` for which the matrix is at most `2 diag(s)`.
+
+    Both agree where no edge weight is negative. Interpolation in strongly uneven cells makes some.
+    """
+    ones = jnp.ones_like(stencil.mass)
+    diagonal = stencil.mass + ties(stencil, ones)
+    if stencil.falling is None:
+        return diagonal, diagonal
+    size = ties(jax.tree.map(jnp.abs, stencil), ones)
+    return diagonal, jnp.maximum(diagonal, 0.5 * (diagonal + size))
+
+
+def _apply(stencil: Stencil, values: Array) -> Array:
+    """The matrix times `values`, from differences."""
+    along_x = stencil.tx * (values[..., 1:] - values[..., :-1])
+    along_y = stencil.ty * (values[..., 1:, :] - values[..., :-1, :])
+    total = stencil.mass * values
+    total = total - pad(along_x, (0, 0), (0, 1)) + pad(along_x, (0, 0), (1, 0))
+    total = total - pad(along_y, (0, 1), (0, 0)) + pad(along_y, (1, 0), (0, 0))
+    if stencil.falling is None or stencil.rising is None:
+        return total
+    falling = stencil.falling * (values[..., 1:, 1:] - values[..., :-1, :-1])
+    rising = stencil.rising * (values[..., 1:, :-1] - values[..., :-1, 1:])
+    total = total - pad(falling, (0, 1), (0, 1)) + pad(falling, (1, 0), (1, 0))
+    return total - pad(rising, (0, 1), (1, 0)) + pad(rising, (1, 0), (0, 1))
+
+
+def interpolate(weights: Interpolation, corners: Array, shape: tuple[int, int]) -> Array:
+    """From corners to all pixels."""
+    right, below = _after_x(corners), _after_y(corners)
+    (west, east), (north, south) = weights.side_x, weights.side_y
+    nw, ne, sw, se = weights.inside
+    return _interleave(
+        corners,
+        west * corners + east * right,
+        north * corners + south * below,
+        nw * corners + ne * right + sw * below + se * _after_x(below),
+        shape,
+    )
+
+
+def restrict(weights: Interpolation, values: Array) -> Array:
+    """The transpose of `interpolate`."""
+    corners, side_x, side_y, inside = _split(values)
+    (west, east), (north, south) = weights.side_x, weights.side_y
+    nw, ne, sw, se = weights.inside
+    return (
+        corners
+        + west * side_x
+        + _before_x(east * side_x)
+        + north * side_y
+        + _before_y(south * side_y)
+        + nw * inside
+        + _before_x(ne * inside)
+        + _before_y(sw * inside)
+        + _before_y(_before_x(se * inside))
+    )
+
+
+class _Fine(NamedTuple):
+    """The edges of the fine grid by the kinds of their ends.
+
+    Letters are the ends from left to right and top to bottom: `c`orner, side `h` (horizontal),
+    side `v` (vertical), inside `x`.
+    """
+
+    c_h: Array
+    h_c: Array
+    v_x: Array
+    x_v: Array
+    c_v: Array
+    h_x: Array
+    v_c: Array
+    x_h: Array
+    c_x: Array
+    h_v: Array
+    v_h: Array
+    x_c: Array
+    h_v_rising: Array
+    c_x_rising: Array
+    x_c_rising: Array
+    v_h_rising: Array
+    mass_x: Array
+    mass_y: Array
+    mass_inside: Array
+
+
+def _fine(stencil: Stencil) -> _Fine:
+    shape = stencil.mass.shape[-2:]
+    none = jnp.zeros_like(stencil.mass)
+    falling = none if stencil.falling is None else fill(stencil.falling, shape)
+    rising = none if stencil.rising is None else fill(stencil.rising, shape)
+    return _Fine(
+        *_split(fill(stencil.tx, shape)),
+        *_split(fill(stencil.ty, shape)),
+        *_split(falling),
+        *_split(rising),
+        *_split(stencil.mass)[1:],
+    )
+
+
+def coarsen(stencil: Stencil) -> tuple[Stencil, Interpolation]:
+    """Interpolation that follows the edge weights, and the matrix on the coarse grid.
+
+    On a side, the tie to each corner is the sum of all edges that lead to its half, and the edges
+    along the other direction are left out; inside, the pixel's own equation is solved. Where
+    there is a data weight the sum of what is taken falls short of 1, which pins corrections to
+    zero at strong data. The pixels inside have no residual after interpolation, so that the
+    Galerkin product needs only the sides (Dendy 1982, black-box multigrid).
+    """
+    weights, shortfall = fenced(_weights, stencil)
+    leak = fenced(lambda: stencil.mass - _apply(stencil, shortfall))
+    return fenced(_galerkin, stencil, weights, shortfall, leak), weights
+
+
+def _weights(stencil: Stencil) -> tuple[Interpolation, Array]:
+    """Interpolation, and by how much each fine pixel falls short of a constant."""
+    fine = _fine(stencil)
+    west = fine.c_h + fine.h_v_rising + _before_y(fine.v_h)
+    east = fine.h_c + fine.h_v + _before_y(fine.v_h_rising)
+    total = west + east + fine.mass_x
+    west, east, short_x = (_ratio(a, total) for a in (west, east, fine.mass_x))
+
+    north = fine.c_v + fine.h_v_rising + _before_x(fine.h_v)
+    south = fine.v_c + fine.v_h + _before_x(fine.v_h_rising)
+    total = north + south + fine.mass_y
+    north, south, short_y = (_ratio(a, total) for a in (north, south, fine.mass_y))
+
+    middle = _middle(fine)
+    short = (
+        fine.mass_inside
+        + fine.h_x * short_x
+        + fine.x_h * _after_y(short_x)
+        + fine.v_x * short_y
+        + fine.x_v * _after_x(short_y)
+    )
+    inside = (
+        fine.c_x + fine.h_x * west + fine.v_x * north,
+        fine.c_x_rising + fine.h_x * east + fine.x_v * _after_x(north),
+        fine.x_c_rising + fine.x_h * _after_y(west) + fine.v_x * south,
+        fine.x_c + fine.x_h * _after_y(east) + fine.x_v * _after_x(south),
+    )
+    nw, ne, sw, se = (_ratio(a, middle) for a in inside)
+    y, x = stencil.mass.shape[-2:]
+    shortfall = _interleave(jnp.zeros_like(west), short_x, short_y, _ratio(short, middle), (y, x))
+    return Interpolation((west, east), (north, south), (nw, ne, sw, se)), shortfall
+
+
+def _middle(fine: _Fine) -> Array:
+    """Diagonal of the pixels inside."""
+    along = fine.v_x + fine.x_v + fine.h_x + fine.x_h
+    return fine.mass_inside + along + fine.c_x + fine.x_c + fine.c_x_rising + fine.x_c_rising
+
+
+def _galerkin(stencil: Stencil, weights: Interpolation, shortfall: Array, leak: Array) -> Stencil:
+    """The matrix on the coarse grid.
+
+    Off-diagonal entries are summed cell by cell, over the inside pixel, the four edges between
+    sides, and the edges along the sides. Row sums come from the fine ones, free of cancellation.
+    """
+    fine = _fine(stencil)
+    (west, east), (north, south) = weights.side_x, weights.side_y
+    nw, ne, sw, se = weights.inside
+    _, short_x, short_y, _ = _split(shortfall)
+    below_west, below_east = _after_y(west), _after_y(east)
+    right_north, right_south = _after_x(north), _after_x(south)
+    middle = _middle(fine)
+
+    above = middle * nw * ne - fine.h_x * west * east
+    below = middle * sw * se - fine.x_h * below_west * below_east
+    left = middle * nw * sw - fine.v_x * north * south
+    right = middle * ne * se - fine.x_v * right_north * right_south
+    falls = middle * nw * se
+    rises = middle * ne * sw
+    if stencil.falling is not None:
+        slope = north - west
+        above = above + fine.h_v_rising * east * slope
+        left = left - fine.h_v_rising * slope * south
+        rises = rises + fine.h_v_rising * east * south
+        slope = right_north - east
+        above = above + fine.h_v * west * slope
+        right = right - fine.h_v * slope * right_south
+        falls = falls + fine.h_v * west * right_south
+        slope = south - below_west
+        below = below + fine.v_h * below_east * slope
+        left = left - fine.v_h * slope * north
+        falls = falls + fine.v_h * below_east * north
+        slope = right_south - below_east
+        below = below + fine.v_h_rising * below_west * slope
+        right = right - fine.v_h_rising * slope * right_north
+        rises = rises + fine.v_h_rising * below_west * right_north
+    along_x = fine.c_h * (east + short_x) * east + fine.h_c * (west + short_x) * west
+    along_y = fine.c_v * (south + short_y) * south + fine.v_c * (north + short_y) * north
+    tx = above + _before_y(below) + along_x - fine.mass_x * west * east
+    ty = left + _before_x(right) + along_y - fine.mass_y * north * south
+
+    mass = restrict(weights, leak)
+    return Stencil(
+        jnp.maximum(mass, 0),
+        tx[..., :-1],
+        ty[..., :-1, :],
+        falls[..., :-1, :-1],
+        rises[..., :-1, :-1],
+    )
+
+
+def _ratio(part: Array, whole: Array) -> Array:
+    return jnp.where(whole > 0, part / jnp.where(whole > 0, whole, 1), 0)
+
+
+def fill(values: Array, shape: tuple[int, ...]) -> Array:
+    """Pads the last two axes with zeros at their ends, up to `shape`."""
+    y, x = values.shape[-2:]
+    return pad(values, (0, shape[0] - y), (0, shape[1] - x))
+
+
+def _split(values: Array) -> tuple[Array, Array, Array, Array]:
+    """Corners, horizontal sides, vertical sides and insides; odd sizes are padded with zeros."""
+    y, x = values.shape[-2:]
+    values = pad(values, (0, y % 2), (0, x % 2))
+    return (
+        values[..., 0::2, 0::2],
+        values[..., 0::2, 1::2],
+        values[..., 1::2, 0::2],
+        values[..., 1::2, 1::2],
+    )
+
+
+def _interleave(
+    corners: Array, side_x: Array, side_y: Array, inside: Array, shape: tuple[int, int]
+) -> Array:
+    *batch, y, x = corners.shape
+    even = jnp.stack([corners, side_x], axis=-1).reshape(*batch, y, 2 * x)
+    odd = jnp.stack([side_y, inside], axis=-1).reshape(*batch, y, 2 * x)
+    both = jnp.stack([even, odd], axis=-2).reshape(*batch, 2 * y, 2 * x)
+    return both[..., : shape[0], : shape[1]]
+
+
+def _after_x(values: Array) -> Array:
+    return pad(values[..., 1:], (0, 0), (0, 1))
+
+
+def _after_y(values: Array) -> Array:
+    return pad(values[..., 1:, :], (0, 1), (0, 0))
+
+
+def _before_x(values: Array) -> Array:
+    return pad(values[..., :-1], (0, 0), (1, 0))
+
+
+def _before_y(values: Array) -> Array:
+    return pad(values[..., :-1, :], (1, 0), (0, 0))
