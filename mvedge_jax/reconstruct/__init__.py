@@ -5,6 +5,13 @@ from ._edge_to_depth import (
     DepthStats as DepthStats,
     edge_to_depth as edge_to_depth,
 )
+from ._encode import (
+    Encoding as Encoding,
+    decode as decode,
+    encode as encode,
+    load_encoding as load_encoding,
+    save_encoding as save_encoding,
+)
 from ._grow import (
     Grown as Grown,
     grow as grow,
@@ -64,6 +71,13 @@ from ._sharpen import (
 from ._smoothness import (
     SmoothnessParams as SmoothnessParams,
     edge_smoothness as edge_smoothness,
+)
+from ._start import (
+    Start as Start,
+    StartParams as StartParams,
+    fit_to_map as fit_to_map,
+    start_from_points as start_from_points,
+    trust_labels as trust_labels,
 )
 from ._sweep import (
     Sweep as Sweep,

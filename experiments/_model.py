@@ -1,0 +1,181 @@
+"""What the experiments on the differentiable model share: scenes, starts, runs, scores."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from mvedge_jax.datasets import load_light_field, synthetic
+from mvedge_jax.lightfield import LightField
+from mvedge_jax.losses import LossWeights, SupervisedWeights, gather_views
+from mvedge_jax.metrics import depth_scores
+from mvedge_jax.reconstruct import (
+    DepthModel,
+    ModelParams,
+    ModelSizes,
+    Parameters,
+    Rates,
+    SelfSupervised,
+    Sizes,
+    Start,
+    StartParams,
+    Supervised,
+    advance,
+    all_at_once,
+    begin,
+    edge_to_depth,
+    fit_to_map,
+    grow,
+    image_roughness,
+    start_from_points,
+    trust_labels,
+    unlimited,
+    with_capacity,
+)
+from mvedge_jax.splatting import SplatParams, SplatSizes
+
+# At one raster pixel per pixel the profiles are half as wide in raster pixels.
+NARROW = ModelParams(
+    splat=SplatParams(sigma_label=jnp.asarray(0.65), sigma_weight=jnp.asarray(0.6))
+)
+
+
+def rendering(raster: int) -> tuple[ModelParams, ModelSizes]:
+    """Parameters and sizes for 1 or 2 raster pixels per pixel."""
+    sizes = ModelSizes(splat=SplatSizes(scale=raster))
+    return (NARROW if raster == 1 else ModelParams()), sizes
+
+
+def load_scene(name: str, data: Path | None) -> LightField:
+    """A scene of the development data (`hci/cotton`), or a synthetic one by name."""
+    if name in synthetic.scene_names():
+        return synthetic.render(
+            synthetic.scene(name), shape=(9, 9, 128, 128), key=jax.random.key(0)
+        )
+    if data is None:
+        raise FileNotFoundError(f"{name!r} needs the development data; pass --data FOLDER.")
+    return load_light_field(data / name)
+
+
+def first_map(light_field: LightField) -> tuple[Start, jax.Array]:
+    """Edge points as a model, and the map of `edge_to_depth`."""
+    blind = light_field.without_truth()
+    result = edge_to_depth(Parameters(), blind, Sizes.for_light_field(blind))
+    points = result.points
+    start = start_from_points(
+        points.xy + result.surface.offset,
+        points.disparity,
+        points.error,
+        points.valid,
+        blind.centre_view,
+        result.disparity,
+        StartParams(),
+    )
+    return start, result.disparity
+
+
+def plain_model(start: Start, centre: jax.Array) -> DepthModel:
+    """The thesis' start: equal weights, Q from the image gradient."""
+    model = start.model
+    rough = image_roughness(centre, jnp.asarray(0.3))
+    return eqx.tree_at(
+        lambda m: (m.log_weight, m.roughness), model, (jnp.zeros_like(model.log_weight), rough)
+    )
+
+
+def scores(disparity: jax.Array, light_field: LightField, *, crop: int = 0) -> dict[str, float]:
+    """The table's columns; empty without ground truth."""
+    truth = light_field.truth
+    if truth is None:
+        return {}
+    found = depth_scores(disparity, truth.disparity, mask=truth.valid, crop=crop)
+    row = {k: float(v) for k, v in found._asdict().items()}
+    return {k: row[k] for k in ("mse", "q25", "bad_01", "bad_03", "bad_07")}
+
+
+Look = Callable[[int, jax.Array, float], None]
+
+
+def run_supervised(
+    model: DepthModel,
+    light_field: LightField,
+    *,
+    raster: int,
+    iterations: int,
+    grow_points: int = 0,
+    pieces: int = 5,
+    look: Look | None = None,
+) -> tuple[DepthModel, jax.Array]:
+    """Fits a model to the ground truth, all parameters at once.
+
+    Points are added after each of the first three pieces, a third of `grow_points` each.
+    """
+    truth = light_field.truth
+    if truth is None:
+        raise ValueError(f"{light_field.name} has no ground truth.")
+    params, sizes = rendering(raster)
+    model = with_capacity(model, model.valid.size + grow_points)
+    known = truth.disparity.astype(model.disparity.dtype)
+    weights = SupervisedWeights(square=jnp.asarray(3.0))
+    goal = Supervised(known, truth.valid, unlimited(model), params, weights, sizes)
+    rates = Rates(rate=jnp.asarray([0.15, 0.01, 0.08, 0.05]))
+    table = all_at_once(rates, iterations=iterations)
+    state = begin(model, jnp.zeros_like(known), key=jax.random.key(0))
+    piece = max(iterations // pieces, 1)
+    for number, at in enumerate(range(0, iterations, piece)):
+        state, history = advance(state, table.part(at, at + piece), goal)
+        if look is not None:
+            look(int(state.iteration), state.disparity, float(history.loss[-1]))
+        if grow_points and number < 3:
+            wrong = jnp.where(truth.valid, jnp.abs(state.disparity - known), 0)
+            grown = grow(state, goal, wrong, known, count=grow_points // 3)
+            state = grown.state
+            assert isinstance(grown.objective, Supervised)
+            goal = grown.objective
+    return state.best, state.disparity
+
+
+def run_self_supervised(
+    start: Start,
+    light_field: LightField,
+    first: jax.Array,
+    *,
+    raster: int,
+    iterations: int,
+    fit: bool = True,
+    prior: float = 1e-3,
+    label: float = 0.05,
+    look: Look | None = None,
+) -> tuple[Start, jax.Array]:
+    """Optimises a model against the views, with trust in its labels' standard errors."""
+    params, sizes = rendering(raster)
+    views = gather_views(light_field.without_truth())
+    if fit:
+        extra = int(np.asarray(start.model.valid).sum()) // 10
+        start = fit_to_map(start, first, StartParams(), params, sizes, extra=extra)
+    trust = trust_labels(start, weight=prior, label=label)
+    goal = SelfSupervised(views, trust, params, LossWeights(), sizes=sizes)
+    rates = Rates(rate=jnp.asarray([0.02, 0.0005 if fit else 0.01, 0.02, 0.01]))
+    table = all_at_once(rates, iterations=iterations)
+    state = begin(start.model, first, key=jax.random.key(0))
+    piece = max(iterations // 4, 1)
+    for at in range(0, iterations, piece):
+        state, history = advance(state, table.part(at, at + piece), goal)
+        if look is not None:
+            look(int(state.iteration), state.disparity, float(history.loss[-1]))
+    return Start(state.best, start.error), state.disparity
+
+
+def printer(name: str, light_field: LightField, rows: list[dict[str, Any]]) -> Look:
+    """A `look` that records and prints a row per piece."""
+
+    def look(iteration: int, disparity: jax.Array, loss: float) -> None:
+        row = {"run": name, "iteration": iteration, "loss": loss, **scores(disparity, light_field)}
+        rows.append(row)
+        print({k: v if isinstance(v, str) else round(v, 5) for k, v in row.items()}, flush=True)
+
+    return look

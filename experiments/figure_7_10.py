@@ -1,0 +1,100 @@
+"""Figure 7.10: supervised optimisation over iterations, and error against bytes.
+
+python experiments/figure_7_10.py --data ../shared/data --scenes hci/cotton --grow 18000
+python experiments/figure_7_10.py --scenes hci/cotton --bytes
+"""
+
+import argparse
+import tempfile
+from pathlib import Path
+
+import cv2
+import jax.numpy as jnp
+import numpy as np
+from _model import first_map, load_scene, plain_model, printer, run_supervised, scores
+from _report import print_table, shared_data, write_csv, write_json
+from matplotlib.figure import Figure
+
+from mvedge_jax.lightfield import LightField
+from mvedge_jax.reconstruct import decode, encode, save_encoding
+
+
+def curve(name: str, light_field: LightField, arguments: argparse.Namespace) -> list[dict]:
+    """Scores over the iterations, without and with points added."""
+    start, _ = first_map(light_field)
+    model = plain_model(start, light_field.centre_view)
+    rows: list[dict] = []
+    for added in dict.fromkeys((0, arguments.grow)):
+        label = f"{name}, {added} points added"
+        run_supervised(
+            model,
+            light_field,
+            raster=arguments.raster,
+            iterations=arguments.iterations,
+            grow_points=added,
+            pieces=arguments.pieces,
+            look=printer(label, light_field, rows),
+        )
+    return rows
+
+
+def bytes_table(name: str, light_field: LightField, counts: list[int]) -> list[dict]:
+    """Error of the encoded ground truth, beside a 16-bit PNG of the same map."""
+    truth = light_field.truth
+    if truth is None:
+        raise ValueError(f"{name} has no ground truth.")
+    known = np.asarray(truth.disparity)
+    low, high = known.min(), known.max()
+    levels = np.round((known - low) / (high - low) * 65535).astype(np.uint16)
+    png = cv2.imencode(".png", levels, [cv2.IMWRITE_PNG_COMPRESSION, 9])[1]
+    back = jnp.asarray((low + levels / 65535 * (high - low)).astype(known.dtype))
+    rows = [{"scene": name, "code": "16-bit PNG", "bytes": len(png), **scores(back, light_field)}]
+    for k in counts:
+        encoding = encode(truth.disparity, min(k, known.size))
+        with tempfile.TemporaryDirectory() as folder:
+            size = save_encoding(Path(folder) / "code.npz", encoding)
+        found = scores(decode(encoding), light_field)
+        rows.append({"scene": name, "code": f"{k} points", "bytes": size, **found})
+        print(rows[-1], flush=True)
+    return rows
+
+
+def main() -> None:
+    """Runs the experiment."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--data", type=Path, default=shared_data())
+    parser.add_argument("--scenes", nargs="+", default=["hci/cotton"])
+    parser.add_argument("--iterations", type=int, default=75)
+    parser.add_argument("--pieces", type=int, default=5)
+    parser.add_argument("--grow", type=int, default=18000)
+    parser.add_argument("--raster", type=int, default=1)
+    parser.add_argument("--bytes", action="store_true", help="only the error against bytes")
+    parser.add_argument("--points", type=int, nargs="+", default=[500, 2000, 8000, 20000, 50000])
+    parser.add_argument("--out", type=Path, default=Path("results/figure_7_10"))
+    arguments = parser.parse_args()
+    arguments.out.mkdir(parents=True, exist_ok=True)
+    for name in arguments.scenes:
+        light_field, stem = load_scene(name, arguments.data), name.replace("/", "_")
+        coded = bytes_table(name, light_field, arguments.points)
+        print_table(coded, title="error against bytes")
+        write_csv(arguments.out / f"{stem}_bytes.csv", coded)
+        if arguments.bytes:
+            continue
+        rows = curve(name, light_field, arguments)
+        print_table(rows, title="Figure 7.10")
+        write_csv(arguments.out / f"{stem}.csv", rows)
+        write_json(arguments.out / f"{stem}.json", rows)
+        figure = Figure(figsize=(9, 3), layout="constrained")
+        for axes, column in zip(
+            figure.subplots(1, 4), ("mse", "bad_01", "bad_03", "bad_07"), strict=True
+        ):
+            for run in dict.fromkeys(row["run"] for row in rows):
+                mine = [row for row in rows if row["run"] == run]
+                axes.semilogy([r["iteration"] for r in mine], [r[column] for r in mine], label=run)
+            axes.set_title(column)
+            axes.set_xlabel("iteration")
+        figure.savefig(arguments.out / f"{stem}.png")
+
+
+if __name__ == "__main__":
+    main()

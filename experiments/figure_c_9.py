@@ -1,0 +1,63 @@
+"""Figure C.9: 100, 75 and 50 % of the points.
+
+python experiments/figure_c_9.py --data ../shared/data --scene hci/cotton
+"""
+
+import argparse
+from pathlib import Path
+
+import equinox as eqx
+import jax
+from _model import (
+    first_map,
+    load_scene,
+    plain_model,
+    printer,
+    run_self_supervised,
+    run_supervised,
+    scores,
+)
+from _report import print_table, shared_data, write_csv, write_json
+
+from mvedge_jax.reconstruct import Start
+
+
+def main() -> None:
+    """Runs the experiment."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--data", type=Path, default=shared_data())
+    parser.add_argument("--scene", default="hci/cotton")
+    parser.add_argument("--iterations", type=int, default=40)
+    parser.add_argument("--raster", type=int, default=1)
+    parser.add_argument("--share", type=float, nargs="+", default=[1.0, 0.75, 0.5])
+    parser.add_argument("--self-supervised", action="store_true")
+    parser.add_argument("--out", type=Path, default=Path("results/figure_c_9"))
+    arguments = parser.parse_args()
+    light_field = load_scene(arguments.scene, arguments.data)
+    start, first = first_map(light_field)
+    order = jax.random.uniform(jax.random.key(2), (start.model.valid.size,))
+    rows, curve = [], []
+    for share in arguments.share:
+        kept = start.model.valid & (order < share)
+        look = printer(f"{100 * share:g} %", light_field, curve)
+        if arguments.self_supervised:
+            model = eqx.tree_at(lambda m: m.valid, start.model, kept)
+            _, after = run_self_supervised(
+                Start(model, start.error), light_field, first,
+                raster=arguments.raster, iterations=arguments.iterations, look=look,
+            )  # fmt: skip
+        else:
+            plain = plain_model(start, light_field.centre_view)
+            _, after = run_supervised(
+                eqx.tree_at(lambda m: m.valid, plain, kept), light_field,
+                raster=arguments.raster, iterations=arguments.iterations, look=look,
+            )  # fmt: skip
+        rows.append({"points": int(kept.sum()), **scores(after, light_field)})
+    print_table(rows, title="Figure C.9")
+    write_csv(arguments.out / "points.csv", rows)
+    write_csv(arguments.out / "curve.csv", curve)
+    write_json(arguments.out / "points.json", rows)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,286 @@
+"""`mvedge optimize`: fit the differentiable multi-view edge model to the views."""
+
+import csv
+import json
+import time
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import tyro
+from matplotlib.figure import Figure
+
+from .. import plotting
+from ..datasets import load_light_field, write_pfm
+from ..lightfield import LightField
+from ..losses import (
+    Colours,
+    Features,
+    FilterBank,
+    LossWeights,
+    SupervisedWeights,
+    Views,
+    gather_views,
+    load_vgg16,
+    self_supervised_loss,
+)
+from ..metrics import depth_scores
+from ..reconstruct import (
+    History,
+    ModelParams,
+    ModelSizes,
+    Parameters,
+    Rates,
+    Routine,
+    SelfSupervised,
+    Sizes,
+    Start,
+    StartParams,
+    State,
+    Supervised,
+    all_at_once,
+    begin,
+    edge_to_depth,
+    fit_to_map,
+    grow,
+    image_roughness,
+    load_state,
+    one_at_a_time,
+    optimise,
+    render_model,
+    save_state,
+    start_from_points,
+    trust_labels,
+    unlimited,
+    with_capacity,
+)
+from ..splatting import SplatSizes
+from ._common import note, output_folder, stage, warn
+
+_COLUMNS = {
+    "mse": "MSE*100",
+    "q25": "Q25*100",
+    "bad_01": "BP(0.01) %",
+    "bad_03": "BP(0.03) %",
+    "bad_07": "BP(0.07) %",
+}
+
+
+def optimize(
+    scene: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="SCENE")],
+    out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT")],
+    /,
+    *,
+    supervised: bool = False,
+    routine: Literal["joint", "thesis"] = "joint",
+    iterations: int = 40,
+    features: Literal["colours", "filters", "vgg16"] = "colours",
+    vgg16: Path | None = None,
+    grow_points: int = 0,
+    subset: int | None = None,
+    raster: Literal[1, 2] = 2,
+    views: int | None = None,
+    scale: float = 1.0,
+    state: Path | None = None,
+    seed: int = 0,
+    overwrite: bool = False,
+) -> None:
+    """Optimises points and smoothness so that the rendered map explains the views.
+
+    Starts from the points and the map of `mvedge depth`. Every second view is held out: the map
+    that explains those best, the first one included, is the result, so that an optimisation that
+    only follows the noise is not kept. OUT gets before.pfm, disparity.pfm, pictures, points.npz,
+    loss.csv, loss.png, state.eqx and report.json.
+
+    Args:
+        scene: folder or file of a light field; `mvedge info` tells what it is.
+        out: folder to make.
+        supervised: fit to the scene's ground truth instead of the views.
+        routine: all parameters at once, or the thesis' turns (Q, Z, R, xy; 5 passes).
+        iterations: in all for `joint`; per parameter and pass for `thesis` (13 there).
+        features: what images are compared by.
+        vgg16: an .npz file of VGG16's first two convolutions, for `--features vgg16`.
+        grow_points: points to add where the map is worst, half-way; needs `--supervised`.
+        subset: views drawn per iteration; all by default.
+        raster: raster pixels per pixel.
+        views: use the central VIEWS x VIEWS views only; odd.
+        scale: shrink the views by this factor, at most 1.
+        state: a state.eqx of an earlier run with the same options, to go on from.
+        seed: of random views.
+        overwrite: replace OUT if it is there.
+    """
+    extractor = _extractor(features, vgg16)
+    if iterations < 1:
+        raise ValueError(f"--iterations must be at least 1, got {iterations}.")
+    if grow_points and not supervised:
+        raise ValueError("--grow-points needs --supervised: without truth no residual is known.")
+    with stage(f"reading {scene}"):
+        light_field = load_light_field(scene, views=views, scale=scale)
+    if supervised and light_field.truth is None:
+        raise ValueError(f"{scene} has no ground truth, which --supervised needs.")
+    blind = light_field.without_truth()
+    sizes = ModelSizes(splat=SplatSizes(scale=raster))
+    params, key = ModelParams(), jax.random.key(seed)
+    with output_folder(out, overwrite=overwrite) as folder:
+        with stage("estimating depth from edges"):
+            result = edge_to_depth(Parameters(), blind, Sizes.for_light_field(blind))
+            first = jax.block_until_ready(result.disparity)
+        points = result.points
+        start = start_from_points(
+            points.xy + result.surface.offset, points.disparity, points.error, points.valid,
+            blind.centre_view, first, StartParams(),
+        )  # fmt: skip
+        objective: Supervised | SelfSupervised
+        training, held_out = _split(gather_views(blind))
+        if supervised:
+            objective, start = _supervised(light_field, start, grow_points, params, sizes)
+            rates = Rates(rate=jnp.asarray([0.15, 0.01, 0.08, 0.05]))
+        else:
+            with stage("fitting the model to that map"):
+                extra = int(points.valid.sum()) // 10
+                start = fit_to_map(start, first, StartParams(), params, sizes, extra=extra)
+            objective = SelfSupervised(
+                training, trust_labels(start), params, LossWeights(), extractor, sizes, subset
+            )
+            rates = Rates(rate=jnp.asarray([0.02, 0.0005, 0.02, 0.01]))
+        table = (
+            all_at_once(rates, iterations=iterations)
+            if routine == "joint"
+            else one_at_a_time(Rates(), iterations=iterations)
+        )
+        began = begin(start.model, first, key=key)
+        if state is not None:
+            began = load_state(state, began)
+        clock = time.perf_counter()
+        final, history = _run(began, table, objective, grow_points)
+        seconds = time.perf_counter() - clock
+        before = first
+        after = render_model(final.best, params, sizes, start=final.disparity).disparity
+        errors = [_explains(d, held_out, extractor) for d in (before, after)]
+        kept = supervised or errors[1] < errors[0]
+        disparity = after if kept else before
+        with stage("writing"):
+            scores = _write(folder, light_field, before, disparity, final, history)
+            report = {
+                "scene": light_field.name,
+                "supervised": supervised,
+                "iterations": int(final.iteration),
+                "seconds": round(seconds, 2),
+                "points": int(final.best.valid.sum()),
+                "held-out error before, after": errors,
+                "kept the optimised map": bool(kept),
+                "scores": scores,
+            }
+            (folder / "report.json").write_text(json.dumps(report, indent=2), encoding="utf-8")
+    if not kept:
+        warn("the held-out views speak against the optimised map; the first one was kept.")
+    for name, row in scores.items():
+        note(f"{name}: " + "  ".join(f"{_COLUMNS[k]} {row[k]:.4g}" for k in _COLUMNS))
+    note(f"{len(history.loss)} iterations, {seconds:.1f} s; written to {out}")
+
+
+def _extractor(name: str, weights: Path | None) -> Features:
+    if name == "vgg16":
+        if weights is None:
+            raise ValueError("--features vgg16 needs --vgg16 FILE, an .npz file of its weights.")
+        return load_vgg16(weights)
+    return FilterBank() if name == "filters" else Colours()
+
+
+def _split(views: Views) -> tuple[Views, Views]:
+    """Every second view on either arm trains, the others judge."""
+    count = views.steps.shape[0]
+    even = jnp.arange(0, count, 2)
+    odd = jnp.arange(1, count, 2)
+    return views.take(even), views.take(odd)
+
+
+def _explains(disparity: jax.Array, views: Views, features: Features) -> float:
+    run = eqx.filter_jit(self_supervised_loss)
+    return float(run(disparity, views, LossWeights(), features=features)[1].reprojection)
+
+
+def _supervised(
+    light_field: LightField, start: Start, extra: int, params: ModelParams, sizes: ModelSizes
+) -> tuple[Supervised, Start]:
+    truth = light_field.truth
+    assert truth is not None
+    dtype = light_field.views.dtype
+    rough = image_roughness(light_field.centre_view, jnp.asarray(0.3))
+    model = eqx.tree_at(lambda m: m.roughness, start.model, rough)
+    model = with_capacity(model, model.valid.size + extra)
+    start = Start(model, jnp.pad(start.error, (0, extra), constant_values=1.0))
+    weights = SupervisedWeights(square=jnp.asarray(3.0))
+    known = truth.disparity.astype(dtype)
+    return Supervised(known, truth.valid, unlimited(model), params, weights, sizes), start
+
+
+def _run(
+    state: State, table: Routine, objective: Supervised | SelfSupervised, extra: int
+) -> tuple[State, History]:
+    """The loop, with a line of progress per piece and new points half-way."""
+    total = table.length
+    chunk = max(total // 4, 1)
+    if not extra:
+
+        def look(state: State, history: History) -> None:
+            note(f"  {int(state.iteration)}/{total} loss {float(history.loss[-1]):.6f}")
+
+        return optimise(state, table, objective, chunk=chunk, after_chunk=look)
+    assert isinstance(objective, Supervised)
+    state, early = optimise(state, table.part(0, total // 2), objective, chunk=chunk)
+    wrong = jnp.where(objective.known, jnp.abs(state.disparity - objective.truth), 0)
+    grown = grow(state, objective, wrong, objective.truth, count=extra)
+    note(f"  added {int(grown.added)} points, {int(grown.refused)} found no place")
+    state, late = optimise(grown.state, table, grown.objective, chunk=chunk)
+    return state, jax.tree.map(lambda a, b: jnp.concatenate([a, b]), early, late)
+
+
+def _write(
+    folder: Path,
+    light_field: LightField,
+    before: jax.Array,
+    after: jax.Array,
+    state: State,
+    history: History,
+) -> dict[str, Any]:
+    maps = {"before": before, "after": after}
+    write_pfm(folder / "before.pfm", np.asarray(before))
+    write_pfm(folder / "disparity.pfm", np.asarray(after))
+    save_state(folder / "state.eqx", state)
+    keep = np.asarray(state.best.valid)
+    np.savez_compressed(
+        folder / "points.npz",
+        xy=np.asarray(state.best.xy)[keep],
+        disparity=np.asarray(state.best.disparity)[keep],
+        weight=np.exp(-np.asarray(state.best.log_weight))[keep],
+        roughness=np.asarray(state.best.roughness),
+    )
+    with (folder / "loss.csv").open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(["iteration", "loss", "grad_Q", "grad_Z", "grad_R", "grad_xy"])
+        for i, (loss, norms) in enumerate(
+            zip(np.asarray(history.loss), np.asarray(history.gradient), strict=True)
+        ):
+            writer.writerow([i, loss, *norms])
+    figure = Figure(layout="constrained")
+    axes = figure.subplots()
+    axes.plot(np.asarray(history.loss))
+    axes.set_xlabel("iteration")
+    axes.set_ylabel("loss")
+    figure.savefig(folder / "loss.png")
+    truth = light_field.truth
+    scores = {}
+    for name, disparity in maps.items():
+        plotting.plot_disparity(np.asarray(disparity)).savefig(folder / f"{name}.png")
+        if truth is not None:
+            known = np.where(np.asarray(truth.valid), np.asarray(truth.disparity), np.nan)
+            plotting.plot_error(np.asarray(disparity), known, kind="log").savefig(
+                folder / f"{name}_error.png"
+            )
+            found = depth_scores(disparity, truth.disparity, mask=truth.valid)
+            scores[name] = {column: float(value) for column, value in found._asdict().items()}
+    return scores
