@@ -15,6 +15,7 @@ _COMMANDS = {
     "info": ("._info", "info"),
     "render": ("._render", "render"),
     "eval": ("._eval", "evaluate"),
+    "edges": ("._edges", "edges"),
     "depth": ("._depth", "depth"),
     "demo": ("._demo", "demo"),
 }

@@ -90,7 +90,7 @@ def bidirectional(
     shift = params.offset * points.normal
 
     def solve(xy: Array) -> tuple[Array, Array]:
-        raster = rasterise(xy, points.disparity, points.valid, gray.shape)
+        raster = rasterise(xy, points.disparity, points.valid, (gray.shape[0], gray.shape[1]))
         weight = params.data * raster.hit.astype(gray.dtype)
         found = diffuse(System(weight, raster.values(points.disparity), tx, ty), solver=solver)
         return found.value, found.stats.iterations

@@ -38,7 +38,7 @@ def neighbour_evidence(
     labels = raster.values(points.disparity).reshape(-1)
     there = raster.hit.reshape(-1)
     tangent = jnp.stack([-points.normal[:, 1], points.normal[:, 0]], -1)
-    along, across = np.meshgrid([-6.0, -3.0, 0.0, 3.0, 6.0], [2.0, 4.0, 7.0, 10.0])
+    along, across = np.meshgrid([-4.0, 0.0, 4.0], np.arange(2.0, 10.0))
     dtype = points.disparity.dtype
     stencil = jnp.asarray(np.stack([across.ravel(), along.ravel()], -1), dtype)
 

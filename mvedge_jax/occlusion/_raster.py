@@ -11,17 +11,17 @@ class Raster(NamedTuple):
     """Which point each pixel shows.
 
     Attributes:
-        index: of the point, `[y, x]`; the number of points where there is none.
+        slot: of the point, `[y, x]`; the number of points where there is none.
         hit: pixels that show a point, `[y, x]`.
     """
 
-    index: Int[Array, "y x"]
+    slot: Int[Array, "y x"]
     hit: Bool[Array, "y x"]
 
     def values(self, values: Float[Array, " n"]) -> Float[Array, "y x"]:
         """One value per point as an image, 0 where there is no point. Differentiable."""
         padded = jnp.concatenate([values, jnp.zeros_like(values[:1])])
-        return padded[self.index]
+        return padded[self.slot]
 
 
 def rasterise(

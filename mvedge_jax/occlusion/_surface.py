@@ -135,7 +135,7 @@ def along_edge(
         return score
     height, width = shape
     raster = rasterise(points.xy, points.disparity, points.valid, shape)
-    index_map, count = raster.index.reshape(-1), points.disparity.shape[0]
+    index_map, count = raster.slot.reshape(-1), points.disparity.shape[0]
     padded_score = jnp.concatenate([score, jnp.zeros_like(score[:1])])
     padded_normal = jnp.concatenate([points.normal, jnp.zeros_like(points.normal[:1])])
     padded_disparity = jnp.concatenate([points.disparity, jnp.zeros_like(score[:1])])

@@ -127,6 +127,7 @@ def edge_to_depth(params: Parameters, light_field: LightField, sizes: Sizes) -> 
 
     centre = light_field.centre_view
     gray = srgb_to_gray(centre)
+    shape = (gray.shape[0], gray.shape[1])
     lab = jnp.moveaxis(srgb_to_lab(centre), -1, 0)
     guide = jnp.moveaxis(centre, -1, 0)
     horizontal, vertical = crosshair(light_field)
@@ -139,13 +140,10 @@ def edge_to_depth(params: Parameters, light_field: LightField, sizes: Sizes) -> 
         high = (sizes.edges.first + sizes.edges.filters - 2) * step
         tried = low + (high - low) * jnp.linspace(0, 1, sizes.hypotheses, dtype=dtype)
         first = hypotheses(horizontal, vertical, lab, tried, params.volume, window=sizes.window)
-    surface = _sides(points, passes, first, horizontal, vertical, params, sizes, gray.shape)
-    from_points, hits = _point_labels(points, surface, passes, params, sizes, gray.shape)
+    surface = _sides(points, passes, first, horizontal, vertical, params, sizes, shape)
+    from_points, hits = _point_labels(points, surface, passes, params, sizes, shape)
 
-    splines = tuple(
-        arm._replace(planes=spline_coefficients(arm.planes, axis=-1))
-        for arm in (horizontal, vertical)
-    )
+    splines = _splines(horizontal), _splines(vertical)
     start = 0.5 * (passes.forward + passes.backward) if first is None else first
 
     def sharper(disparity: Array) -> Array:
@@ -186,6 +184,10 @@ def edge_to_depth(params: Parameters, light_field: LightField, sizes: Sizes) -> 
     )
     confidence = jnp.minimum(weights[-1], 1)
     return DepthResult(disparity, confidence, passes.edge, points, surface, stats)
+
+
+def _splines(arm: Arm) -> Arm:
+    return arm._replace(planes=spline_coefficients(arm.planes, axis=-1))
 
 
 def _sides(
@@ -247,11 +249,16 @@ def _point_labels(
 
 
 def _with_dense(
-    labels: _Labels, splines: tuple[Arm, ...], disparity: Array, params: Parameters, sizes: Sizes
+    labels: _Labels, splines: tuple[Arm, Arm], disparity: Array, params: Parameters, sizes: Sizes
 ) -> _Labels:
     """Labels of the points together with one measured at every pixel."""
     measured = photometric_labels(
-        *splines, disparity, params.photometric, radius=sizes.radius, window=sizes.window
+        splines[0],
+        splines[1],
+        disparity,
+        params.photometric,
+        radius=sizes.radius,
+        window=sizes.window,
     )
     floor = params.photometric.noise**2
     excess = jnp.maximum(measured.residual, floor) / (params.centre.trust * floor)

@@ -243,7 +243,9 @@ def _sample(
     channels = range(planes.shape[0])
 
     def combine(factors: tuple[Array, ...]) -> tuple[Array, ...]:
-        return tuple(sum(w * t[c] for w, t in zip(factors, taps, strict=True)) for c in channels)
+        a, b, c, d = factors
+        before, at, after, beyond = taps
+        return tuple(a * before[i] + b * at[i] + c * after[i] + d * beyond[i] for i in channels)
 
     return combine(weights), combine(derivatives)
 

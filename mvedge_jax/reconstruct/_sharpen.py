@@ -135,8 +135,8 @@ def weighted_median(
 class _LocalModel(NamedTuple):
     """Mean and inverse covariance of the guide around every pixel; the window's area."""
 
-    mean: tuple[Array, Array, Array]
-    inverse: tuple[Array, Array, Array, Array, Array, Array]
+    mean: tuple[Array, ...]
+    inverse: tuple[Array, ...]
     area: Array
 
 
@@ -185,11 +185,11 @@ def _box_sum(image: Float[Array, "y x"], radius: int) -> Float[Array, "y x"]:
         margin = [(0, 0), (0, 0)]
         margin[axis] = (radius, radius)
         part = jnp.pad(image, margin)
-        total, offset, span = None, 0, 1
+        # The width is odd, so that the sum starts with single samples.
+        total, offset, span = lax.slice_in_dim(part, 0, size, axis=axis), 1, 1
         while True:
-            if width & span:
-                piece = lax.slice_in_dim(part, offset, offset + size, axis=axis)
-                total = piece if total is None else total + piece
+            if span > 1 and width & span:
+                total = total + lax.slice_in_dim(part, offset, offset + size, axis=axis)
                 offset += span
             if 2 * span > width:
                 return total

@@ -160,7 +160,7 @@ def _half_arms(arm: Arm, disparity: Array, truncation: Array) -> tuple[Array, Ar
             whole = jnp.floor(shift)
             weights = _cubic(shift - whole)
             first = jnp.clip(whole.astype(jnp.int32), -width, width) + width - 1
-            window = lax.dynamic_slice(planes, (0, 0, first), (len(centre), height, width + 3))
+            window = lax.dynamic_slice_in_dim(planes, first, width + 3, axis=2)
             # Colours are summed by hand: XLA on CPU does not vectorise a sum over a leading axis.
             square = jnp.zeros_like(total)
             for c, reference in enumerate(centre):

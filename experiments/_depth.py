@@ -1,0 +1,130 @@
+"""What the depth experiments share: scenes, methods, scores."""
+
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import numpy as np
+
+from mvedge_jax.datasets import load_light_field, synthetic
+from mvedge_jax.lightfield import LightField
+from mvedge_jax.metrics import boundary_scores, depth_scores
+from mvedge_jax.reconstruct import Parameters, Sizes, edge_to_depth, plane_sweep
+
+SYNTHETIC = ("edges", "thin", "wide", "noisy", "slanted", "crossing")
+
+
+class Method(NamedTuple):
+    """A named way from a light field to a disparity map."""
+
+    name: str
+    run: Callable[[LightField], jax.Array]
+
+
+def chain(name: str, *, unit_weights: bool = False, **choices: Any) -> Method:
+    """`edge_to_depth` with some of its `Sizes` set by hand; `unit_weights` switches (6.3) off."""
+
+    def run(light_field: LightField) -> jax.Array:
+        params = Parameters()
+        if unit_weights:
+            gain = params.bidirectional.gain
+            params = eqx.tree_at(lambda p: p.bidirectional.gain, params, 0 * gain)
+        sizes = Sizes.for_light_field(light_field, **choices)
+        return edge_to_depth(params, light_field, sizes).disparity
+
+    return Method(name, run)
+
+
+def sweep(light_field: LightField) -> jax.Array:
+    """The plane sweep of the crosshair."""
+    return plane_sweep(light_field).disparity
+
+
+OURS = chain("ours")
+SWEEP = Method("plane sweep", sweep)
+# Points only, as in the thesis, and the three ways to place them.
+SPARSE = (
+    chain("edges only, bidirectional", dense=False),
+    chain("edges only, thesis' response", dense=False, side="thesis"),
+    chain("edges only, reprojection", dense=False, side="reprojection"),
+    chain("edges only, naive", dense=False, side="naive"),
+)
+ABLATIONS = (
+    chain("ours, thesis' response", side="thesis"),
+    chain("ours, reprojection", side="reprojection"),
+    chain("ours, naive", side="naive"),
+    chain("ours, quantised median", sharpening="quantised"),
+    chain("ours, no sharpening", sharpening="none"),
+    chain("edges only, quantised median", dense=False, sharpening="quantised"),
+    chain("edges only, no sharpening", dense=False, sharpening="none"),
+    chain("edges only, unit weights", dense=False, unit_weights=True),
+)
+
+
+def scenes(
+    data: Path | None, names: Sequence[str], *, size: int
+) -> Iterator[tuple[str, LightField]]:
+    """Benchmark scenes that are on disk and synthetic ones, rendered with 9x9 views.
+
+    Args:
+        data: folder with HCI scenes under `hci/`; None for synthetic scenes only.
+        names: which; empty for everything at hand.
+        size: side of the rendered views, px.
+    """
+    folders = {path.name: path for path in sorted((data / "hci").glob("*/"))} if data else {}
+    for name in names or (*folders, *SYNTHETIC):
+        if name in folders:
+            yield name, load_light_field(folders[name])
+        else:
+            yield (
+                name,
+                synthetic.render(
+                    synthetic.scene(name),
+                    shape=(9, 9, size, size),
+                    samples=2,
+                    key=jax.random.key(0),
+                ),
+            )
+
+
+def score(
+    name: str, method: Method, light_field: LightField, seconds: float, disparity: jax.Array
+) -> dict[str, Any]:
+    """One row of a table, full frame."""
+    truth = light_field.truth
+    if truth is None:
+        raise ValueError(f"scene {name} has no ground truth to score against.")
+    depth = depth_scores(disparity, truth.disparity, mask=truth.valid)
+    inner = depth_scores(disparity, truth.disparity, mask=truth.valid, crop=15)
+    boundary = boundary_scores(disparity, truth.disparity, mask=truth.valid)
+    return {
+        "scene": name,
+        "method": method.name,
+        "MSE*100": float(depth.mse),
+        "Q25*100": float(depth.q25),
+        "BP(.01)": float(depth.bad_01),
+        "BP(.03)": float(depth.bad_03),
+        "BP(.07)": float(depth.bad_07),
+        "MSE*100 crop 15": float(inner.mse),
+        "BP(.07) crop 15": float(inner.bad_07),
+        "mean F1": float(boundary.mean_f1),
+        "peak F1": float(boundary.peak_f1),
+        "AUC": float(boundary.auc),
+        "seconds": round(seconds, 2),
+    }
+
+
+def as_image(disparity: jax.Array, truth: jax.Array) -> np.ndarray:
+    """A map and its absolute error on a log scale, side by side, 8 bit BGR."""
+    import cv2
+
+    low, high = float(truth.min()), float(truth.max())
+    level = np.clip((np.asarray(disparity) - low) / (high - low), 0, 1)
+    error = np.log10(np.abs(np.asarray(disparity - truth)) + 1e-4)
+    pictures = (
+        cv2.applyColorMap((255 * level).astype(np.uint8), cv2.COLORMAP_TURBO),
+        cv2.applyColorMap(np.clip(64 * error + 256, 0, 255).astype(np.uint8), cv2.COLORMAP_INFERNO),
+    )
+    return np.concatenate(pictures, axis=1)

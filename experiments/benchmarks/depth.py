@@ -1,0 +1,145 @@
+"""Time and memory of the centre view's depth, stage by stage.
+
+    python experiments/benchmarks/depth.py --scene SCENE --out results/benchmark_depth
+
+Each stage is compiled and timed alone, on the inputs that the chain gives it; "all stages" is the
+one program that `edge_to_depth` is, so the sum differs from it by what XLA fuses.
+"""
+
+import argparse
+import sys
+import time
+from pathlib import Path
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+from _report import peak_memory, print_table, shared_data, timed, write_json
+
+from mvedge_jax._crosshair import crosshair
+from mvedge_jax.color import srgb_to_gray, srgb_to_lab
+from mvedge_jax.datasets import load_light_field, synthetic
+from mvedge_jax.diffusion import System, diffuse
+from mvedge_jax.epi import multiview_edges
+from mvedge_jax.epi._spline import spline_coefficients
+from mvedge_jax.occlusion import bidirectional, surface_vectors
+from mvedge_jax.reconstruct import (
+    Parameters,
+    Sizes,
+    edge_smoothness,
+    edge_to_depth,
+    hypotheses,
+    photometric_labels,
+    sharpen,
+)
+
+
+def main() -> None:
+    """Times the stages on one light field."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--scene", type=Path, default=None, help="default: cotton, or synthetic")
+    parser.add_argument("--out", type=Path, default=Path("results/benchmark_depth"))
+    parser.add_argument("--repeats", type=int, default=7)
+    parser.add_argument("--only-all", action="store_true", help="the whole chain alone")
+    arguments = parser.parse_args()
+    data = shared_data()
+    if arguments.scene is not None:
+        light_field = load_light_field(arguments.scene)
+    elif data is not None:
+        light_field = load_light_field(data / "hci" / "cotton")
+    else:
+        light_field = synthetic.render(
+            synthetic.scene("demo"), shape=(9, 9, 512, 512), samples=2, key=jax.random.key(0)
+        )
+    light_field = light_field.without_truth()
+    params, sizes = Parameters(), Sizes.for_light_field(light_field)
+    rows = []
+
+    def measure(name, function, *inputs):
+        result, timing = timed(function, *inputs, repeats=arguments.repeats)
+        rows.append(
+            {
+                "stage": name,
+                "first s": timing.first,
+                "median s": timing.median,
+                "best s": timing.best,
+                "peak MiB": peak_memory() / 2**20,
+            }
+        )
+        return result
+
+    before = time.perf_counter()
+    measure("all stages", edge_to_depth, params, light_field, sizes)
+    if not arguments.only_all:
+        _stages(measure, params, light_field, sizes)
+    print_table(rows, title=f"{light_field.name}, {light_field.views.shape[:4]}")
+    write_json(arguments.out / "depth.json", rows)
+    print(f"{time.perf_counter() - before:.1f} s in all")
+
+
+def _stages(measure, params: Parameters, light_field, sizes: Sizes) -> None:
+    edges = measure("multi-view edges", multiview_edges, light_field, params.edges, sizes.edges)
+    points = edges.points
+    gray = srgb_to_gray(light_field.centre_view)
+    lab = jnp.moveaxis(srgb_to_lab(light_field.centre_view), -1, 0)
+    guide = jnp.moveaxis(light_field.centre_view, -1, 0)
+    arms = crosshair(light_field)
+    passes = measure(
+        "bidirectional diffusion",
+        eqx.filter_jit(bidirectional),
+        points,
+        gray,
+        params.bidirectional,
+    )
+    tried = jnp.linspace(
+        sizes.edges.first * 0.1,
+        (sizes.edges.first + sizes.edges.filters) * 0.1,
+        sizes.hypotheses,
+        dtype=gray.dtype,
+    )
+    first = measure(
+        "hypotheses",
+        eqx.filter_jit(lambda a, b, c, d, p: hypotheses(a, b, c, d, p, window=sizes.window)),
+        *arms,
+        lab,
+        tried,
+        params.volume,
+    )
+    shape = (gray.shape[0], gray.shape[1])
+    measure(
+        "surface vectors",
+        eqx.filter_jit(lambda a, b, c, p: surface_vectors(a, b, c, p, shape=shape)),
+        points,
+        passes.response,
+        first,
+        params.surface,
+    )
+    splines = [a._replace(planes=spline_coefficients(a.planes, axis=-1)) for a in arms]
+    labels = measure(
+        "dense labels",
+        eqx.filter_jit(
+            lambda a, b, d, p: photometric_labels(
+                a, b, d, p, radius=sizes.radius, window=sizes.window
+            )
+        ),
+        *splines,
+        first,
+        params.photometric,
+    )
+    tx, ty = edge_smoothness(lab, first, params.smoothness)
+    weight = 1e-4 / (1e-4 + labels.variance)
+    system = System(weight, labels.disparity, 2 * tx, 2 * ty)
+    found = measure("one diffusion", lambda s: diffuse(s), system)
+    measure(
+        "sharpening",
+        eqx.filter_jit(lambda d, g, p: sharpen(d, g, p, levels=sizes.levels)),
+        found.value,
+        guide,
+        params.median,
+    )
+
+
+if __name__ == "__main__":
+    main()

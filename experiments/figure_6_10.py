@@ -1,0 +1,105 @@
+"""Figure 6.10: error against hyperparameters, every sweep one compiled program under `vmap`.
+
+python experiments/figure_6_10.py --scenes edges --size 128 --out results/figure_6_10
+"""
+
+import argparse
+import time
+from pathlib import Path
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from _depth import scenes
+from _report import print_table, shared_data, write_csv, write_json
+from matplotlib.figure import Figure
+
+from mvedge_jax.metrics import mse, q25
+from mvedge_jax.reconstruct import Parameters, Sizes, edge_to_depth
+
+SWEEPS = {
+    "centre.precision": lambda p: p.centre.precision,
+    "centre.smoothness": lambda p: p.centre.smoothness,
+    "centre.points": lambda p: p.centre.points,
+    "centre.trust": lambda p: p.centre.trust,
+    "smoothness.colour": lambda p: p.smoothness.colour,
+    "smoothness.depth": lambda p: p.smoothness.depth,
+    "photometric.noise": lambda p: p.photometric.noise,
+    "volume.truncation": lambda p: p.volume.truncation,
+    "volume.colour": lambda p: p.volume.colour,
+    "median.slack": lambda p: p.median.slack,
+    "edges.residual_limit": lambda p: p.edges.residual_limit,
+    "edges.support_limit": lambda p: p.edges.support_limit,
+}
+
+
+def main() -> None:
+    """Sweeps one parameter at a time around its default."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--out", type=Path, default=Path("results/figure_6_10"))
+    parser.add_argument("--data", type=Path, default=shared_data())
+    parser.add_argument("--scenes", nargs="+", default=["edges"])
+    parser.add_argument("--size", type=int, default=128, help="side of the rendered scenes, px")
+    parser.add_argument("--steps", type=int, default=5)
+    parser.add_argument("--only", nargs="*", default=[], help="parameters to sweep; all if none")
+    arguments = parser.parse_args()
+    factors = jnp.geomspace(0.25, 4.0, arguments.steps)
+    rows = []
+    for name, light_field in scenes(arguments.data, arguments.scenes, size=arguments.size):
+        truth, blind = light_field.truth, light_field.without_truth()
+        assert truth is not None
+        sizes = Sizes.for_light_field(blind)
+        maps = (truth.disparity, truth.valid)
+
+        # All parameters that a sweep touches are batched, so that one program serves every sweep.
+        @eqx.filter_jit
+        def errors(settings: Parameters, blind=blind, sizes=sizes, maps=maps):
+            def one(params: Parameters):
+                found = edge_to_depth(params, blind, sizes).disparity
+                return mse(found, maps[0], mask=maps[1]), q25(found, maps[0], mask=maps[1])
+
+            return jax.vmap(one)(settings)
+
+        for label, get in SWEEPS.items():
+            if arguments.only and label not in arguments.only:
+                continue
+            base = Parameters()
+            values = factors * get(base)
+            settings = jax.tree.map(lambda a: jnp.stack([a] * arguments.steps), base)
+            settings = eqx.tree_at(get, settings, values)
+            start = time.perf_counter()
+            found = jax.block_until_ready(errors(settings))
+            seconds = time.perf_counter() - start
+            for value, m, q in zip(values, *found, strict=True):
+                row = {"value": float(value), "MSE*100": float(m), "Q25*100": float(q)}
+                rows.append({"scene": name, "parameter": label, **row, "seconds": seconds})
+        print_table([row for row in rows if row["scene"] == name], title=name)
+    write_csv(arguments.out / "figure_6_10.csv", rows)
+    write_json(arguments.out / "figure_6_10.json", rows)
+    _plot(rows).savefig(arguments.out / "figure_6_10.png")
+
+
+def _plot(rows: list[dict]) -> Figure:
+    """One panel per parameter: error over the value, the mean over the scenes."""
+    labels = list(dict.fromkeys(row["parameter"] for row in rows))
+    figure = Figure(figsize=(12, 2.6 * -(-len(labels) // 4)), layout="constrained")
+    axes = figure.subplots(-(-len(labels) // 4), 4, squeeze=False).ravel()
+    for axis, label in zip(axes, labels, strict=False):
+        here = [row for row in rows if row["parameter"] == label]
+        values = sorted({row["value"] for row in here})
+        for column in ("MSE*100", "Q25*100"):
+            means = []
+            for value in values:
+                found = [row[column] for row in here if row["value"] == value]
+                means.append(sum(found) / len(found))
+            axis.semilogx(values, means, "o-", label=column)
+        axis.axvline(values[len(values) // 2], color="0.6", linewidth=0.8)
+        axis.set(title=label, ylim=(0, None))
+    for axis in axes[len(labels) :]:
+        axis.set_axis_off()
+    axes[0].legend()
+    return figure
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,187 @@
+"""`mvedge depth`: a dense disparity map of the centre view."""
+
+import json
+import platform
+import time
+from importlib.metadata import version
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import cv2
+import jax
+import numpy as np
+import tyro
+
+from .. import plotting
+from ..datasets import load_light_field, write_pfm
+from ..lightfield import LightField
+from ..metrics import boundary_scores, depth_scores
+from ..reconstruct import DepthResult, Parameters, Sizes, edge_to_depth
+from ._common import note, output_folder, stage, warn
+
+_COLUMNS = {
+    "mse": "MSE*100",
+    "q25": "Q25*100",
+    "bad_01": "BP(0.01) %",
+    "bad_03": "BP(0.03) %",
+    "bad_07": "BP(0.07) %",
+}
+
+
+def depth(
+    scene: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="SCENE")],
+    out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT")],
+    /,
+    *,
+    views: int | None = None,
+    scale: float = 1.0,
+    flip_u: bool = False,
+    flip_v: bool = False,
+    range: tuple[float, float] | None = None,
+    side: Literal["bidirectional", "thesis", "reprojection", "naive"] = "bidirectional",
+    dense: bool = True,
+    overwrite: bool = False,
+) -> None:
+    """Estimates the disparity of every pixel of a light field's centre view.
+
+    OUT gets disparity.pfm, disparity16.png (its range is in report.json), disparity.png in colour,
+    confidence.png, points.npz, report.json and, where the camera is known, depth.pfm in metres.
+    With ground truth: error maps and scores over the whole frame and without 15 px per side.
+
+    Args:
+        scene: folder or file of a light field; `mvedge info` tells what it is.
+        out: folder to make.
+        views: use the central VIEWS x VIEWS views only; odd.
+        scale: shrink the views by this factor, at most 1.
+        flip_u: reverse the columns of views.
+        flip_v: reverse the rows of views.
+        range: lowest and highest disparity, px per view step; measured if not given or known.
+        side: how surface vectors are chosen; all but the first are baselines of the thesis.
+        dense: measure disparity at every pixel, beside the edges; off, only edges are diffused.
+        overwrite: replace OUT if it is there.
+    """
+    with stage(f"reading {scene}"):
+        light_field = load_light_field(
+            scene, views=views, scale=scale, flip_u=flip_u, flip_v=flip_v
+        )
+    if range is not None:
+        light_field = LightField(
+            light_field.views,
+            available=light_field.available,
+            disparity_range=range,
+            truth=light_field.truth,
+            camera=light_field.camera,
+            name=light_field.name,
+        )
+    params = Parameters()
+    with output_folder(out, overwrite=overwrite) as folder:
+        blind = light_field.without_truth()
+        with stage("choosing sizes"):
+            sizes = Sizes.for_light_field(blind, side=side, dense=dense)
+        start = time.perf_counter()
+        with stage("compiling and estimating depth"):
+            result = jax.block_until_ready(edge_to_depth(params, blind, sizes))
+        seconds = time.perf_counter() - start
+        with stage("writing"):
+            report = _report(light_field, params, sizes, result, seconds)
+            _write(folder, light_field, result)
+            scores = _score(folder, light_field, result)
+            report["scores"] = scores
+            (folder / "report.json").write_text(json.dumps(report, indent=2), encoding="utf-8")
+    if not bool(result.stats.converged):
+        warn("a diffusion stopped before its tolerance; report.json has the iterations.")
+    if int(result.stats.edges.overflow):
+        warn(f"{int(result.stats.edges.overflow)} weak edges found no slot and were left out.")
+    for crop, row in scores.items():
+        figures = "  ".join(f"{_COLUMNS[name]} {row[name]:.4g}" for name in _COLUMNS)
+        note(f"{crop}: {figures}")
+    note(f"{int(result.stats.edges.valid)} edge points, {seconds:.1f} s; written to {out}")
+
+
+def _write(folder: Path, light_field: LightField, result: DepthResult) -> None:
+    disparity = np.asarray(result.disparity)
+    write_pfm(folder / "disparity.pfm", disparity)
+    low, high = float(disparity.min()), float(disparity.max())
+    levels = (disparity - low) / max(high - low, 1e-12) * 65535
+    _image(folder / "disparity16.png", np.round(levels).astype(np.uint16))
+    confidence = np.asarray(result.confidence)
+    _image(folder / "confidence.png", np.round(255 * confidence).astype(np.uint8))
+    plotting.plot_disparity(disparity).savefig(folder / "disparity.png")
+    if light_field.camera is not None:
+        write_pfm(folder / "depth.pfm", np.asarray(light_field.camera.depth(result.disparity)))
+    points, surface = result.points, result.surface
+    keep = np.asarray(points.valid)
+    np.savez_compressed(
+        folder / "points.npz",
+        xy=np.asarray(points.xy)[keep],
+        disparity=np.asarray(points.disparity)[keep],
+        confidence=np.asarray(points.confidence)[keep],
+        error=np.asarray(points.error)[keep],
+        normal=np.asarray(points.normal)[keep],
+        visible=np.asarray(points.visible)[keep],
+        surface_vector=np.asarray(surface.offset)[keep],
+    )
+
+
+def _image(path: Path, image: np.ndarray) -> None:
+    if not cv2.imwrite(str(path), image):
+        raise OSError(f"{path} could not be written.")
+
+
+def _score(folder: Path, light_field: LightField, result: DepthResult) -> dict[str, Any]:
+    """Scores by crop and error maps, where there is ground truth."""
+    truth = light_field.truth
+    if truth is None:
+        return {}
+    known = np.where(np.asarray(truth.valid), np.asarray(truth.disparity), np.nan)
+    disparity = np.asarray(result.disparity)
+    for kind in ("log", "signed"):
+        figure = plotting.plot_error(disparity, known, kind=kind)
+        figure.savefig(folder / f"error_{kind}.png")
+    scores = {}
+    for crop in (0, 15):
+        if 2 * crop >= min(known.shape):
+            continue
+        maps = (result.disparity, truth.disparity)
+        found = depth_scores(*maps, mask=truth.valid, crop=crop)
+        boundary = boundary_scores(*maps, mask=truth.valid, crop=crop)
+        scores[f"crop {crop}"] = {
+            **{name: float(value) for name, value in found._asdict().items()},
+            "boundary_peak_f1": float(boundary.peak_f1),
+            "boundary_auc": float(boundary.auc),
+        }
+    return scores
+
+
+def _report(
+    light_field: LightField,
+    params: Parameters,
+    sizes: Sizes,
+    result: DepthResult,
+    seconds: float,
+) -> dict[str, Any]:
+    """What was done, with what, and how it went."""
+    disparity = np.asarray(result.disparity)
+    stats = result.stats
+    settings = {
+        jax.tree_util.keystr(path).lstrip("."): np.asarray(leaf).tolist()
+        for path, leaf in jax.tree_util.tree_leaves_with_path(params)
+    }
+    return {
+        "scene": light_field.name,
+        "shape [v, u, y, x]": list(light_field.views.shape[:4]),
+        "disparity range": [float(disparity.min()), float(disparity.max())],
+        "seconds with compilation": round(seconds, 3),
+        "counts": {
+            **{name: int(value) for name, value in vars(stats.edges).items()},
+            "labelled pixels": int(stats.points),
+            "surface vectors": int(stats.sided),
+        },
+        "diffusion iterations": np.asarray(stats.iterations).tolist(),
+        "converged": bool(stats.converged),
+        "parameters": settings,
+        "sizes": repr(sizes),
+        "versions": {name: version(name) for name in ("jax", "jaxlib", "equinox", "numpy")},
+        "device": jax.devices()[0].device_kind,
+        "machine": platform.platform(),
+    }

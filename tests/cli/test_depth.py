@@ -1,0 +1,75 @@
+import json
+
+import cv2
+import numpy as np
+import pytest
+from datasets.layouts import write_hci
+from scipy import ndimage
+
+from mvedge_jax.cli import _depth, _main
+from mvedge_jax.datasets import read_pfm
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory):
+    """A textured plane at disparity 0.4, 3x3 views of 32x40 px, in the HCI layout."""
+    rng = np.random.default_rng(0)
+    texture = ndimage.gaussian_filter(rng.uniform(size=(52, 60, 3)), (0.9, 0.9, 0)) * 2 - 0.5
+    y, x = np.mgrid[0:32, 0:40].astype(float) + 10
+    views = np.zeros((3, 3, 32, 40, 3))
+    for v, u in np.ndindex(3, 3):
+        for c in range(3):
+            place = [y - (1 - v) * 0.4, x - (1 - u) * 0.4]
+            views[v, u, ..., c] = ndimage.map_coordinates(texture[..., c], place, order=3)
+    truth = np.full((32, 40), 0.4, np.float32)
+    views = np.round(255 * np.clip(views, 0, 1)).astype(np.uint8)
+    return write_hci(tmp_path_factory.mktemp("depth") / "plane", views, disparity=truth)
+
+
+def test_depth_writes_everything_and_is_right(scene, tmp_path, capsys):
+    out = tmp_path / "out"
+    assert _main.main(["depth", str(scene), str(out), "--range", "-0.5", "1"]) == 0
+    found = read_pfm(out / "disparity.pfm")
+    assert found.shape == (32, 40)
+    assert np.median(np.abs(found - 0.4)) < 0.01
+    report = json.loads((out / "report.json").read_text())
+    low, high = report["disparity range"]
+    sixteen = cv2.imread(str(out / "disparity16.png"), cv2.IMREAD_UNCHANGED)
+    assert sixteen.dtype == np.uint16
+    np.testing.assert_allclose(low + sixteen / 65535 * (high - low), found, atol=1e-4)
+    points = np.load(out / "points.npz")
+    assert len(points["xy"]) == report["counts"]["valid"] > 50
+    assert set(report["scores"]) == {"crop 0", "crop 15"}
+    assert report["scores"]["crop 0"]["mse"] < 0.1
+    assert report["parameters"]["centre.precision"] == pytest.approx(0.01)
+    for name in ("disparity.png", "confidence.png", "error_log.png", "error_signed.png"):
+        assert cv2.imread(str(out / name)) is not None, name
+    assert "written to" in capsys.readouterr().out
+
+
+def test_an_existing_folder_is_not_touched(scene, tmp_path, capsys):
+    (tmp_path / "mine").write_text("keep")
+    assert _main.main(["depth", str(scene), str(tmp_path)]) == 2
+    assert "not empty" in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["mine"]
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [(["--range", "1", "-1"], "low < high"), (["--views", "4"], "odd")],
+)
+def test_mistakes_are_one_line(scene, tmp_path, capsys, options, message):
+    assert _main.main(["depth", str(scene), str(tmp_path / "out"), *options]) == 2
+    error = capsys.readouterr().err
+    assert message in error
+    assert "Traceback" not in error
+    assert not (tmp_path / "out").exists()
+
+
+def test_nothing_is_left_behind_when_interrupted(scene, tmp_path, monkeypatch):
+    def interrupt(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(_depth, "edge_to_depth", interrupt)
+    assert _main.main(["depth", str(scene), str(tmp_path / "out"), "--range", "0", "1"]) == 130
+    assert list(tmp_path.iterdir()) == []
