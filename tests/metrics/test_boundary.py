@@ -38,18 +38,12 @@ def _within(target, tolerance):
     return ndimage.distance_transform_edt(~target) <= tolerance + 1e-9
 
 
-@pytest.mark.parametrize("tolerance", [0.0, 1.5, 2.0])
+@pytest.mark.parametrize("tolerance", [1.5, 2.0])
 def test_agrees_with_brute_force(tolerance):
     result, truth, mask = _scene()
-    thresholds = np.array([0.03, 0.5, 0.1, 0.2])
-    scores = boundary_scores(
-        result,
-        truth,
-        mask=mask,
-        thresholds=jnp.asarray(thresholds),
-        truth_threshold=0.25,
-        tolerance=tolerance,
-    )
+    scores = boundary_scores(result, truth, mask=mask, truth_threshold=0.25, tolerance=tolerance)
+    thresholds = np.geomspace(0.02, 2.0, 41)
+    np.testing.assert_allclose(scores.thresholds, thresholds)
     strength = _strength(np.asarray(result), np.asarray(mask))
     boundary = _strength(np.asarray(truth), np.asarray(mask)) > 0.25
     for i, threshold in enumerate(thresholds):
@@ -59,6 +53,8 @@ def test_agrees_with_brute_force(tolerance):
         np.testing.assert_allclose(scores.precision[i], precision, rtol=1e-12)
         np.testing.assert_allclose(scores.recall[i], recall, rtol=1e-12)
         np.testing.assert_allclose(scores.f1[i], 2 * precision * recall / (precision + recall))
+    assert scores.precision[-1] == 1  # nothing is detected
+    assert scores.recall[-1] == 0
     precision, recall = np.asarray(scores.precision), np.asarray(scores.recall)
     fine = (np.arange(200000) + 0.5) / 200000
     best = np.where(recall[:, None] >= fine, precision[:, None], 0).max(0)
@@ -69,9 +65,10 @@ def test_agrees_with_brute_force(tolerance):
 
 
 def test_one_pixel_aside_is_right_and_three_are_not():
-    step = jnp.zeros((12, 40)).at[:, :20].set(1.0)
-    assert boundary_scores(jnp.roll(step, 1, 1)[:, 1:], step[:, 1:]).auc == 1
-    aside = boundary_scores(jnp.roll(step, 3, 1)[:, 3:], step[:, 3:])
+    x = np.arange(34) * np.ones((27, 1))
+    step, one, three = (jnp.asarray(x < edge, float) for edge in (17, 18, 20))
+    assert boundary_scores(one, step).auc == 1
+    aside = boundary_scores(three, step)
     assert aside.peak_f1 == aside.auc == 0
 
 
@@ -80,20 +77,20 @@ def test_blur_and_noise_cost():
     exact = boundary_scores(truth, truth, truth_threshold=0.1)
     assert exact.auc == 1
     blurred = jnp.asarray(ndimage.gaussian_filter(np.asarray(truth), 2.0))
-    noisy = truth + 0.2 * jax.random.normal(jax.random.key(0), truth.shape)
+    noisy = truth + 0.2 * np.random.default_rng(0).normal(size=truth.shape)
     for worse in (blurred, noisy):
         scores = boundary_scores(worse, truth)
         assert scores.mean_f1 < exact.mean_f1
         assert scores.auc < 0.9
 
 
-@pytest.mark.parametrize("value", [jnp.nan, jnp.inf])
+@pytest.mark.parametrize("value", [np.nan, np.inf])
 def test_values_that_are_not_finite_never_improve_a_score(value):
     result, truth, _ = _scene()
     before = boundary_scores(result, truth)
     for seed in range(5):
         hole = np.random.default_rng(seed).random(result.shape) < 0.03
-        after = boundary_scores(jnp.where(hole, value, result), truth)
+        after = boundary_scores(jnp.asarray(np.where(hole, value, result)), truth)
         assert (after.precision <= before.precision).all()
         assert (after.recall <= before.recall).all()
         assert after.mean_f1 < before.mean_f1
@@ -103,32 +100,29 @@ def test_values_that_are_not_finite_never_improve_a_score(value):
 def test_what_is_not_counted_changes_nothing():
     result, truth, mask = _scene()
     one = boundary_scores(result, truth, mask=mask, crop=2)
-    other = boundary_scores(
-        jnp.where(mask, result, jnp.nan).at[:2].set(7.0),
-        jnp.where(mask, truth, jnp.nan).at[:, -2:].set(-3.0),
-        mask=mask,
-        crop=2,
-    )
+    spoilt = np.where(mask, result, np.nan), np.where(mask, truth, np.nan)
+    spoilt[0][:2], spoilt[1][:, -2:] = 7.0, -3.0
+    other = boundary_scores(jnp.asarray(spoilt[0]), jnp.asarray(spoilt[1]), mask=mask, crop=2)
     for a, b in zip(one, other, strict=True):
         np.testing.assert_array_equal(a, b)
 
 
 def test_no_true_boundary_is_nan():
     result, truth, _ = _scene()
-    assert jnp.isnan(boundary_scores(result, 0 * truth).mean_f1)
+    assert jnp.isnan(boundary_scores(result, jnp.zeros((27, 34))).mean_f1)
 
 
-def test_traced_thresholds_and_vmap():
+def test_one_trace_and_vmap():
     result, truth, _ = _scene()
     counted, traces = count_traces(
         lambda d, t, g: boundary_scores(d, truth, thresholds=t, truth_threshold=g).auc
     )
-    sweep = jnp.array([0.1, 0.2, 0.4])
+    sweeps = jnp.array([[0.1, 0.2, 0.4], [0.05, 0.3, 0.5]])
     levels = jnp.array([0.1, 0.3])
-    loop = [counted(result, sweep, level) for level in levels]
+    loop = [counted(result, sweep, level) for sweep, level in zip(sweeps, levels, strict=True)]
     assert traces() == 1
-    mapped = jax.vmap(counted, (None, None, 0))(result, sweep, levels)
-    np.testing.assert_allclose(mapped, jnp.stack(loop))
+    mapped = jax.vmap(counted, (None, 0, 0))(result, sweeps, levels)
+    np.testing.assert_allclose(mapped, loop)
 
 
 def test_single_precision_stays_single():

@@ -85,7 +85,7 @@ def test_nothing_to_score_is_nan_not_zero(metric, oracle):
 
 @each_metric
 def test_one_trace_and_vmap(metric, oracle):
-    disparity, truth, mask = _maps((5, 7))
+    disparity, truth, mask = _maps()
     counted, traces = count_traces(metric)
     stack = jnp.stack([disparity, 0.5 * disparity, disparity + 1])
     loop = jnp.stack([counted(d, truth, mask=mask) for d in stack])
