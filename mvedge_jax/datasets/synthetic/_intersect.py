@@ -1,5 +1,7 @@
 """Where rays meet solids, in closed form."""
 
+from typing import NamedTuple
+
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
@@ -101,12 +103,49 @@ def _hit_round(solids: Solids, i: Array, origin: Vector, direction: Vector) -> A
     return shift + jnp.minimum(body, jnp.minimum(ball(reach), ball(-reach)))
 
 
+class _Bundle(NamedTuple):
+    """A body that holds all rays: `centre + t heading`, of radius `width + t spread`."""
+
+    centre: Array
+    width: Array
+    heading: Array
+    spread: Array
+
+
+def _bundle(origin: Vector, direction: Vector) -> _Bundle:
+    length = lax.rsqrt(dot(direction, direction))
+
+    def ball(vector: Vector) -> tuple[Array, Array]:
+        low = jnp.stack([v.min() for v in vector])
+        high = jnp.stack([v.max() for v in vector])
+        return 0.5 * (low + high), 0.5 * jnp.sqrt(jnp.sum((high - low) ** 2))
+
+    x, y, z = direction
+    return _Bundle(*ball(origin), *ball((x * length, y * length, z * length)))
+
+
+def _may_hit(bundle: _Bundle, solids: Solids, i: Array) -> Array:
+    """Whether a bundle of rays comes near enough to a solid's bounding sphere to hit it."""
+    half = solids.half[i]
+    radius = jnp.where(solids.round[i], half[0] + half[2], jnp.sqrt(jnp.sum(half * half)))
+    reach = 1.0001 * (radius + bundle.width)
+    offset = solids.centre[i] - bundle.centre
+    # |offset - t heading| <= reach + t spread for some t >= 0, a quadratic in t.
+    a = jnp.sum(bundle.heading**2) - bundle.spread**2
+    b = jnp.sum(offset * bundle.heading) + reach * bundle.spread
+    c = jnp.sum(offset**2) - reach**2
+    return (a <= 0) | (c <= 0) | ((b > 0) & (b * b >= a * c))
+
+
 def intersect(
     solids: Solids,
     origin: Vector,
     direction: Vector,
 ) -> tuple[Float[Array, " r"], Int[Array, " r"]]:
     """The nearest solid in front of each ray.
+
+    Solids that the rays pass by as a whole are skipped: rays through a small tile of the picture
+    are quick.
 
     Args:
         solids: what is there.
@@ -117,8 +156,9 @@ def intersect(
         The distance in units of `direction`, infinite where nothing is hit, and the index of the
         solid, -1 where nothing is hit.
     """
+    bundle = _bundle(origin, direction)
 
-    def step(i: Array, best: tuple[Array, Array]) -> tuple[Array, Array]:
+    def test(i: Array, best: tuple[Array, Array]) -> tuple[Array, Array]:
         x, y, z = (o - solids.centre[i, k] for k, o in enumerate(origin))
         o, d = rotate(solids.axes[i], (x, y, z)), rotate(solids.axes[i], direction)
         distance = lax.cond(
@@ -130,6 +170,10 @@ def intersect(
         )
         closer = (distance > 0) & (distance < best[0])
         return jnp.where(closer, distance, best[0]), jnp.where(closer, i, best[1])
+
+    def step(i: Array, best: tuple[Array, Array]) -> tuple[Array, Array]:
+        near = _may_hit(bundle, solids, i)
+        return lax.cond(near, lambda best: test(i, best), lambda best: best, best)
 
     start = jnp.full_like(direction[0], jnp.inf)
     nothing = jnp.full(start.shape, -1, jnp.int32)

@@ -1,6 +1,7 @@
 """Rendering: a grid of views, or posed photographs, with exact disparity, depth and ids."""
 
 import concurrent.futures
+import math
 import os
 from collections.abc import Callable
 from functools import partial
@@ -124,8 +125,10 @@ def _trace_view(
     samples = mode.samples
     dtype = world.solids.centre.dtype
     per_pixel = samples * samples
-    rows = max(1, min(height, _RAYS // (per_pixel * width)))
-    blocks = -(-height // rows)
+    # Tiles, nearly square and nearly equal: their rays pass by most solids.
+    side = max(1, math.isqrt(_RAYS // per_pixel))
+    down, across = -(-height // side), -(-width // side)
+    tall, wide = -(-height // down), -(-width // across)
     offsets = jnp.asarray(_tent(samples), dtype)
     dy, dx = (o.reshape(-1) for o in jnp.meshgrid(offsets, offsets, indexing="ij"))
     # The truth is that of the pixel's centre: the middle sample, or one more if there is no middle.
@@ -136,21 +139,22 @@ def _trace_view(
     light = world.light
     # The extra sample of the truth looks at any point of the lamp.
     towards = lamp_directions(light, len(dx))
-    lamp_x, lamp_y, lamp_z = (jnp.repeat(t, rows * width) for t in towards)
-    columns = jnp.arange(width, dtype=dtype)
-    shaded = per_pixel * rows * width
+    lamp_x, lamp_y, lamp_z = (jnp.repeat(t, tall * wide) for t in towards)
+    shaded = per_pixel * tall * wide
 
-    def block(first: Array) -> tuple[Array, Array, Array]:
-        lines = (first * rows).astype(dtype) + jnp.arange(rows, dtype=dtype)
-        # Samples outermost: [sample, row, column].
-        x = jnp.broadcast_to(dx[:, None, None] + columns[None, None, :], (len(dx), rows, width))
-        y = jnp.broadcast_to(dy[:, None, None] + lines[None, :, None], (len(dy), rows, width))
+    def tile(number: Array) -> tuple[Array, Array, Array]:
+        first_row, first_column = number // across * tall, number % across * wide
+        lines = (first_row + jnp.arange(tall, dtype=jnp.int32)).astype(dtype)
+        columns = (first_column + jnp.arange(wide, dtype=jnp.int32)).astype(dtype)
+        # Supersamples outermost: [sample, row, column].
+        x = jnp.broadcast_to(dx[:, None, None] + columns[None, None, :], (len(dx), tall, wide))
+        y = jnp.broadcast_to(dy[:, None, None] + lines[None, :, None], (len(dy), tall, wide))
         origin, direction = _rays(pinhole, x.reshape(-1), y.reshape(-1))
         distance, hit, hidden = intersect_and_shadow(
             world.solids, origin, direction, (lamp_x, lamp_y, lamp_z), light.shadow > 0
         )
-        depth = distance.reshape(-1, rows, width)[middle]
-        index = hit.reshape(-1, rows, width)[middle]
+        depth = distance.reshape(-1, tall, wide)[middle]
+        index = hit.reshape(-1, tall, wide)[middle]
         distance, hit, hidden = distance[:shaded], hit[:shaded], hidden[:shaded]
         visible = jnp.where(hidden, 1.0 - light.shadow, 1.0)
         direction = (direction[0][:shaded], direction[1][:shaded], direction[2][:shaded])
@@ -165,11 +169,15 @@ def _trace_view(
             axis,
             visible,
         )
-        return colour.reshape(3, per_pixel, rows, width).mean(1), depth, index
+        return colour.reshape(3, per_pixel, tall, wide).mean(1), depth, index
 
-    colour, depth, index = lax.map(block, jnp.arange(blocks, dtype=jnp.int32))
-    depth, index = (p.reshape(blocks * rows, width)[:height] for p in (depth, index))
-    image = jnp.moveaxis(colour, 1, -1).reshape(blocks * rows, width, 3)[:height]
+    def picture(tiles: Array) -> Array:
+        whole = tiles.reshape(down, across, tall, wide).swapaxes(1, 2)
+        return whole.reshape(down * tall, across * wide)[:height, :width]
+
+    colour, depth, index = lax.map(tile, jnp.arange(down * across, dtype=jnp.int32))
+    depth, index = picture(depth), picture(index)
+    image = jnp.stack([picture(colour[:, c]) for c in range(3)], axis=-1)
     ids = jnp.where(index < 0, 0, world.solids.object_id[jnp.maximum(index, 0)])
     if mode.exposed:
         image = _encode(_blur(image, sensor.blur))
