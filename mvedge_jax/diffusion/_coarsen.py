@@ -84,35 +84,35 @@ def _apply(stencil: Stencil, values: Array) -> Array:
     return total - pad(rising, (0, 1), (1, 0)) + pad(rising, (1, 0), (0, 1))
 
 
-def interpolate(weights: Interpolation, corners: Array, shape: tuple[int, int]) -> Array:
+def interpolate(weights: Interpolation, corners: Array, shape: tuple[int, ...]) -> Array:
     """From corners to all pixels."""
-    right, below = _after_x(corners), _after_y(corners)
+    right, below = after_x(corners), after_y(corners)
     (west, east), (north, south) = weights.side_x, weights.side_y
     nw, ne, sw, se = weights.inside
-    return _interleave(
+    return interleave(
         corners,
         west * corners + east * right,
         north * corners + south * below,
-        nw * corners + ne * right + sw * below + se * _after_x(below),
+        nw * corners + ne * right + sw * below + se * after_x(below),
         shape,
     )
 
 
 def restrict(weights: Interpolation, values: Array) -> Array:
     """The transpose of `interpolate`."""
-    corners, side_x, side_y, inside = _split(values)
+    corners, side_x, side_y, inside = split(values)
     (west, east), (north, south) = weights.side_x, weights.side_y
     nw, ne, sw, se = weights.inside
     return (
         corners
         + west * side_x
-        + _before_x(east * side_x)
+        + before_x(east * side_x)
         + north * side_y
-        + _before_y(south * side_y)
+        + before_y(south * side_y)
         + nw * inside
-        + _before_x(ne * inside)
-        + _before_y(sw * inside)
-        + _before_y(_before_x(se * inside))
+        + before_x(ne * inside)
+        + before_y(sw * inside)
+        + before_y(before_x(se * inside))
     )
 
 
@@ -150,11 +150,11 @@ def _fine(stencil: Stencil) -> _Fine:
     falling = none if stencil.falling is None else fill(stencil.falling, shape)
     rising = none if stencil.rising is None else fill(stencil.rising, shape)
     return _Fine(
-        *_split(fill(stencil.tx, shape)),
-        *_split(fill(stencil.ty, shape)),
-        *_split(falling),
-        *_split(rising),
-        *_split(stencil.mass)[1:],
+        *split(fill(stencil.tx, shape)),
+        *split(fill(stencil.ty, shape)),
+        *split(falling),
+        *split(rising),
+        *split(stencil.mass)[1:],
     )
 
 
@@ -175,33 +175,33 @@ def coarsen(stencil: Stencil) -> tuple[Stencil, Interpolation]:
 def _weights(stencil: Stencil) -> tuple[Interpolation, Array]:
     """Interpolation, and by how much each fine pixel falls short of a constant."""
     fine = _fine(stencil)
-    west = fine.c_h + fine.h_v_rising + _before_y(fine.v_h)
-    east = fine.h_c + fine.h_v + _before_y(fine.v_h_rising)
+    west = fine.c_h + fine.h_v_rising + before_y(fine.v_h)
+    east = fine.h_c + fine.h_v + before_y(fine.v_h_rising)
     total = west + east + fine.mass_x
-    west, east, short_x = (_ratio(a, total) for a in (west, east, fine.mass_x))
+    west, east, short_x = (ratio(a, total) for a in (west, east, fine.mass_x))
 
-    north = fine.c_v + fine.h_v_rising + _before_x(fine.h_v)
-    south = fine.v_c + fine.v_h + _before_x(fine.v_h_rising)
+    north = fine.c_v + fine.h_v_rising + before_x(fine.h_v)
+    south = fine.v_c + fine.v_h + before_x(fine.v_h_rising)
     total = north + south + fine.mass_y
-    north, south, short_y = (_ratio(a, total) for a in (north, south, fine.mass_y))
+    north, south, short_y = (ratio(a, total) for a in (north, south, fine.mass_y))
 
     middle = _middle(fine)
     short = (
         fine.mass_inside
         + fine.h_x * short_x
-        + fine.x_h * _after_y(short_x)
+        + fine.x_h * after_y(short_x)
         + fine.v_x * short_y
-        + fine.x_v * _after_x(short_y)
+        + fine.x_v * after_x(short_y)
     )
     inside = (
         fine.c_x + fine.h_x * west + fine.v_x * north,
-        fine.c_x_rising + fine.h_x * east + fine.x_v * _after_x(north),
-        fine.x_c_rising + fine.x_h * _after_y(west) + fine.v_x * south,
-        fine.x_c + fine.x_h * _after_y(east) + fine.x_v * _after_x(south),
+        fine.c_x_rising + fine.h_x * east + fine.x_v * after_x(north),
+        fine.x_c_rising + fine.x_h * after_y(west) + fine.v_x * south,
+        fine.x_c + fine.x_h * after_y(east) + fine.x_v * after_x(south),
     )
-    nw, ne, sw, se = (_ratio(a, middle) for a in inside)
+    nw, ne, sw, se = (ratio(a, middle) for a in inside)
     y, x = stencil.mass.shape[-2:]
-    shortfall = _interleave(jnp.zeros_like(west), short_x, short_y, _ratio(short, middle), (y, x))
+    shortfall = interleave(jnp.zeros_like(west), short_x, short_y, ratio(short, middle), (y, x))
     return Interpolation((west, east), (north, south), (nw, ne, sw, se)), shortfall
 
 
@@ -220,9 +220,9 @@ def _galerkin(stencil: Stencil, weights: Interpolation, shortfall: Array, leak: 
     fine = _fine(stencil)
     (west, east), (north, south) = weights.side_x, weights.side_y
     nw, ne, sw, se = weights.inside
-    _, short_x, short_y, _ = _split(shortfall)
-    below_west, below_east = _after_y(west), _after_y(east)
-    right_north, right_south = _after_x(north), _after_x(south)
+    _, short_x, short_y, _ = split(shortfall)
+    below_west, below_east = after_y(west), after_y(east)
+    right_north, right_south = after_x(north), after_x(south)
     middle = _middle(fine)
 
     above = middle * nw * ne - fine.h_x * west * east
@@ -250,8 +250,8 @@ def _galerkin(stencil: Stencil, weights: Interpolation, shortfall: Array, leak: 
         rises = rises + fine.v_h_rising * below_west * right_north
     along_x = fine.c_h * (east + short_x) * east + fine.h_c * (west + short_x) * west
     along_y = fine.c_v * (south + short_y) * south + fine.v_c * (north + short_y) * north
-    tx = above + _before_y(below) + along_x - fine.mass_x * west * east
-    ty = left + _before_x(right) + along_y - fine.mass_y * north * south
+    tx = above + before_y(below) + along_x - fine.mass_x * west * east
+    ty = left + before_x(right) + along_y - fine.mass_y * north * south
 
     mass = restrict(weights, leak)
     return Stencil(
@@ -263,7 +263,8 @@ def _galerkin(stencil: Stencil, weights: Interpolation, shortfall: Array, leak: 
     )
 
 
-def _ratio(part: Array, whole: Array) -> Array:
+def ratio(part: Array, whole: Array) -> Array:
+    """`part / whole`, zero where `whole` is not positive."""
     return jnp.where(whole > 0, part / jnp.where(whole > 0, whole, 1), 0)
 
 
@@ -273,7 +274,7 @@ def fill(values: Array, shape: tuple[int, ...]) -> Array:
     return pad(values, (0, shape[0] - y), (0, shape[1] - x))
 
 
-def _split(values: Array) -> tuple[Array, Array, Array, Array]:
+def split(values: Array) -> tuple[Array, Array, Array, Array]:
     """Corners, horizontal sides, vertical sides and insides; odd sizes are padded with zeros."""
     y, x = values.shape[-2:]
     values = pad(values, (0, y % 2), (0, x % 2))
@@ -285,9 +286,10 @@ def _split(values: Array) -> tuple[Array, Array, Array, Array]:
     )
 
 
-def _interleave(
-    corners: Array, side_x: Array, side_y: Array, inside: Array, shape: tuple[int, int]
+def interleave(
+    corners: Array, side_x: Array, side_y: Array, inside: Array, shape: tuple[int, ...]
 ) -> Array:
+    """The inverse of `split`."""
     *batch, y, x = corners.shape
     even = jnp.stack([corners, side_x], axis=-1).reshape(*batch, y, 2 * x)
     odd = jnp.stack([side_y, inside], axis=-1).reshape(*batch, y, 2 * x)
@@ -295,17 +297,21 @@ def _interleave(
     return both[..., : shape[0], : shape[1]]
 
 
-def _after_x(values: Array) -> Array:
+def after_x(values: Array) -> Array:
+    """The value of the next cell to the right, zero beyond the border."""
     return pad(values[..., 1:], (0, 0), (0, 1))
 
 
-def _after_y(values: Array) -> Array:
+def after_y(values: Array) -> Array:
+    """The value of the next cell below."""
     return pad(values[..., 1:, :], (0, 1), (0, 0))
 
 
-def _before_x(values: Array) -> Array:
+def before_x(values: Array) -> Array:
+    """The value of the cell to the left."""
     return pad(values[..., :-1], (0, 0), (1, 0))
 
 
-def _before_y(values: Array) -> Array:
+def before_y(values: Array) -> Array:
+    """The value of the cell above."""
     return pad(values[..., :-1, :], (1, 0), (0, 0))

@@ -30,7 +30,9 @@ def diffuse(
     weighs an error by the stiffness of the place. One V-cycle on the residual is an estimate of
     the error itself, in the unit of the labels, that conjugate gradients computes anyway; the
     iteration ends one step after its largest entry falls below `solver.tolerance` times the
-    range of the labels.
+    range of the labels. Where the preconditioner misses a mode, the estimate is too small by the
+    smallest eigenvalue of the preconditioned matrix, so it is divided by what conjugate gradients
+    have seen of that eigenvalue (never multiplied).
 
     *Singular parts.* A part of the image without a path of positive edges to any data has no
     unique solution. It takes the weighted mean of all labels (0 if there is no data at all), has
@@ -66,15 +68,22 @@ def diffuse(
         >>> diffuse(system).value.round(2).tolist()
         [[0.0, 1.0, 2.0, 3.0]]
     """
+    return _jitted(*arranged(system, start, solver))
+
+
+def arranged(
+    system: System, start: Array | None, solver: Solver | None
+) -> tuple[Options, System, Array | None, Array]:
+    """Checks the arguments and puts them into one precision."""
     check(system)
     solver = Solver() if solver is None else solver
     if start is not None and start.shape != system.shape:
         raise ValueError(f"`start` has the shape {start.shape}; the system has {system.shape}.")
     dtype = system.weight.dtype
     options = Options(solver.preconditioner, solver.stop, solver.max_iterations)
-    tolerance = lax.stop_gradient(cast(solver.tolerance, dtype))
+    tolerance = lax.stop_gradient(jnp.asarray(cast(solver.tolerance, dtype)))
     start = None if start is None else lax.stop_gradient(start.astype(dtype))
-    return _jitted(options, system, start, tolerance)
+    return options, system, start, tolerance
 
 
 @partial(jax.jit, static_argnums=0)

@@ -64,9 +64,12 @@ def build(coefficients: Coefficients) -> Multigrid:
 
     def step(stencil: Stencil, _: None) -> tuple[Stencil, Level]:
         coarse, weights = coarsen(stencil)
-        shapes = ((y, x), (y, x - 1), (y - 1, x), (y - 1, x - 1), (y - 1, x - 1))
-        filled = (fill(maps, shape) for maps, shape in zip(coarse, shapes, strict=True))
-        return Stencil(*filled), _scale(stencil, weights)
+        edges = (coarse.tx, coarse.ty, coarse.falling, coarse.rising)
+        shapes = ((y, x - 1), (y - 1, x), (y - 1, x - 1), (y - 1, x - 1))
+        filled = [
+            fill(maps, shape) for maps, shape in zip(edges, shapes, strict=True) if maps is not None
+        ]
+        return Stencil(fill(coarse.mass, (y, x)), *filled), _scale(stencil, weights)
 
     count = (max(y, x) - 1).bit_length() + 1
     _, small = lax.scan(step, stencil, None, length=count)

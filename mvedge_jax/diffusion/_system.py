@@ -53,6 +53,11 @@ class System(eqx.Module):
         return Coefficients(self.weight, self.tx, self.ty)
 
     @property
+    def edges(self) -> tuple[Float[Array, "y x-1"], Float[Array, "y-1 x"]]:
+        """`tx` and `ty`."""
+        return self.tx, self.ty
+
+    @property
     def shape(self) -> tuple[int, int]:
         """Height and width of the image."""
         y, x = self.weight.shape[-2:]
