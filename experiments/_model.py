@@ -18,6 +18,7 @@ from mvedge_jax.reconstruct import (
     ModelParams,
     ModelSizes,
     Parameters,
+    PolishParams,
     Rates,
     SelfSupervised,
     Sizes,
@@ -31,6 +32,8 @@ from mvedge_jax.reconstruct import (
     fit_to_map,
     grow,
     image_roughness,
+    polish,
+    render_model,
     start_from_points,
     trust_labels,
     unlimited,
@@ -151,7 +154,7 @@ def run_self_supervised(
     label: float = 0.05,
     look: Look | None = None,
 ) -> tuple[Start, jax.Array]:
-    """Optimises a model against the views, with trust in its labels' standard errors."""
+    """Optimises a model against the views, with trust in its labels' errors, and polishes."""
     params, sizes = rendering(raster)
     views = gather_views(light_field.without_truth())
     if fit:
@@ -167,7 +170,12 @@ def run_self_supervised(
         state, history = advance(state, table.part(at, at + piece), goal)
         if look is not None:
             look(int(state.iteration), state.disparity, float(history.loss[-1]))
-    return Start(state.best, start.error), state.disparity
+    render = eqx.filter_jit(render_model)
+    after = render(state.best, params, sizes, start=state.disparity).disparity
+    if fit:
+        # The model's own error in rendering the first map does not enter, only what changed.
+        after = first + after - render(start.model, params, sizes, start=first).disparity
+    return Start(state.best, start.error), polish(after, PolishParams())
 
 
 def printer(name: str, light_field: LightField, rows: list[dict[str, Any]]) -> Look:

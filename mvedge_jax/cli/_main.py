@@ -17,6 +17,7 @@ _COMMANDS = {
     "eval": ("._eval", "evaluate"),
     "edges": ("._edges", "edges"),
     "depth": ("._depth", "depth"),
+    "optimize": ("._optimize", "optimize"),
     "demo": ("._demo", "demo"),
 }
 _DESCRIPTION = (

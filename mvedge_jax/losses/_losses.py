@@ -40,7 +40,15 @@ class LossWeights(eqx.Module):
 
 
 class LossTerms(NamedTuple):
-    """The terms before weighting, and the error map."""
+    """The terms before weighting, and the error map.
+
+    Attributes:
+        reprojection: mean of `error`.
+        smoothness: edge-aware smoothness of the map.
+        dissimilarity: 1 - SSIM, or 0 if it was not asked for.
+        gradient: mean gradient of the summed error, to be rewarded.
+        error: E of (7.15), per pixel.
+    """
 
     reprojection: Float[Array, ""]
     smoothness: Float[Array, ""]

@@ -56,6 +56,11 @@ from ._photometric import (
     PhotometricParams as PhotometricParams,
     photometric_labels as photometric_labels,
 )
+from ._polish import (
+    PolishParams as PolishParams,
+    bending as bending,
+    polish as polish,
+)
 from ._routine import (
     Rates as Rates,
     Routine as Routine,

@@ -65,7 +65,13 @@ class ModelSizes:
 
 
 class Rendered(eqx.Module):
-    """A rendered map, what it was diffused from, and how the solve went."""
+    """A rendered map, what it was diffused from, and how the solve went.
+
+    Attributes:
+        disparity: the map, px per view step.
+        splat: the labels and weights on the raster.
+        stats: of the solve.
+    """
 
     disparity: Float[Array, "y x"]
     splat: Splat
@@ -77,6 +83,13 @@ def upsample(image: Float[Array, "y x"], scale: int) -> Float[Array, "y2 x2"]:
 
     Pixel areas coincide: raster pixel `k` is centred at `(k + 1/2) / scale - 1/2`. The authors'
     align-corners form drifts by up to a raster pixel over the image.
+
+    Args:
+        image: one value per pixel.
+        scale: raster pixels per pixel and axis, 1 or 2.
+
+    Returns:
+        One value per raster pixel. Differentiable.
     """
     if scale == 1:
         return image
@@ -98,7 +111,15 @@ def upsample(image: Float[Array, "y x"], scale: int) -> Float[Array, "y2 x2"]:
 
 
 def downsample(raster: Float[Array, "y2 x2"], scale: int) -> Float[Array, "y x"]:
-    """Means over the raster pixels of every pixel."""
+    """Means over the raster pixels of every pixel.
+
+    Args:
+        raster: one value per raster pixel.
+        scale: raster pixels per pixel and axis.
+
+    Returns:
+        One value per pixel. Differentiable.
+    """
     height, width = raster.shape
     blocks = raster.reshape(height // scale, scale, width // scale, scale)
     return jnp.mean(blocks, axis=(1, 3))
@@ -196,7 +217,7 @@ def image_roughness(centre: Float[Array, "y x c"], gain: Float[Array, ""]) -> Fl
 
 def map_roughness(
     disparity: Float[Array, "y x"],
-    centre: Float[Array, "y x c"] | None = None,
+    centre: Float[Array, "y x c"] | None,
     *,
     depth_step: Float[Array, ""] | float = 0.05,
     colour_step: Float[Array, ""] | float = 0.3,
@@ -209,7 +230,7 @@ def map_roughness(
 
     Args:
         disparity: a first map.
-        centre: the image; without it only the map counts.
+        centre: the image; with None only the map counts.
         depth_step: d, px.
         colour_step: c, units of Lab.
         largest: Q is clipped at this.

@@ -66,7 +66,14 @@ class Trust(eqx.Module):
 
 
 def unlimited(model: DepthModel) -> Trust:
-    """Trust without a prior: only R and Q are limited."""
+    """Trust without a prior: only R and Q are limited.
+
+    Args:
+        model: the parameters at the start.
+
+    Returns:
+        The trust.
+    """
     return Trust(model, jnp.ones_like(model.disparity))
 
 

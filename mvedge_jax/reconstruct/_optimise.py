@@ -52,7 +52,12 @@ class State(eqx.Module):
 
 
 class History(NamedTuple):
-    """Per iteration: the loss before the step, and the norm of each parameter's gradient."""
+    """What happened per iteration.
+
+    Attributes:
+        loss: before the step.
+        gradient: norm of the gradient of Q, Z, R and xy.
+    """
 
     loss: Float[Array, "i"]
     gradient: Float[Array, "i 4"]
@@ -184,7 +189,12 @@ def optimise(
 
 
 def save_state(path: str | Path, state: State) -> None:
-    """Writes a state to a file, to go on from later."""
+    """Writes a state to a file, to go on from later.
+
+    Args:
+        path: the file to write.
+        state: the state.
+    """
     eqx.tree_serialise_leaves(path, _raw_key(state))
 
 

@@ -47,7 +47,15 @@ class Splat(eqx.Module):
 def normalise(
     label_sum: Float[Array, "y x"], transmittance: Float[Array, "y x"]
 ) -> Float[Array, "y x"]:
-    """Divides by the coverage where there is any; zero elsewhere, with zero gradient."""
+    """Divides by the coverage where there is any; zero elsewhere, with zero gradient.
+
+    Args:
+        label_sum: Σ Z a T.
+        transmittance: what is left behind all points.
+
+    Returns:
+        The normalised label map.
+    """
     coverage = 1 - transmittance
     covered = coverage > 1e-6
     return jnp.where(covered, label_sum / jnp.where(covered, coverage, 1), 0)
