@@ -1,0 +1,377 @@
+"""The diffusion solver against direct and multigrid solvers that a user could pick.
+
+All solvers get the same systems in one run: `data/poisson` where it is present, and generated
+ones (labels at image edges, smoothness from gradients, contrast 1 to 1e9). Setup counts: what is
+compared is the time from weights and labels to a map.
+
+    python experiments/benchmarks/diffusion.py --out results/diffusion
+    python experiments/benchmarks/diffusion.py --only ours --sizes 128 512 2048
+"""
+
+import argparse
+import importlib
+import json
+import resource
+import statistics
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import scipy.ndimage
+import scipy.sparse.linalg
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+from _report import print_table, shared_data, write_csv, write_json  # noqa: E402
+
+from mvedge_jax.diffusion import (  # noqa: E402
+    Solver,
+    System,
+    diffuse,
+    edge_weights,
+    linear_operator,
+)
+
+
+class Problem(NamedTuple):
+    """A system in float32 and, if it is known, its exact solution."""
+
+    name: str
+    system: System
+    exact: np.ndarray | None
+
+
+class Answer(NamedTuple):
+    """Seconds for setup and solve, iterations (if any) and the map."""
+
+    setup: float
+    solve: float
+    iterations: int | None
+    value: np.ndarray
+
+
+def generate(size: int, contrast: float, *, seed: int = 0) -> System:
+    """Labels at the edges of a picture of discs, smoothness from its gradient.
+
+    Args:
+        size: side, px; the discs grow with it, so that one family has one shape.
+        contrast: largest over smallest smoothness.
+        seed: of the picture.
+    """
+    random = np.random.default_rng(seed)
+    rows, columns = np.mgrid[:size, :size] / size
+    picture, depth = np.zeros((size, size)), np.zeros((size, size))
+    for _ in range(30):
+        y, x, radius = *random.uniform(0, 1, 2), random.uniform(0.03, 0.2)
+        inside = (rows - y) ** 2 + (columns - x) ** 2 < radius**2
+        picture[inside], depth[inside] = random.uniform(0, 1), random.uniform(-1.5, 1.5)
+    picture += 0.05 * scipy.ndimage.gaussian_filter(random.normal(size=picture.shape), 1.0)
+    gradient = np.hypot(scipy.ndimage.sobel(picture, 0), scipy.ndimage.sobel(picture, 1))
+    steepness = np.clip(gradient / np.quantile(gradient, 0.99), 0, 1)
+    smoothness = contrast**-steepness
+    labelled = (steepness > 0.3) & (random.uniform(size=picture.shape) < 0.3)
+    weight = np.where(labelled, 1.0, 0.0)
+    arrays = (jnp.asarray(a, jnp.float32) for a in (weight, depth, smoothness))
+    weight, label, smoothness = arrays
+    return System(weight, label, *edge_weights(smoothness))
+
+
+def problems(sizes: list[int], contrasts: list[float], real: bool) -> Iterator[Problem]:
+    """The real systems, then the generated ones."""
+    folder = shared_data()
+    if real and folder is not None and (folder / "poisson").is_dir():
+        for path in sorted((folder / "poisson").glob("*.npz")):
+            data = np.load(path)
+            maps = (data["w"], data["d"], data["sx"][:, 1:], data["sy"][1:])
+            system = System(*(jnp.asarray(a, jnp.float32) for a in maps))
+            yield Problem(path.stem, system, data["x"])
+    for size in sizes:
+        for contrast in contrasts:
+            yield Problem(f"discs_{size}_c{contrast:.0e}", generate(size, contrast), None)
+
+
+def ours(preconditioner: Any, repeats: int) -> Callable[[System, float], Answer]:
+    """One of our preconditioners. Setup is part of the compiled function and counts as solve."""
+
+    def run(system: System, tolerance: float) -> Answer:
+        solver = Solver(
+            tolerance=tolerance, preconditioner=preconditioner, stop="residual",
+            max_iterations=20000,
+        )  # fmt: skip
+        function = jax.jit(lambda system: diffuse(system, solver=solver))
+        result = jax.block_until_ready(function(system))
+        seconds = repeat(lambda: jax.block_until_ready(function(system)), repeats)
+        return Answer(0.0, seconds, int(result.stats.iterations), np.asarray(result.value))
+
+    return run
+
+
+def repeat(function: Callable[[], Any], repeats: int) -> float:
+    """Median seconds of a few calls; fewer of slow ones."""
+    durations: list[float] = []
+    while len(durations) < repeats and sum(durations) < 4:
+        start = time.perf_counter()
+        function()
+        durations.append(time.perf_counter() - start)
+    return statistics.median(durations)
+
+
+def jax_cg(system: System, tolerance: float) -> Answer:
+    """`jax.scipy.sparse.linalg.cg` with the diagonal as a preconditioner."""
+
+    def solve(system: System) -> jax.Array:
+        inverse = 1 / system.diagonal()
+        return jax.scipy.sparse.linalg.cg(
+            system.matvec, system.right_hand_side(), tol=tolerance, M=lambda r: inverse * r,
+            maxiter=20000,
+        )[0]  # fmt: skip
+
+    function = jax.jit(solve)
+    value = np.asarray(function(system))
+    return Answer(0.0, repeat(lambda: function(system).block_until_ready(), 3), None, value)
+
+
+def lineax_cg(system: System, tolerance: float) -> Answer:
+    """Lineax CG on the tagged operator, with the diagonal as a preconditioner."""
+    import lineax as lx
+
+    def solve(system: System) -> tuple[jax.Array, jax.Array]:
+        inverse = 1 / system.diagonal()
+        tags = lx.positive_semidefinite_tag
+        shape = jax.eval_shape(lambda: system.weight)
+        preconditioner = lx.FunctionLinearOperator(lambda r: inverse * r, shape, tags)
+        solution = lx.linear_solve(
+            linear_operator(system), system.right_hand_side(),
+            lx.CG(rtol=tolerance, atol=tolerance, max_steps=20000),
+            options={"preconditioner": preconditioner}, throw=False,
+        )  # fmt: skip
+        return solution.value, jnp.asarray(solution.stats["num_steps"])
+
+    function = jax.jit(solve)
+    value, steps = jax.block_until_ready(function(system))
+    seconds = repeat(lambda: jax.block_until_ready(function(system)), 3)
+    return Answer(0.0, seconds, int(steps), np.asarray(value))
+
+
+def _host(system: System) -> tuple[Any, np.ndarray, float]:
+    """The matrix, the right-hand side and the seconds that assembly took (not counted)."""
+    right = np.asarray(system.right_hand_side(), np.float64).ravel()
+    return scipy.sparse.csr_matrix(system.to_scipy()), right, 0.0
+
+
+def spsolve(system: System, tolerance: float) -> Answer:
+    """SciPy's direct solver (SuperLU)."""
+    matrix, right, _ = _host(system)
+    matrix = matrix.tocsc()
+    start = time.perf_counter()
+    value = scipy.sparse.linalg.spsolve(matrix, right)
+    return Answer(0.0, time.perf_counter() - start, None, np.asarray(value))
+
+
+def pyamg_cg(kind: str) -> Callable[[System, float], Answer]:
+    """PyAMG as a preconditioner of CG."""
+
+    def run(system: System, tolerance: float) -> Answer:
+        pyamg = importlib.import_module("pyamg")
+        matrix, right, _ = _host(system)
+        matrix.indices = matrix.indices.astype(np.int32)
+        matrix.indptr = matrix.indptr.astype(np.int32)
+        start = time.perf_counter()
+        hierarchy = getattr(pyamg, kind)(matrix)
+        middle = time.perf_counter()
+        residuals: list[float] = []
+        value = hierarchy.solve(right, tol=tolerance, accel="cg", residuals=residuals)
+        end = time.perf_counter()
+        return Answer(middle - start, end - middle, len(residuals) - 1, value)
+
+    return run
+
+
+def amgcl(coarsening: str, relaxation: str) -> Callable[[System, float], Answer]:
+    """AMGCL through its Python binding, as a preconditioner of CG."""
+
+    def run(system: System, tolerance: float) -> Answer:
+        library = importlib.import_module("pyamgcl")
+        matrix, right, _ = _host(system)
+        start = time.perf_counter()
+        parameters = {"coarsening.type": coarsening, "relax.type": relaxation}
+        hierarchy = library.amg(matrix, prm=parameters)
+        solver = library.solver(hierarchy, {"type": "cg", "tol": tolerance, "maxiter": 1000})
+        middle = time.perf_counter()
+        value = solver(right)
+        end = time.perf_counter()
+        return Answer(middle - start, end - middle, int(solver.iters), np.asarray(value))
+
+    return run
+
+
+def cholmod(system: System, tolerance: float) -> Answer:
+    """CHOLMOD through scikit-sparse."""
+    library = importlib.import_module("sksparse.cholmod")
+    matrix, right, _ = _host(system)
+    matrix = matrix.tocsc()
+    start = time.perf_counter()
+    if hasattr(library, "cho_factor"):
+        factor = library.cho_factor(matrix)
+    else:
+        factor = library.cholesky(matrix)
+    middle = time.perf_counter()
+    value = factor.solve(right) if hasattr(factor, "solve") else factor(right)
+    return Answer(middle - start, time.perf_counter() - middle, None, np.asarray(value))
+
+
+def solvers(only: str, repeats: int) -> dict[str, Callable[[System, float], Answer]]:
+    """All solvers by name."""
+    own = {f"mvedge {name}": ours(name, repeats) for name in ("multigrid", "lahbpcg", "jacobi")}
+    if only == "multigrid":
+        return {"mvedge multigrid": own["mvedge multigrid"]}
+    if only == "ours":
+        return own
+    others = {
+        "jax cg + jacobi": jax_cg,
+        "lineax cg + jacobi": lineax_cg,
+        "scipy spsolve": spsolve,
+        "pyamg ruge-stueben": pyamg_cg("ruge_stuben_solver"),
+        "pyamg smoothed aggregation": pyamg_cg("smoothed_aggregation_solver"),
+        "pyamgcl sa + spai0": amgcl("smoothed_aggregation", "spai0"),
+        "pyamgcl sa + damped jacobi": amgcl("smoothed_aggregation", "damped_jacobi"),
+        "pyamgcl rs + spai0": amgcl("ruge_stuben", "spai0"),
+        "pyamgcl sa + gauss-seidel": amgcl("smoothed_aggregation", "gauss_seidel"),
+        "cholmod": cholmod,
+    }
+    return own | others
+
+
+def measure(
+    problem: Problem, name: str, solve: Callable, tolerance: float, exact: np.ndarray | None
+) -> dict[str, Any]:
+    """One row of the table."""
+    row: dict[str, Any] = {
+        "system": problem.name, "solver": name, "setup_s": None, "solve_s": None, "total_s": None,
+        "iterations": None, "relative_residual": None, "max_error": None, "peak_mb": None,
+        "note": "",
+    }  # fmt: skip
+    try:
+        answer = solve(problem.system, tolerance)
+    except (ImportError, AttributeError) as error:
+        row["note"] = f"not installed: {error}"
+        return row
+    except (RuntimeError, ValueError) as error:
+        row["note"] = f"failed: {error}"[:60]
+        return row
+    matrix, right, _ = _host(problem.system)
+    value = answer.value.astype(np.float64).ravel()
+    residual = np.linalg.norm(right - matrix @ value) / np.linalg.norm(right)
+    row |= {
+        "setup_s": answer.setup, "solve_s": answer.solve, "total_s": answer.setup + answer.solve,
+        "iterations": answer.iterations, "relative_residual": float(residual),
+        "max_error": None if exact is None else float(np.abs(value - exact.ravel()).max()),
+        "peak_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
+    }  # fmt: skip
+    return row
+
+
+def isolated(arguments: argparse.Namespace, problem: str, solver: str) -> dict[str, Any]:
+    """One row from a process of its own, so that peak memory belongs to one solver."""
+    command = [
+        sys.executable, __file__, "--row", problem, solver, "--tolerance",
+        str(arguments.tolerance), "--repeats", str(arguments.repeats),
+        "--sizes", *map(str, arguments.sizes), "--contrasts", *map(str, arguments.contrasts),
+    ]  # fmt: skip
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if done.returncode:
+        last = (done.stderr.strip().splitlines() or ["killed"])[-1]
+        return {"system": problem, "solver": solver, "note": f"crashed: {last}"[:60]}
+    return json.loads(done.stdout.strip().splitlines()[-1])
+
+
+def plot(rows: list[dict[str, Any]], path: Path) -> None:
+    """Seconds against pixels on generated systems, log-log."""
+    import matplotlib as mpl
+
+    mpl.use("Agg")
+    import matplotlib.pyplot as plt
+
+    figure, axes = plt.subplots(figsize=(7, 5))
+    contrasts = sorted({row["system"].split("_c")[1] for row in rows if "discs" in row["system"]})
+    if not contrasts:
+        return
+    for solver in dict.fromkeys(row["solver"] for row in rows):
+        points = sorted(
+            (int(row["system"].split("_")[1]) ** 2, row["total_s"])
+            for row in rows
+            if row["solver"] == solver
+            and row["system"].endswith(f"_c{contrasts[0]}")
+            and row.get("total_s")
+        )
+        if points:
+            axes.loglog(*zip(*points, strict=True), "o-", label=solver)
+    axes.set(xlabel="pixels", ylabel="seconds, setup included", title=f"contrast {contrasts[0]}")
+    axes.grid(visible=True, which="both", alpha=0.3)
+    axes.legend(fontsize=7)
+    figure.savefig(path, dpi=150, bbox_inches="tight")
+
+
+def main() -> None:
+    """Runs all solvers on all systems and writes table, JSON, CSV and plot."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--out", type=Path, default=Path("results/diffusion"))
+    parser.add_argument("--sizes", type=int, nargs="*", default=[128, 256, 512, 1024, 2048])
+    parser.add_argument("--contrasts", type=float, nargs="*", default=[1.0, 1e3, 1e6, 1e9])
+    parser.add_argument("--tolerance", type=float, default=1e-5, help="relative residual")
+    parser.add_argument("--repeats", type=int, default=9)
+    parser.add_argument("--only", choices=["all", "ours", "multigrid"], default="all")
+    parser.add_argument("--largest", type=int, default=512, help="largest size for direct solvers")
+    parser.add_argument("--no-real", action="store_true", help="generated systems only")
+    parser.add_argument("--in-process", action="store_true", help="quick: no memory per solver")
+    parser.add_argument("--row", nargs=2, help=argparse.SUPPRESS)
+    arguments = parser.parse_args()
+    if arguments.row:
+        wanted, name = arguments.row
+        every = problems(arguments.sizes, arguments.contrasts, True)
+        problem = next(p for p in every if p.name == wanted)
+        row = measure(
+            problem, name, solvers("all", arguments.repeats)[name], arguments.tolerance,
+            reference(problem, arguments.largest),
+        )  # fmt: skip
+        print(json.dumps(row))
+        return
+    rows = []
+    for problem in problems(arguments.sizes, arguments.contrasts, not arguments.no_real):
+        exact = reference(problem, arguments.largest) if arguments.in_process else None
+        found = []
+        for name, solve in solvers(arguments.only, arguments.repeats).items():
+            slow = name in ("scipy spsolve", "cholmod", "jax cg + jacobi", "lineax cg + jacobi")
+            if problem.system.shape[0] > arguments.largest and (slow or "jacobi" in name):
+                continue
+            if arguments.in_process:
+                found.append(measure(problem, name, solve, arguments.tolerance, exact))
+            else:
+                found.append(isolated(arguments, problem.name, name))
+        own = next((row.get("total_s") for row in found if row["solver"] == "mvedge multigrid"), 0)
+        for row in found:
+            total = row.get("total_s")
+            row["times_ours"] = total / own if total and own else None
+        print_table(found, title=problem.name)
+        rows += found
+        write_json(arguments.out / "diffusion.json", rows)
+    keys = list(dict.fromkeys(key for row in rows for key in row))
+    write_csv(arguments.out / "diffusion.csv", [{k: row.get(k) for k in keys} for row in rows])
+    plot(rows, arguments.out / "diffusion.png")
+
+
+def reference(problem: Problem, largest: int) -> np.ndarray | None:
+    """The exact solution: what came with the system, or a direct solve in float64."""
+    if problem.exact is not None or problem.system.shape[0] > largest:
+        return problem.exact
+    matrix, right, _ = _host(problem.system)
+    return np.asarray(scipy.sparse.linalg.spsolve(matrix.tocsc(), right))
+
+
+if __name__ == "__main__":
+    main()
