@@ -16,19 +16,35 @@ from matplotlib.figure import Figure
 
 from .. import plotting
 from ..datasets import synthetic, write_pfm
+from ..epi import EdgePoints
 from ..lightfield import GroundTruth, LightField
 from ..metrics import BoundaryScores, DepthScores, boundary_scores, depth_scores, reprojection_error
-from ..reconstruct import plane_sweep
+from ..reconstruct import Parameters, Sizes, edge_to_depth, plane_sweep
 from ._common import note, output_folder, stage
 
 
-def _sweep(light_field: LightField) -> Array:
-    return plane_sweep(light_field).disparity
+class _Estimate(NamedTuple):
+    """What a method says: the centre view's disparity, and the points that it came from, if any."""
+
+    disparity: Array
+    points: EdgePoints | None = None
 
 
-# Name -> centre view's disparity from a light field without its truth. Every method is timed,
-# scored and drawn in the same way.
-_METHODS: dict[str, Callable[[LightField], Array]] = {"plane sweep": _sweep}
+def _plane_sweep(light_field: LightField) -> _Estimate:
+    return _Estimate(plane_sweep(light_field).disparity)
+
+
+def _multiview_edges(light_field: LightField) -> _Estimate:
+    result = edge_to_depth(Parameters(), light_field, Sizes.for_light_field(light_field))
+    return _Estimate(result.disparity, result.points)
+
+
+# Every method gets the light field without its truth and is timed, scored and drawn in the same
+# way; the one that matters comes last.
+_METHODS: dict[str, Callable[[LightField], _Estimate]] = {
+    "plane sweep": _plane_sweep,
+    "multi-view edges": _multiview_edges,
+}
 
 # Title of a column of the table -> how to get the figure.
 _COLUMNS: dict[str, Callable[["_Result"], Array]] = {
@@ -49,6 +65,7 @@ class _Result(NamedTuple):
 
     name: str
     disparity: Array
+    points: EdgePoints | None
     seconds: float
     depth: DepthScores
     boundary: BoundaryScores
@@ -65,10 +82,11 @@ def demo(
     seed: int = 0,
     overwrite: bool = False,
 ) -> None:
-    """Renders a light field, estimates its depth, scores and draws it; takes about a minute.
+    """Renders a light field, estimates its depth, scores and draws it; takes a minute or two.
 
-    OUT gets figures (views, an epipolar-plane image with its lines, disparity and error maps,
-    precision and recall of depth boundaries), metrics.csv, metrics.json and the disparity maps.
+    The method is compared with a plane sweep of the crosshair. OUT gets figures (views, an
+    epipolar-plane image with its lines, multi-view edges, disparity and error maps, precision and
+    recall of depth boundaries), metrics.csv, metrics.json and the disparity maps.
 
     Args:
         out: folder to make.
@@ -107,13 +125,14 @@ def _run(name: str, light_field: LightField, truth: GroundTruth) -> _Result:
     blind = light_field.without_truth()
     with stage(f"estimating disparity: {name}"):
         start = time.perf_counter()
-        disparity = jax.block_until_ready(_METHODS[name](blind))
+        disparity, points = jax.block_until_ready(_METHODS[name](blind))
         seconds = time.perf_counter() - start
     with stage(f"scoring: {name}"):
         maps = (disparity, truth.disparity)
         return _Result(
             name,
             disparity,
+            points,
             seconds,
             depth_scores(*maps, mask=truth.valid),
             boundary_scores(*maps, mask=truth.valid),
@@ -132,10 +151,26 @@ def _figures(
         f"MSE*100 {float(r.depth.mse):.3g}    BP(0.07) {float(r.depth.bad_07):.3g} %"
         for r in results
     ]
+    limits = plotting.disparity_limits([known], percent=0.0)
+    edges = [
+        plotting.plot_edges(
+            light_field.centre_view,
+            r.points.xy,
+            r.points.disparity,
+            valid=r.points.valid,
+            limits=limits,
+        )
+        for r in results
+        if r.points is not None
+    ]
     return [
         ("views", plotting.plot_views(light_field)),
+        *(("edges", figure) for figure in edges),
         ("epi", _epi(light_field, truth)),
-        ("disparity", plotting.plot_disparity([known, *maps], names=["ground truth", *names])),
+        (
+            "disparity",
+            plotting.plot_disparity([known, *maps], names=["ground truth", *names], limits=limits),
+        ),
         (
             "comparison",
             plotting.plot_comparison(

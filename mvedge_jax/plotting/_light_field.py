@@ -68,7 +68,7 @@ def plot_views(
         axes.spines[:].set_visible(False)
         axes.tick_params(length=0)
         corner = (uc * (across + gap) - 0.5, vc * (height + gap) - 0.5)
-        frame = Rectangle(corner, across, height, fill=False, edgecolor="#ff3030", linewidth=1.0)
+        frame = Rectangle(corner, across, height, fill=False, edgecolor="#ff2020", linewidth=1.6)
         axes.add_patch(frame).set_clip_on(False)
     return figure
 

@@ -13,6 +13,13 @@ from mvedge_jax.datasets import read_pfm
 _FIGURES = {"views", "epi", "disparity", "comparison", "error_signed", "boundaries"}
 
 
+@pytest.fixture
+def only_the_baseline(monkeypatch):
+    """The method takes a minute to compile; the slow test runs it."""
+    monkeypatch.setattr(_demo, "_METHODS", {"plane sweep": _demo._METHODS["plane sweep"]})
+
+
+@pytest.mark.usefixtures("only_the_baseline")
 def test_figures_and_metrics_are_on_disk(tmp_path, capsys):
     out = tmp_path / "a" / "demo"
     assert main(["demo", str(out), "--views", "3", "--size", "40", "48"]) == 0
@@ -50,6 +57,7 @@ def test_mistakes_are_one_line(tmp_path, capsys, arguments, message):
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.usefixtures("only_the_baseline")
 @pytest.mark.parametrize("error", [KeyboardInterrupt, RuntimeError])
 def test_nothing_is_left_when_it_stops_half_way(tmp_path, monkeypatch, error):
     def stop(*arguments):
@@ -67,3 +75,14 @@ def test_a_folder_in_use_is_kept(tmp_path, capsys):
     assert main(["demo", str(tmp_path)]) == 2
     assert "--overwrite" in capsys.readouterr().err
     assert (tmp_path / "mine.txt").read_text() == "keep"
+
+
+@pytest.mark.slow
+def test_the_method_beats_the_baseline(tmp_path):
+    out = tmp_path / "demo"
+    assert main(["demo", str(out)]) == 0
+    assert {path.stem for path in out.glob("*.png")} == _FIGURES | {"edges"}
+    sweep, method = json.loads((out / "metrics.json").read_text())["methods"]
+    for name in ("MSE*100", "BP(0.07) %", "edge MSE*100"):
+        assert method[name] < sweep[name], name
+    assert method["boundary F1"] > sweep["boundary F1"]
