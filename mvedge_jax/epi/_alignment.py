@@ -37,7 +37,7 @@ def alignment(epi: Float[Array, "u x"], lines: EpiLines) -> Float[Array, "m u"]:
     """
     views, width = epi.shape
     across, down = _sobel(epi)
-    rows = jnp.arange(views)
+    rows = jnp.arange(views, dtype=jnp.int32)
     steps = jnp.asarray(views // 2 - np.arange(views), epi.dtype)
     x = lines.position[:, None] + steps[None] * lines.disparity[:, None]
     inside = (x >= -0.5) & (x <= width - 0.5)

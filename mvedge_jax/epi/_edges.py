@@ -20,7 +20,7 @@ from ._spline import spline_coefficients
 from ._support import neighbour_support
 
 
-class _Candidates(NamedTuple):
+class Candidates(NamedTuple):
     """Pixels on an edge, in raster order: the gathers of the refinement then stay local."""
 
     row: Int[Array, " n"]
@@ -37,7 +37,7 @@ def scene_banks(
     """The filters of both arms: those of `params`, or Prewitt filters on the grid of `sizes`."""
     if params.banks is not None:
         return params.banks
-    index = sizes.first + jnp.arange(sizes.filters)
+    index = sizes.first + jnp.arange(sizes.filters, dtype=jnp.int32)
     disparity = index.astype(params.step.dtype) * params.step
     radius = max(sizes.radius(count) for count in views)
     return prewitt_bank(disparity, views[1], radius), prewitt_bank(disparity, views[0], radius)
@@ -50,7 +50,7 @@ def line_maxima(strength: Float[Array, "y x"], floor: Float[Array, ""]) -> Bool[
     return (strength > left) & (strength >= right) & (strength > floor)
 
 
-def _candidates(maps: Maps, floor: Array, capacity: int) -> _Candidates:
+def _candidates(maps: Maps, floor: Array, capacity: int) -> Candidates:
     across = line_maxima(maps.strength[0], floor)
     down = line_maxima(maps.strength[1].T, floor).T
     either = across | down
@@ -60,16 +60,16 @@ def _candidates(maps: Maps, floor: Array, capacity: int) -> _Candidates:
     if capacity < strength.size:
         cut = jnp.sort(strength.reshape(-1))[strength.size - capacity - 1]
         either = either & ((count <= capacity) | (strength > cut))
-    row, column = jnp.nonzero(either, size=capacity, fill_value=0)
-    kept = either.sum()
-    valid = jnp.arange(capacity) < kept
-    found = jnp.stack([across[row, column], down[row, column]]) & valid[None]
-    return _Candidates(
-        row.astype(jnp.int32), column.astype(jnp.int32), valid, found, count, count - kept
+    row, column = (
+        axis.astype(jnp.int32) for axis in jnp.nonzero(either, size=capacity, fill_value=0)
     )
+    kept = either.sum()
+    valid = jnp.arange(capacity, dtype=kept.dtype) < kept
+    found = jnp.stack([across[row, column], down[row, column]]) & valid[None]
+    return Candidates(row, column, valid, found, count, count - kept)
 
 
-def _subpixel(maps: Maps, candidates: _Candidates) -> Float[Array, "n 2"]:
+def _subpixel(maps: Maps, candidates: Candidates) -> Float[Array, "n 2"]:
     """Vertex of the response along the direction, or directions, in which it is a maximum."""
     row, column = candidates.row, candidates.column
     height, width = maps.disparity.shape
@@ -107,15 +107,17 @@ def unit_gradient(gray: Float[Array, "y x"]) -> Float[Array, "y x 2"]:
     return jnp.where(square > 1e-12, gradient / jnp.sqrt(safe), 0)
 
 
-class _Measured(NamedTuple):
+class Measured(NamedTuple):
     """All that is known of the candidates before any is judged."""
 
     maps: Maps
-    candidates: _Candidates
+    candidates: Candidates
     refined: Refined
 
 
-def _measure(light_field: LightField, params: EdgeParams, sizes: EdgeSizes) -> _Measured:
+def measure_candidates(light_field: LightField, params: EdgeParams, sizes: EdgeSizes) -> Measured:
+    """Searches and refines, but judges nothing: the first half of `multiview_edges`."""
+    params = cast(params, light_field.views.dtype)
     across = light_field.horizontal_arm
     down = jnp.swapaxes(light_field.vertical_arm, 1, 2)
     gray = (100 * srgb_to_gray(across), 100 * srgb_to_gray(down))
@@ -146,7 +148,7 @@ def _measure(light_field: LightField, params: EdgeParams, sizes: EdgeSizes) -> _
         iterations=sizes.iterations,
         chunk=sizes.chunk,
     )
-    return _Measured(maps, candidates, refined)
+    return Measured(maps, candidates, refined)
 
 
 @eqx.filter_jit
@@ -181,7 +183,7 @@ def multiview_edges(light_field: LightField, params: EdgeParams, sizes: EdgeSize
         0
     """
     params = cast(params, light_field.views.dtype)
-    maps, candidates, refined = _measure(light_field, params, sizes)
+    maps, candidates, refined = measure_candidates(light_field, params, sizes)
     row, column = candidates.row, candidates.column
     # The views are quantised: equal samples do not make a disparity certain.
     variance = refined.residual + params.noise_floor

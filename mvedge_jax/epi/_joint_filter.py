@@ -50,7 +50,9 @@ def joint_filter(
         y, x = offset[0], offset[1]
         label = lax.dynamic_slice(labels, (y, x), (height, width))
         vote = lax.dynamic_slice(votes, (y, x), (height, width))
-        other = lax.dynamic_slice(colours, (y, x, 0), (height, width, colour.shape[2]))
+        other = lax.dynamic_slice(
+            colours, (y, x, jnp.zeros_like(y)), (height, width, colour.shape[2])
+        )
         far = ((offset - radius).astype(disparity.dtype) ** 2).sum() / space_sigma**2
         deep = ((label - disparity) / disparity_sigma) ** 2
         tint = ((other - colour) ** 2).sum(-1) / colour_sigma**2
@@ -58,6 +60,6 @@ def joint_filter(
         return (total + w * label, weight + w), None
 
     nothing = jnp.zeros_like(disparity)
-    (total, weight), _ = lax.scan(add, (nothing, nothing), jnp.asarray(offsets))
+    (total, weight), _ = lax.scan(add, (nothing, nothing), jnp.asarray(offsets, jnp.int32))
     enough = present & (weight > 1e-6)
     return jnp.where(enough, total / jnp.where(enough, weight, 1), disparity)

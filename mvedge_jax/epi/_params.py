@@ -70,6 +70,8 @@ class EdgeSizes:
         iterations: Gauss-Newton steps.
         tile: side of the tiles in which the volumes are computed, px.
         chunk: points refined at a time.
+        spacing: spacing of the filters, thousandths of a px: `EdgeParams.step`, as far as the
+            reach of the taps depends on it.
     """
 
     first: int
@@ -79,6 +81,7 @@ class EdgeSizes:
     iterations: int = 2
     tile: int = 64
     chunk: int = 128
+    spacing: int = 100
 
     def __post_init__(self):
         if self.filters < 3:
@@ -98,14 +101,14 @@ class EdgeSizes:
     def radius(self, views: int) -> int:
         """Reach of the taps for an arm of so many views, px.
 
-        Sized for `step` up to its default of 0.1 px; a longer step is cut off at the ends.
+        A longer `step` than `spacing` says is cut off at the ends.
         """
         return bank_radius(self.reach, views)
 
     @property
     def reach(self) -> float:
-        """Largest disparity of the grid in magnitude, at the default step."""
-        return 0.1 * max(abs(self.first), abs(self.first + self.filters - 1))
+        """Largest disparity of the grid in magnitude, px per view step."""
+        return self.spacing / 1000 * max(abs(self.first), abs(self.first + self.filters - 1))
 
     @staticmethod
     def for_light_field(light_field: LightField, *, fill: float = 0.55) -> "EdgeSizes":

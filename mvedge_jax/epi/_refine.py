@@ -53,10 +53,14 @@ def _strips(
     position = column[None].astype(disparity.dtype) + steps[:, None] * disparity[None]
     base = jnp.floor(lax.stop_gradient(position))
     start = base.astype(jnp.int32) - half - _LOW
-    rows = jnp.clip(row[None] + jnp.arange(-half, half + 1)[:, None], 0, height - 1)
+    rows = jnp.clip(
+        row[None] + jnp.arange(-half, half + 1, dtype=jnp.int32)[:, None], 0, height - 1
+    )
     length = 2 * half + _TAPS
-    columns = jnp.clip(start[:, None] + jnp.arange(length)[None, :, None], 0, width - 1)
-    flat = jnp.arange(views)[:, None, None, None] * height + rows[None, :, None]
+    columns = jnp.clip(
+        start[:, None] + jnp.arange(length, dtype=jnp.int32)[None, :, None], 0, width - 1
+    )
+    flat = jnp.arange(views, dtype=jnp.int32)[:, None, None, None] * height + rows[None, :, None]
     flat = flat * width + columns[:, None]
     strips = coefficients.reshape(-1).at[flat].get(mode="promise_in_bounds")
     low = jnp.minimum(column, half)[None].astype(position.dtype) - 0.5
@@ -194,15 +198,19 @@ def refine_points(
             per_view,
         )
 
-    def advance(carry: tuple[Array, Array], _: None) -> tuple[tuple[Array, Array], None]:
-        current, weight = carry
+    def advance(carry: tuple[Array, Array, Refined], _: None) -> tuple[tuple, None]:
+        current, weight = carry[:2]
         step, state = measure(current, weight)
         moved = jnp.clip(current + step, disparity - limit, disparity + limit)
         relative = state.inside / (robustness * (state.contrast + 1.0))[None]
-        return (moved, known / (1 + relative) ** 2), None
+        return (moved, known / (1 + relative) ** 2, state), None
 
-    (final, weight), _ = lax.scan(advance, (disparity, known), None, length=iterations)
-    _, state = measure(final, weight)
+    # One more round than steps, whose step is not taken: it measures where the last one led to.
+    # (A separate call would double the program.)
+    nothing = jnp.zeros_like(disparity)
+    per_view = jnp.zeros_like(known)
+    blank = Refined(nothing, nothing, nothing, nothing, nothing, per_view, nothing, per_view)
+    (_, _, state), _ = lax.scan(advance, (disparity, known, blank), None, length=iterations + 1)
     return state._replace(inside=inside)
 
 

@@ -78,7 +78,7 @@ def sheared_response(
     """
     views, _, width, _ = arm.shape
     steps = jnp.asarray(views // 2 - np.arange(views), arm.dtype)
-    columns = jnp.arange(width)
+    columns = jnp.arange(width, dtype=jnp.int32)
 
     def one(d: Array) -> Array:
         def line(image: Array, step: Array) -> Array:

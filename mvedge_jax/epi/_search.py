@@ -170,7 +170,8 @@ def search(
         views = grey.shape[-1]
         channels = colour.shape[1]
         inner = (tile, channels, tile + 2 * radius, views)
-        patch = lax.dynamic_slice(colour, (row + half, 0, column + half + 1, 0), inner)
+        zero = jnp.zeros((), row.dtype)
+        patch = lax.dynamic_slice(colour, (row + half, zero, column + half + 1, zero), inner)
         response = correlate(patch.reshape(-1, *inner[2:]), banks[which].taps)
         energy = (response**2).reshape(tile, channels, tile, -1).sum(1)
         best = jnp.argmax(energy, -1)
@@ -179,7 +180,7 @@ def search(
         strength = jnp.where(strongest > 0, jnp.sqrt(jnp.where(strongest > 0, strongest, 1)), 0)
         wide = tile + 2 * half
         outer = (wide, wide + 2 * radius, views)
-        rows = lax.dynamic_slice(grey, (row, column + 1, 0), outer)
+        rows = lax.dynamic_slice(grey, (row, column + 1, zero), outer)
         inside = lax.dynamic_slice(known, (column + 1,), (outer[1],))
         inside = jnp.broadcast_to(inside[:, None], outer[1:])
         variance = _variance(rows, inside, lines[which], radius)
@@ -202,7 +203,9 @@ def search(
             lowest,
         )
 
-    strength, peak, best, lowest = lax.map(one, jnp.arange(tile_rows * tile_columns))
+    strength, peak, best, lowest = lax.map(
+        one, jnp.arange(tile_rows * tile_columns, dtype=jnp.int32)
+    )
 
     def assemble(tiles: Array) -> Array:
         lead = tiles.shape[1:-2]

@@ -54,5 +54,5 @@ def neighbour_support(
         return (agree + vote * share, total + vote), None
 
     nothing = jnp.zeros_like(disparity)
-    (agree, total), _ = lax.scan(add, (nothing, nothing), jnp.asarray(np.array(offsets)))
+    (agree, total), _ = lax.scan(add, (nothing, nothing), jnp.asarray(np.array(offsets), jnp.int32))
     return jnp.where(total > 1e-6, agree / jnp.where(total > 1e-6, total, 1), 0)

@@ -1,0 +1,322 @@
+"""Accuracy of the multi-view edges against ground truth, after each step and against nuisances.
+
+    python experiments/edge_accuracy.py cotton backgammon --data ../shared/data
+    python experiments/edge_accuracy.py synthetic:demo synthetic:wide --sweeps
+
+A point sits between two surfaces: the error is that of the best of the 3x3 pixels around it, and
+that of the nearest pixel beside it. Coverage is the share of depth-edge pixels (a step above
+0.1 px) with a point within 2 px. The thesis' own methods (plain filter response, alignment of
+gradients, spatial vote, entropy search, joint filter) are rows of the table of steps.
+"""
+
+import dataclasses
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import tyro
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from scipy import ndimage
+
+from experiments._report import print_table, shared_data, write_csv, write_json
+from mvedge_jax import plotting
+from mvedge_jax.color import srgb_to_lab
+from mvedge_jax.datasets import load_light_field, synthetic
+from mvedge_jax.epi import (
+    EdgeParams,
+    EdgeSizes,
+    EpiLines,
+    aligned_count,
+    alignment,
+    entropy_search,
+    joint_filter,
+    longest_run,
+    multiview_edges,
+    spatial_vote,
+)
+from mvedge_jax.epi._edges import measure_candidates
+from mvedge_jax.lightfield import LightField
+
+
+def load(name: str, data: Path | None, size: int) -> LightField:
+    """A synthetic scene, a folder, or a scene of the benchmark by name."""
+    if name.startswith("synthetic:"):
+        scene = synthetic.scene(name.removeprefix("synthetic:"))
+        return synthetic.render(scene, shape=(9, 9, size, size), key=jax.random.key(0))
+    if Path(name).exists():
+        return load_light_field(name)
+    root = data or shared_data()
+    if root is None:
+        raise FileNotFoundError(f"{name} is not a folder, and --data was not given.")
+    return load_light_field(root / "hci" / name)
+
+
+def depth_edges(truth: np.ndarray, step: float = 0.1) -> np.ndarray:
+    """Pixels on either side of a jump in disparity."""
+    edges = np.zeros(truth.shape, bool)
+    for axis in (0, 1):
+        jump = np.abs(np.diff(truth, axis=axis)) > step
+        before = [(0, 0), (0, 0)]
+        after = [(0, 0), (0, 0)]
+        before[axis], after[axis] = (1, 0), (0, 1)
+        edges |= np.pad(jump, before) | np.pad(jump, after)
+    return edges
+
+
+def score(truth: np.ndarray, x: np.ndarray, y: np.ndarray, d: np.ndarray) -> dict[str, Any]:
+    """One row of the table."""
+    height, width = truth.shape
+    x = np.clip(np.rint(x).astype(int), 0, width - 1)
+    y = np.clip(np.rint(y).astype(int), 0, height - 1)
+    padded = np.pad(truth, 1, mode="edge")
+    best = np.min([np.abs(d - padded[y + j, x + i]) for j in range(3) for i in range(3)], axis=0)
+    near = np.abs(d - truth[y, x])
+    hit = np.zeros(truth.shape, bool)
+    hit[y, x] = True
+    edges = depth_edges(truth)
+    covered = np.asarray(ndimage.distance_transform_edt(~hit))[edges] <= 2
+    cells = (y // 16) * (width // 16 + 1) + x // 16
+    signed = np.clip(d - truth[y, x], -0.07, 0.07)
+    sums = np.bincount(cells, signed)
+    counts = np.bincount(cells)
+    return {
+        "points": len(d),
+        "median": float(np.median(best)),
+        "< .03 %": 100 * float((best < 0.03).mean()),
+        "< .07 %": 100 * float((best < 0.07).mean()),
+        "> .5 %": 100 * float((best > 0.5).mean()),
+        "nearest: median": float(np.median(near)),
+        "nearest: < .07 %": 100 * float((near < 0.07).mean()),
+        "nearest: > .5 %": 100 * float((near > 0.5).mean()),
+        "coherent": float(np.median(np.abs(sums / np.maximum(counts, 1))[counts >= 8])),
+        "coverage %": 100 * float(covered.mean()) if edges.any() else float("nan"),
+    }
+
+
+def _as_lines(along: np.ndarray, across: np.ndarray, d: np.ndarray, c: np.ndarray, rows: int):
+    """Lines grouped by EPI, and which slot each came to."""
+    order = np.lexsort((along, across))
+    counts = np.bincount(across, minlength=rows)
+    slot = np.empty(len(along), int)
+    slot[order] = np.arange(len(along)) - np.repeat(np.cumsum(counts) - counts, counts)
+    capacity = max(int(counts.max()), 1)
+
+    def fill(values: np.ndarray) -> jax.Array:
+        table = np.zeros((rows, capacity), np.float32)
+        table[across, slot] = values
+        return jnp.asarray(table)
+
+    lines = EpiLines(fill(along), fill(d), fill(c), fill(np.ones(len(d))) > 0)
+    return lines, (across, slot)
+
+
+def thesis_steps(light_field: LightField, measured: Any, truth: np.ndarray) -> list[dict]:
+    """Rows of the table for the thesis' own chain, on the same candidates."""
+    chosen = jax.tree.map(np.asarray, measured.candidates)
+    maps = jax.tree.map(np.asarray, measured.maps)
+    found: dict[str, list[np.ndarray]] = {}
+    for arm in (0, 1):
+        keep = chosen.found[arm]
+        x, y = chosen.column[keep], chosen.row[keep]
+        d, c = maps.peak[arm, y, x], maps.strength[arm, y, x]
+        views = light_field.horizontal_epis() if arm == 0 else light_field.vertical_epis()
+        light = jax.lax.map(lambda epi: srgb_to_lab(epi)[..., 0], views)
+        light = jnp.asarray(ndimage.gaussian_filter(np.asarray(light), (0.85, 0, 0.85)))
+        along, across = (x, y) if arm == 0 else (y, x)
+        lines, where = _as_lines(along, across, d, c, light.shape[0])
+        cosine = jax.lax.map(lambda a: alignment(*a), (light, lines))
+        run = np.asarray(jax.vmap(longest_run)(cosine))[where]
+        count = np.asarray(jax.vmap(aligned_count)(cosine))[where]
+        keys = jax.random.split(jax.random.key(arm), light.shape[0])
+        moved = jax.lax.map(
+            lambda a: entropy_search(a[0], a[1], jnp.float32(0.15), jnp.float32(0.88), key=a[2]),
+            (light, lines, keys),
+        )
+        size = np.asarray(light.shape)[[0, 2]]
+        raster = np.zeros((3, *size), np.float32)
+        raster[:, across, along] = d, c, 1
+        votes = spatial_vote(
+            jnp.asarray(raster[0]),
+            jnp.asarray(raster[1]),
+            jnp.asarray(raster[2] > 0),
+            jnp.float32(1 / (light.shape[1] - 1)),
+        )
+        columns = {
+            "x": x,
+            "y": y,
+            "d": d,
+            "run": run,
+            "count": count,
+            "vote": np.asarray(votes)[across, along],
+            "entropy": np.asarray(moved.disparity)[where],
+        }
+        for name, values in columns.items():
+            found.setdefault(name, []).append(values)
+    p = {name: np.concatenate(values) for name, values in found.items()}
+    aligned, voted = p["run"] >= 4, p["vote"] >= 8e-5
+    picked = aligned & voted
+    raster = np.zeros((2, *truth.shape), np.float32)
+    y, x = p["y"][picked], p["x"][picked]
+    raster[:, y, x] = p["entropy"][picked], 1
+    smooth = joint_filter(
+        jnp.asarray(raster[0]),
+        jnp.asarray(raster[1] > 0),
+        light_field.centre_view,
+        jnp.float32(5.0),
+        jnp.float32(0.1),
+        jnp.float32(0.5),
+    )
+    quarter = p["count"] >= light_field.views.shape[1] / 4
+    rows = [("plain filter response", slice(None), p["d"])]
+    rows += [("plain, aligned in a quarter of the rows (4.3)", quarter, p["d"])]
+    rows += [("plain, longest aligned run >= 4", aligned, p["d"])]
+    rows += [("plain, spatial vote >= 8e-5 (4.2)", voted, p["d"])]
+    rows += [("plain, run and vote", picked, p["d"])]
+    rows += [("  + entropy search (4.5)", picked, p["entropy"])]
+    table = [
+        {"step": f"thesis: {name}", **score(truth, p["x"][keep], p["y"][keep], d[keep])}
+        for name, keep, d in rows
+    ]
+    table += [
+        {"step": "thesis:     + joint filter (4.6)", **score(truth, x, y, np.asarray(smooth)[y, x])}
+    ]
+    return table
+
+
+def steps(light_field: LightField, params: EdgeParams, sizes: EdgeSizes, *, thesis: bool):
+    """The table after each step."""
+    assert light_field.truth is not None
+    truth = np.asarray(light_field.truth.disparity)
+    blind = light_field.without_truth()
+    measured = eqx.filter_jit(measure_candidates)(blind, params, sizes)
+    valid = np.asarray(measured.candidates.valid)
+    x = np.asarray(measured.candidates.column)[valid]
+    y = np.asarray(measured.candidates.row)[valid]
+    searched = np.asarray(measured.maps.disparity)[y, x]
+    refined = np.asarray(measured.refined.disparity)[valid]
+    table = thesis_steps(blind, measured, truth) if thesis else []
+    table.append({"step": "windowed photo-consistency", **score(truth, x, y, searched)})
+    table.append({"step": "  + Gauss-Newton", **score(truth, x, y, refined)})
+    row, points = final(light_field, params, sizes)
+    table.append({"step": "    + rejection: the result", **row})
+    d, at = np.asarray(points.disparity), np.asarray(points.xy)
+    keep = np.asarray(points.valid)
+    px, py = np.clip(np.rint(at[keep]).astype(int).T, 0, np.array(truth.shape[::-1])[:, None] - 1)
+    raster = np.zeros((2, *truth.shape), np.float32)
+    raster[:, py, px] = d[keep], 1
+    smooth = joint_filter(
+        jnp.asarray(raster[0]),
+        jnp.asarray(raster[1] > 0),
+        blind.centre_view,
+        jnp.float32(5.0),
+        jnp.float32(0.1),
+        jnp.float32(0.5),
+    )
+    filtered = score(truth, px, py, np.asarray(smooth)[py, px])
+    table.append({"step": "      + joint filter (4.6)", **filtered})
+    return table, points
+
+
+def final(light_field: LightField, params: EdgeParams, sizes: EdgeSizes):
+    """The score of the whole point stage, and its points."""
+    assert light_field.truth is not None
+    points = multiview_edges(light_field.without_truth(), params, sizes).points
+    keep = np.asarray(points.valid)
+    x, y = np.asarray(points.xy)[keep].T
+    truth = np.asarray(light_field.truth.disparity)
+    return score(truth, x, y, np.asarray(points.disparity)[keep]), points
+
+
+def sweeps(light_field: LightField, params: EdgeParams) -> list[dict]:
+    """Noise, blur (Fig. B.3, B.4), number of views (Fig. A.4) and number of filters."""
+    rows = []
+
+    def add(name: str, field: LightField, p: EdgeParams = params, **change: Any) -> None:
+        sizes = EdgeSizes.for_light_field(field.without_truth())
+        row, _ = final(field, p, dataclasses.replace(sizes, **change))
+        rows.append({"step": name, **row})
+
+    rng = np.random.default_rng(0)
+    views = np.asarray(light_field.views)
+
+    def replaced(changed: np.ndarray) -> LightField:
+        changed = np.clip(changed, 0, 1).astype(np.float32)
+        return eqx.tree_at(lambda field: field.views, light_field, jnp.asarray(changed))
+
+    for sigma in (0.0, 0.005, 0.01, 0.02, 0.04):
+        noise = rng.normal(scale=sigma, size=views.shape) if sigma else 0.0
+        add(f"noise, standard deviation {sigma:g}", replaced(views + noise))
+    for sigma in (0.5, 1.0, 2.0):
+        blurred = ndimage.gaussian_filter(views, (0, 0, sigma, sigma, 0))
+        add(f"blur, standard deviation {sigma:g} px", replaced(blurred))
+    for count in (7, 5, 3):
+        if count <= min(views.shape[:2]):
+            add(f"{count}x{count} views", light_field.crop_views(count))
+    sizes = EdgeSizes.for_light_field(light_field.without_truth())
+    for step in (0.05, 0.2, 0.3):
+        ends = (sizes.first * 0.1, (sizes.first + sizes.filters - 1) * 0.1)
+        first = int(np.floor(ends[0] / step))
+        count = int(np.ceil(ends[1] / step)) - first + 1
+        stepped = eqx.tree_at(lambda p: p.step, params, jnp.asarray(step))
+        add(
+            f"{count} filters, {step:g} px apart",
+            light_field,
+            stepped,
+            first=first,
+            filters=count,
+            spacing=round(1000 * step),
+        )
+    return rows
+
+
+def main(
+    scenes: Annotated[tuple[str, ...], tyro.conf.Positional] = ("synthetic:demo",),
+    *,
+    data: Path | None = None,
+    size: int = 256,
+    thesis: bool = True,
+    sweep: bool = False,
+    out: Path = Path("results/edge_accuracy"),
+) -> None:
+    """Writes the table of every scene, and a picture of its points.
+
+    Args:
+        scenes: benchmark names, folders, or synthetic:NAME.
+        data: folder that holds hci/; by default the development data beside the repository.
+        size: side of synthetic views, px.
+        thesis: include the thesis' own chain.
+        sweep: also against noise, blur, number of views and number of filters.
+        out: folder for tables and pictures.
+    """
+    params = EdgeParams()
+    everything = {}
+    for name in scenes:
+        light_field = load(name, data, size)
+        blind = light_field.without_truth()
+        table, points = steps(light_field, params, EdgeSizes.for_light_field(blind), thesis=thesis)
+        if sweep:
+            table += sweeps(light_field, params)
+        print_table(table, title=f"{name}: {light_field.views.shape[:4]}")
+        label = name.replace(":", "_").replace("/", "_")
+        write_csv(out / f"{label}.csv", table)
+        everything[name] = table
+        figure = plotting.plot_edges(
+            light_field.centre_view,
+            points.xy,
+            points.disparity,
+            valid=points.valid,
+            name=name,
+            width=8.0,
+        )
+        figure.savefig(out / f"{label}.png", dpi=200)
+    write_json(out / "edge_accuracy.json", everything)
+
+
+if __name__ == "__main__":
+    tyro.cli(main)

@@ -1,0 +1,134 @@
+"""`mvedge edges`: the sparse multi-view edges of a light field."""
+
+import json
+import time
+from pathlib import Path
+from typing import Annotated
+
+import jax
+import numpy as np
+import tyro
+
+from .. import plotting
+from ..datasets import load_light_field
+from ..epi import EdgeParams, EdgePoints, Edges, EdgeSizes, multiview_edges
+from ..lightfield import LightField
+from ._common import note, output_folder, stage, warn
+
+_HEADER = "x,y,disparity,confidence,standard_error,normal_x,normal_y,views"
+
+
+def edges(
+    scene: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="SCENE")],
+    out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT")],
+    /,
+    *,
+    views: int | None = None,
+    scale: float = 1.0,
+    flip_u: bool = False,
+    flip_v: bool = False,
+    range: tuple[float, float] | None = None,
+    overwrite: bool = False,
+) -> None:
+    """Finds edge points with their disparities in a light field's centre view.
+
+    OUT gets points.npz, points.csv (one row per point, for a spreadsheet), points.png (over the
+    image, coloured by disparity), epi_horizontal.png and epi_vertical.png (the busiest EPI of
+    either arm with its lines) and report.json (the counts after each step).
+
+    Args:
+        scene: folder or file of a light field; `mvedge info` tells what it is.
+        out: folder to make.
+        views: use the central VIEWS x VIEWS views only; odd.
+        scale: shrink the views by this factor, at most 1.
+        flip_u: reverse the columns of views.
+        flip_v: reverse the rows of views.
+        range: lowest and highest disparity, px per view step; measured if not given or known.
+        overwrite: replace OUT if it is there.
+    """
+    with stage(f"reading {scene}"):
+        light_field = load_light_field(
+            scene, views=views, scale=scale, flip_u=flip_u, flip_v=flip_v
+        ).without_truth()
+    if range is not None:
+        light_field = LightField(
+            light_field.views,
+            available=light_field.available,
+            disparity_range=range,
+            camera=light_field.camera,
+            name=light_field.name,
+        )
+    with output_folder(out, overwrite=overwrite) as folder:
+        with stage("choosing sizes"):
+            sizes = EdgeSizes.for_light_field(light_field)
+        start = time.perf_counter()
+        with stage("compiling and finding edges"):
+            found = jax.block_until_ready(multiview_edges(light_field, EdgeParams(), sizes))
+        seconds = time.perf_counter() - start
+        with stage("writing"):
+            _write(folder, light_field, found)
+            report = {
+                "scene": light_field.name,
+                "shape [v, u, y, x]": list(light_field.views.shape[:4]),
+                "disparities searched": [
+                    0.1 * sizes.first,
+                    0.1 * (sizes.first + sizes.filters - 1),
+                ],
+                "seconds with compilation": round(seconds, 3),
+                "counts": {name: int(value) for name, value in vars(found.stats).items()},
+                "sizes": repr(sizes),
+            }
+            (folder / "report.json").write_text(json.dumps(report, indent=2), encoding="utf-8")
+    if int(found.stats.overflow):
+        warn(f"{int(found.stats.overflow)} weak edges found no slot and were left out.")
+    for name, value in vars(found.stats).items():
+        note(f"{name}: {int(value)}")
+    note(f"{seconds:.1f} s; written to {out}")
+
+
+def _valid(points: EdgePoints) -> EdgePoints:
+    """The points without empty slots, on the host."""
+    keep = np.asarray(points.valid)
+    return jax.tree.map(lambda leaf: np.asarray(leaf)[keep], points)
+
+
+def _write(folder: Path, light_field: LightField, found: Edges) -> None:
+    points = _valid(found.points)
+    fields = vars(points)
+    np.savez_compressed(
+        folder / "points.npz",
+        **{name: value for name, value in fields.items() if name != "valid"},
+    )
+    table = np.column_stack(
+        [
+            points.xy,
+            points.disparity,
+            points.confidence,
+            points.error,
+            points.normal,
+            points.visible.sum(1),
+        ]
+    )
+    formats = ["%.3f"] * 2 + ["%.5f"] * 2 + ["%.2e"] + ["%.4f"] * 2 + ["%d"]
+    np.savetxt(
+        folder / "points.csv", table, fmt=formats, delimiter=",", header=_HEADER, comments=""
+    )
+    if not len(points.disparity):
+        warn("no edges were found; there is nothing to draw.")
+        return
+    picture = plotting.plot_edges(
+        light_field.centre_view, points.xy, points.disparity, name=light_field.name, width=7.0
+    )
+    picture.savefig(folder / "points.png", dpi=200)
+    for arm, name in enumerate(("horizontal", "vertical")):
+        index = np.rint(points.xy[:, 1 - arm]).astype(int)
+        busiest = int(np.bincount(np.maximum(index, 0)).argmax())
+        here = index == busiest
+        figure = plotting.plot_epi(
+            light_field,
+            row=busiest if arm == 0 else None,
+            column=busiest if arm == 1 else None,
+            positions=points.xy[here, arm],
+            disparities=points.disparity[here],
+        )
+        figure.savefig(folder / f"epi_{name}.png", dpi=200)

@@ -1,0 +1,59 @@
+import csv
+import json
+
+import cv2
+import numpy as np
+import pytest
+from datasets.layouts import write_hci
+from scipy import ndimage
+
+from mvedge_jax.cli import _main
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory):
+    """A textured plane at disparity 0.4, 3x3 views of 32x40 px, in the HCI layout."""
+    rng = np.random.default_rng(0)
+    texture = ndimage.gaussian_filter(rng.uniform(size=(52, 60, 3)), (0.9, 0.9, 0)) * 2 - 0.5
+    y, x = np.mgrid[0:32, 0:40].astype(float) + 10
+    views = np.zeros((3, 3, 32, 40, 3))
+    for v, u in np.ndindex(3, 3):
+        for c in range(3):
+            place = [y - (1 - v) * 0.4, x - (1 - u) * 0.4]
+            views[v, u, ..., c] = ndimage.map_coordinates(texture[..., c], place, order=3)
+    views = np.round(255 * np.clip(views, 0, 1)).astype(np.uint8)
+    return write_hci(tmp_path_factory.mktemp("edges") / "plane", views)
+
+
+def test_edges_writes_everything_and_is_right(scene, tmp_path, capsys):
+    out = tmp_path / "out"
+    assert _main.main(["edges", str(scene), str(out), "--range", "-0.5", "1"]) == 0
+    points = np.load(out / "points.npz")
+    counts = json.loads((out / "report.json").read_text())["counts"]
+    assert len(points["xy"]) == counts["valid"] > 50
+    assert np.median(np.abs(points["disparity"] - 0.4)) < 0.01
+    assert points["visible"].shape == (counts["valid"], 6)
+    with (out / "points.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == counts["valid"]
+    np.testing.assert_allclose(
+        [float(row["disparity"]) for row in rows], points["disparity"], atol=1e-5
+    )
+    np.testing.assert_allclose([float(row["x"]) for row in rows], points["xy"][:, 0], atol=1e-3)
+    for name in ("points.png", "epi_horizontal.png", "epi_vertical.png"):
+        picture = cv2.imread(str(out / name))
+        assert picture is not None, name
+        assert picture.std() > 1, name
+    text = capsys.readouterr()
+    assert "written to" in text.out
+    assert "choosing sizes" in text.err
+
+
+def test_mistakes_are_one_line(scene, tmp_path, capsys):
+    out = tmp_path / "out"
+    assert _main.main(["edges", str(scene), str(out), "--range", "1", "-1"]) == 2
+    error = capsys.readouterr().err
+    assert "low < high" in error
+    assert "Traceback" not in error
+    assert not out.exists()
+    assert not list(tmp_path.iterdir())

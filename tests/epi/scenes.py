@@ -1,0 +1,45 @@
+"""Small light fields with closed-form disparity, for the tests of `epi`."""
+
+import jax.numpy as jnp
+import numpy as np
+
+from mvedge_jax.lightfield import LightField
+
+
+def waves(x, y, seed):
+    """A smooth, colourful texture that is known between pixels: sums of sines."""
+    rng = np.random.default_rng(seed)
+    value = np.zeros((*np.broadcast_shapes(x.shape, y.shape), 3))
+    for _ in range(10):
+        angle, length = rng.uniform(0, np.pi), rng.uniform(4.5, 11)
+        phase, colour = rng.uniform(0, 2 * np.pi), rng.uniform(0.2, 1, 3)
+        wave = np.sin(2 * np.pi * (np.cos(angle) * x + np.sin(angle) * y) / length + phase)
+        value += wave[..., None] * colour
+    return 0.5 + 0.05 * value
+
+
+def plane(disparity, *, views=5, rows=None, size=(24, 32), seed=0, dtype=jnp.float32, span=None):
+    """A fronto-parallel textured plane: exact at any disparity."""
+    rows = views if rows is None else rows
+    height, width = size
+    y, x = np.mgrid[0:height, 0:width].astype(float)
+    image = np.zeros((rows, views, height, width, 3))
+    for v, u in np.ndindex(rows, views):
+        image[v, u] = waves(x - (views // 2 - u) * disparity, y - (rows // 2 - v) * disparity, seed)
+    span = (disparity - 0.35, disparity + 0.35) if span is None else span
+    return LightField(jnp.asarray(np.clip(image, 0, 1), dtype), disparity_range=span)
+
+
+def two_planes(near, far, *, edge, views=9, size=(16, 64), dtype=jnp.float32):
+    """A vertical occluding edge: a near textured plane left of `edge`, a far one right of it."""
+    height, width = size
+    y, x = np.mgrid[0:height, 0:width].astype(float)
+    image = np.zeros((views, views, height, width, 3))
+    for v, u in np.ndindex(views, views):
+        du, dv = views // 2 - u, views // 2 - v
+        front = waves(x - du * near, y - dv * near, 1)
+        back = 0.6 * waves(x - du * far, y - dv * far, 2)
+        cover = np.clip(edge + du * near - x + 0.5, 0, 1)[..., None]
+        image[v, u] = cover * front + (1 - cover) * back
+    span = (min(near, far) - 0.3, max(near, far) + 0.3)
+    return LightField(jnp.asarray(np.clip(image, 0, 1), dtype), disparity_range=span)

@@ -1,0 +1,249 @@
+"""The whole point stage, on light fields whose disparity is known in closed form."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from epi.scenes import plane, two_planes
+from helpers import check_gradient, count_traces, shared_data
+
+from mvedge_jax.epi import (
+    EdgeParams,
+    EdgeSizes,
+    disparity_range,
+    multiview_edges,
+    neighbour_support,
+    prewitt_bank,
+)
+from mvedge_jax.lightfield import LightField
+
+_SIZES = EdgeSizes(first=0, filters=8, capacity=320, tile=16, chunk=64)
+
+
+@pytest.fixture(scope="module")
+def flat_plane():
+    return plane(0.37, size=(20, 28))
+
+
+@pytest.fixture(scope="module")
+def found(flat_plane):
+    return multiview_edges(flat_plane, EdgeParams(), _SIZES)
+
+
+def test_points_of_a_plane_are_precise(found):
+    points = found.points
+    keep = np.asarray(points.valid)
+    error = np.abs(np.asarray(points.disparity)[keep] - 0.37)
+    assert keep.sum() > 60
+    assert np.median(error) < 0.002
+    assert np.quantile(error, 0.99) < 0.02
+    # The standard error is honest within a factor of a few, and never optimistic by orders.
+    assert np.median(error / np.asarray(points.error)[keep]) < 1.5
+    inner = keep & np.all(np.abs(np.asarray(points.xy) - [13.5, 9.5]) < [9, 5], axis=1)
+    assert np.asarray(points.visible)[inner].mean() > 0.98
+
+
+def test_counts_add_up_and_padding_is_zero(found):
+    stats, points = found.stats, found.points
+    assert int(stats.valid) == int(points.valid.sum())
+    assert int(stats.candidates) >= int(stats.consistent)
+    assert int(stats.overflow) == 0
+    empty = ~np.asarray(points.valid)
+    assert empty.any()
+    for name in ("xy", "disparity", "confidence", "error", "normal", "visible"):
+        assert not np.asarray(getattr(points, name))[empty].any(), name
+
+
+def test_confidence_and_normals_are_in_range(found):
+    keep = np.asarray(found.points.valid)
+    confidence = np.asarray(found.points.confidence)[keep]
+    assert (confidence > 0).all()
+    assert (confidence < 1).all()
+    length = np.linalg.norm(np.asarray(found.points.normal)[keep], axis=1)
+    np.testing.assert_allclose(length, 1, atol=1e-5)
+
+
+def test_float32_stays_float32_and_is_close_to_float64(flat_plane, found):
+    assert found.points.disparity.dtype == jnp.float32
+    exact = multiview_edges(plane(0.37, size=(20, 28), dtype=jnp.float64), EdgeParams(), _SIZES)
+    assert exact.points.disparity.dtype == jnp.float64
+    both = np.asarray(exact.points.valid & found.points.valid)
+    same = both & np.all(
+        np.abs(np.asarray(exact.points.xy) - np.asarray(found.points.xy)) < 0.1, axis=1
+    )
+    assert same.sum() > 0.9 * np.asarray(found.points.valid).sum()
+    difference = np.abs(np.asarray(exact.points.disparity) - np.asarray(found.points.disparity))[
+        same
+    ]
+    assert np.quantile(difference, 0.95) < 2e-4
+
+
+def test_overflow_keeps_the_strongest_and_is_counted(flat_plane, found):
+    few = EdgeSizes(first=0, filters=8, capacity=64, tile=16, chunk=64)
+    edges = multiview_edges(flat_plane, EdgeParams(), few)
+    assert int(edges.stats.candidates) == int(found.stats.candidates)
+    assert int(edges.stats.overflow) == int(edges.stats.candidates) - 64
+    rows = np.asarray(edges.points.xy)[np.asarray(edges.points.valid), 1]
+    assert rows.min() < 7
+    assert rows.max() > 13
+
+
+def test_a_wide_range_and_a_rectangular_grid_of_views_lose_nothing():
+    light_field = plane(3.2, views=9, rows=5, size=(40, 56), span=(-3.5, 3.5))
+    edges = multiview_edges(light_field, EdgeParams(), EdgeSizes.for_light_field(light_field))
+    keep = np.asarray(edges.points.valid)
+    assert edges.points.visible.shape[1] == 14
+    assert keep.sum() > 250
+    assert np.mean(np.abs(np.asarray(edges.points.disparity)[keep] - 3.2) < 0.03) > 0.98
+
+
+def test_both_sides_of_an_occluding_edge_are_found():
+    light_field = two_planes(0.8, -0.6, edge=30.2)
+    edges = multiview_edges(light_field, EdgeParams(), EdgeSizes.for_light_field(light_field))
+    keep = np.asarray(edges.points.valid)
+    x, d = np.asarray(edges.points.xy)[keep, 0], np.asarray(edges.points.disparity)[keep]
+    for side, truth in ((x < 29, 0.8), (x > 32, -0.6)):
+        assert side.sum() > 40
+        assert np.mean(np.abs(d[side] - truth) < 0.03) > 0.97
+    # The occluding edge itself is there, with the disparity of the near surface, in every row.
+    at_edge = (np.abs(x - 30) < 2) & (np.abs(d - 0.8) < 0.05)
+    rows = np.rint(np.asarray(edges.points.xy)[keep, 1][at_edge])
+    assert len(np.unique(rows)) >= 0.85 * 16
+
+
+def test_a_view_that_does_not_show_a_point_is_told():
+    light_field = plane(0.37, size=(20, 28))
+    painted = light_field.views.at[2, 0].set(0.0)
+    edges = multiview_edges(LightField(painted, disparity_range=(0, 0.7)), EdgeParams(), _SIZES)
+    keep = np.asarray(edges.points.valid)
+    seen = np.asarray(edges.points.visible)[keep]
+    assert keep.sum() > 40
+    assert seen[:, 5].mean() < 0.1
+    assert seen[:, [2, 6, 7]].mean() > 0.95
+    assert np.median(np.abs(np.asarray(edges.points.disparity)[keep] - 0.37)) < 0.01
+
+
+def _scalar(points, keep):
+    d = jnp.where(keep, points.disparity, 0)
+    xy = jnp.where(keep[:, None], points.xy, 0)
+    return (d + 0.3 * jnp.where(keep, points.confidence + 10 * points.error, 0)).sum() + (
+        0.05 * jnp.sin(xy)
+    ).sum()
+
+
+@pytest.fixture(scope="module")
+def tiny():
+    """Few strong edges, so that no selection flips under the difference steps."""
+    sizes = EdgeSizes(first=0, filters=6, capacity=64, tile=16, chunk=32)
+    light_field = plane(0.27, views=3, size=(9, 13), dtype=jnp.float64)
+    edges = multiview_edges(light_field, EdgeParams(), sizes)
+    assert int(edges.stats.valid) > 5
+    return light_field, sizes, edges.points.valid
+
+
+def test_gradient_with_respect_to_views_taps_and_every_parameter(tiny):
+    light_field, sizes, keep = tiny
+    disparity = 0.1 * jnp.arange(6.0)
+    banks = (prewitt_bank(disparity, 3, 4), prewitt_bank(disparity, 3, 4))
+
+    def loss(tree):
+        views, params = tree
+        field = eqx.tree_at(lambda f: f.views, light_field, views)
+        return _scalar(multiview_edges(field, params, sizes).points, keep)
+
+    tree = (light_field.views, EdgeParams(banks=banks))
+    check_gradient(loss, tree, rtol=1e-4, step=1e-7, directions=3, key=jax.random.key(0))
+
+
+def test_one_trace_for_many_values_and_vmap_is_a_loop(flat_plane):
+    sizes = _SIZES
+    run, traces = count_traces(multiview_edges)
+    floors = [0.1, 0.5, 1.0]
+    loop = [
+        run(flat_plane, EdgeParams(residual_limit=jnp.asarray(value)), sizes).points.valid
+        for value in floors
+    ]
+    assert traces() == 1
+    together = jax.vmap(
+        lambda value: multiview_edges(flat_plane, EdgeParams(residual_limit=value), sizes)
+    )(jnp.asarray(floors))
+    np.testing.assert_array_equal(together.points.valid, jnp.stack(loop))
+
+
+def test_support_counts_agreeing_neighbours():
+    disparity = jnp.zeros((11, 11)).at[:, 6:].set(1.0).at[5, 2].set(1.0)
+    present = jnp.ones((11, 11), bool).at[0, 0].set(False)
+    support = neighbour_support(
+        disparity, present, jnp.ones((11, 11)), jnp.asarray(2.0), jnp.asarray(0.1)
+    )
+    assert float(support[5, 0]) > 0.9
+    assert float(support[5, 2]) < 0.1
+    alone = jnp.zeros((11, 11), bool).at[5, 5].set(True)
+    nothing = neighbour_support(
+        disparity, alone, jnp.ones((11, 11)), jnp.asarray(2.0), jnp.asarray(0.1)
+    )
+    assert float(nothing[5, 5]) == 0
+
+
+def test_points_that_are_absent_have_no_vote_and_no_gradient():
+    present = jnp.ones((7, 7), bool).at[3, 4].set(False)
+
+    def total(disparity):
+        return neighbour_support(
+            disparity, present, jnp.ones((7, 7)), jnp.asarray(2.0), jnp.asarray(0.1)
+        )[3, 3]
+
+    disparity = 0.05 * jax.random.normal(jax.random.key(0), (7, 7))
+    assert float(total(disparity)) == float(total(disparity.at[3, 4].set(5.0)))
+    gradient = jax.grad(total)(disparity)
+    assert float(gradient[3, 4]) == 0
+    assert float(jnp.abs(gradient).max()) > 0
+
+
+def test_the_range_is_found_from_the_data():
+    light_field = plane(3.0, size=(64, 80))
+    low, high = disparity_range(light_field)
+    assert low < 3.0 < high
+    assert high - low < 2.5
+
+
+def test_a_scene_without_edges_says_so():
+    with pytest.raises(ValueError, match=r"`light_field` shows no edges.*`disparity_range`"):
+        disparity_range(LightField(jnp.full((3, 3, 16, 16, 3), 0.5)))
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"filters": 2}, "`filters` must be at least 3, got 2"),
+        ({"window": 4}, "`window` must be odd and at least 3, got 4"),
+        ({"capacity": 100}, "multiple of `chunk`, got capacity 100"),
+        ({"iterations": -1}, "`iterations` must not be negative"),
+        ({"tile": 4}, "`tile` must be at least 8 px, got 4"),
+    ],
+)
+def test_impossible_sizes_are_refused(change, message):
+    with pytest.raises(ValueError, match=message):
+        EdgeSizes(**{"first": 0, "filters": 8, "capacity": 128} | change)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "least"), [("cotton", 90_000), ("backgammon", 110_000)])
+def test_precision_on_the_benchmark(name, least):
+    from mvedge_jax.datasets import load_light_field
+
+    light_field = load_light_field(shared_data("hci", name))
+    assert light_field.truth is not None
+    truth = np.asarray(light_field.truth.disparity)
+    blind = light_field.without_truth()
+    points = multiview_edges(blind, EdgeParams(), EdgeSizes.for_light_field(blind)).points
+    keep = np.asarray(points.valid)
+    x, y = np.clip(np.rint(np.asarray(points.xy)[keep]).astype(int), 0, 511).T
+    padded = np.pad(truth, 1, mode="edge")
+    d = np.asarray(points.disparity)[keep]
+    error = np.min([np.abs(d - padded[y + j, x + i]) for j in range(3) for i in range(3)], axis=0)
+    assert keep.sum() >= least
+    assert np.median(error) <= 0.003
+    assert np.mean(error < 0.07) >= 0.99
+    assert np.mean(error > 0.5) <= 0.003
