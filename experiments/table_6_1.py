@@ -37,7 +37,9 @@ def main() -> None:
     methods = (OURS, *SPARSE, SWEEP, *(ABLATIONS if arguments.ablations else ()))
     rows = []
     for name, light_field in scenes(arguments.data, arguments.scenes, size=arguments.size):
-        blind = light_field.without_truth()
+        blind, truth = light_field.without_truth(), light_field.truth
+        if truth is None:
+            raise ValueError(f"scene {name} has no ground truth to score against.")
         for method in methods:
             jax.block_until_ready(method.run(blind))
             start = time.perf_counter()
@@ -45,11 +47,13 @@ def main() -> None:
             rows.append(score(name, method, light_field, time.perf_counter() - start, disparity))
             picture = arguments.out / f"{name}_{method.name.replace(' ', '_')}.png"
             picture.parent.mkdir(parents=True, exist_ok=True)
-            cv2.imwrite(str(picture), as_image(disparity, light_field.truth.disparity))
-        here = [{k: row[k] for k in COLUMNS} for row in rows if row["scene"] == name]
-        published = [dict(zip(COLUMNS, row, strict=True)) for row in PUBLISHED if row[0] == name]
+            cv2.imwrite(str(picture), as_image(disparity, truth.disparity))
+        here: list[dict] = [{k: row[k] for k in COLUMNS} for row in rows if row["scene"] == name]
+        published: list[dict] = [
+            dict(zip(COLUMNS, row, strict=True)) for row in PUBLISHED if row[0] == name
+        ]
         print_table(here + published, title=f"{name}: full frame")
-    averages = []
+    averages: list[dict] = []
     for method in methods:
         mine = [row for row in rows if row["method"] == method.name]
         mean = {c: float(np.mean([row[c] for row in mine])) for c in COLUMNS[2:]}

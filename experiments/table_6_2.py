@@ -51,7 +51,7 @@ def main() -> None:
                 }
             )
     print_table(table, title="MSE*100, full frame")
-    published = [dict(zip(HEADER, row, strict=True)) for row in PUBLISHED]
+    published: list[dict] = [dict(zip(HEADER, row, strict=True)) for row in PUBLISHED]
     print_table(published, title="thesis, Tab. 6.2")
     write_csv(arguments.out / "table_6_2.csv", table)
     write_json(arguments.out / "table_6_2.json", rows)

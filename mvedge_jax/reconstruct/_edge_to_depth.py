@@ -265,10 +265,10 @@ def _with_dense(
     weight = _precision_weight(measured.variance, params.centre) / (1 + excess**2)
     distance = (labels.value - disparity) / params.centre.agreement
     sparse = labels.weight / (1 + distance**2) ** 2
-    total = weight + sparse
-    tiny = jnp.finfo(total.dtype).tiny
-    value = (weight * measured.disparity + sparse * labels.value) / jnp.maximum(total, tiny)
-    return _Labels(total, value)
+    anchor = params.centre.anchor
+    total = weight + sparse + anchor
+    sums = weight * measured.disparity + sparse * labels.value + anchor * disparity
+    return _Labels(total, sums / jnp.maximum(total, jnp.finfo(total.dtype).tiny))
 
 
 def _precision_weight(variance: Array, params: CentreParams) -> Array:

@@ -28,6 +28,8 @@ class CentreParams(eqx.Module):
         agreement: disagreement of a point with the map, px, that quarters its weight.
         trust: residual of a dense label, in multiples of the noise variance, that quarters its
             weight.
+        anchor: weight of the previous map itself, so that a region which neither the points nor the
+            views determine keeps its hypothesis instead of its neighbours' disparity.
         blur: standard deviation of the Gaussian that the map passes before its steps cut edges,
             px.
     """
@@ -37,6 +39,7 @@ class CentreParams(eqx.Module):
     points: Float[Array, ""] = number(0.3)
     agreement: Float[Array, ""] = number(0.15)
     trust: Float[Array, ""] = number(2.0)
+    anchor: Float[Array, ""] = number(0.0)
     blur: Float[Array, ""] = number(0.5)
 
 

@@ -35,6 +35,7 @@ def test_depth_writes_everything_and_is_right(scene, tmp_path, capsys):
     report = json.loads((out / "report.json").read_text())
     low, high = report["disparity range"]
     sixteen = cv2.imread(str(out / "disparity16.png"), cv2.IMREAD_UNCHANGED)
+    assert sixteen is not None
     assert sixteen.dtype == np.uint16
     np.testing.assert_allclose(low + sixteen / 65535 * (high - low), found, atol=1e-4)
     points = np.load(out / "points.npz")

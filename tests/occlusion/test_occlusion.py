@@ -32,6 +32,11 @@ SHAPE = (24, 32)
 EDGE = 16  # first column of the near surface in `square_wave`
 
 
+def with_values(parameters, **values):
+    """Parameters with some numbers set."""
+    return parameters(**{name: jnp.asarray(value) for name, value in values.items()})
+
+
 def make_points(xy, disparity, normal, valid=None):
     count = len(disparity)
     xy = jnp.asarray(xy, float).reshape(count, 2)
@@ -155,9 +160,9 @@ def test_relaxed_choice_approaches_the_hard_one_and_has_a_gradient():
     points, _, _ = square_wave()
     score = jnp.linspace(-0.3, 0.3, points.disparity.shape[0])
     hard = choose(points, score, SurfaceParams())
-    soft = choose(points, score, SurfaceParams(temperature=1e-4), relaxed=True)
+    soft = choose(points, score, with_values(SurfaceParams, temperature=1e-4), relaxed=True)
     np.testing.assert_allclose(soft.forward, hard.forward, atol=1e-6)
-    warm = SurfaceParams(temperature=0.1)
+    warm = with_values(SurfaceParams, temperature=0.1)
     gradient = jax.grad(lambda s: choose(points, s, warm, relaxed=True).forward.sum())(score)
     assert float(jnp.abs(gradient).min()) > 0
 
@@ -208,7 +213,7 @@ def test_gradient_of_the_passes_matches_differences():
         return jnp.sum(passes.confidence**2) + jnp.sum(passes.edge**2)
 
     spread = points.disparity + 0.01 * jnp.sin(jnp.arange(points.disparity.shape[0]))
-    tree = (spread, jax.tree.map(jnp.log, BidirectionalParams(limit=1.0)))
+    tree = (spread, jax.tree.map(jnp.log, with_values(BidirectionalParams, limit=1.0)))
     check_gradient(loss, tree, rtol=1e-3, step=1e-6, key=jax.random.key(0))
 
 
@@ -216,7 +221,7 @@ def test_one_trace_serves_every_parameter():
     points, gray, _ = square_wave()
     run, traces = count_traces(lambda p: bidirectional(points, gray, p).response)
     first = run(BidirectionalParams())
-    second = run(BidirectionalParams(data=3.0, gradient=1e-2))
+    second = run(with_values(BidirectionalParams, data=3.0, gradient=1e-2))
     assert traces() == 1
     assert float(jnp.abs(first - second).max()) > 0
 
