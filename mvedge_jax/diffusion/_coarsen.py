@@ -69,7 +69,7 @@ def degree(stencil: Stencil) -> tuple[Array, Array]:
     return diagonal, jnp.maximum(diagonal, 0.5 * (diagonal + size))
 
 
-def _apply(stencil: Stencil, values: Array) -> Array:
+def product(stencil: Stencil, values: Array) -> Array:
     """The matrix times `values`, from differences."""
     along_x = stencil.tx * (values[..., 1:] - values[..., :-1])
     along_y = stencil.ty * (values[..., 1:, :] - values[..., :-1, :])
@@ -168,7 +168,7 @@ def coarsen(stencil: Stencil) -> tuple[Stencil, Interpolation]:
     Galerkin product needs only the sides (Dendy 1982, black-box multigrid).
     """
     weights, shortfall = fenced(_weights, stencil)
-    leak = fenced(lambda: stencil.mass - _apply(stencil, shortfall))
+    leak = fenced(lambda: stencil.mass - product(stencil, shortfall))
     return fenced(_galerkin, stencil, weights, shortfall, leak), weights
 
 

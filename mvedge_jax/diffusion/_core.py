@@ -54,7 +54,7 @@ def _prepare(options: Options, coefficients: Coefficients) -> Prepared:
     return Prepared(coefficients, hierarchy, reachable(coefficients))
 
 
-def _preconditioner(options: Options, hierarchy: Any) -> Callable[[Array], Array]:
+def preconditioner(options: Options, hierarchy: Any) -> Callable[[Array], Array]:
     if options.preconditioner == "multigrid":
         return _multigrid.cycle(hierarchy)
     if options.preconditioner == "lahbpcg":
@@ -85,7 +85,7 @@ def _run(
 ) -> Iterate:
     return pcg(
         prepared.coefficients,
-        _preconditioner(options, prepared.hierarchy),
+        preconditioner(options, prepared.hierarchy),
         jnp.where(prepared.keep, right, 0),
         prepared.keep,
         absolute,

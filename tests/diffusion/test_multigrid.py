@@ -1,0 +1,74 @@
+"""The preconditioners as linear operators, and the coarse matrices."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from diffusion.problems import random_system
+
+from mvedge_jax.diffusion import _core
+from mvedge_jax.diffusion._coarsen import (
+    Stencil,
+    coarsen,
+    interpolate,
+    product as nine_point,
+    restrict,
+)
+
+
+def dense(function, shape):
+    size = shape[0] * shape[1]
+    columns = jax.vmap(lambda image: function(image).ravel())(jnp.eye(size).reshape(size, *shape))
+    return np.asarray(columns).T
+
+
+@pytest.mark.parametrize("shape", [(5, 6), (1, 7), (2, 2)])
+def test_coarse_matrix_is_the_galerkin_product(shape):
+    """Twice: from a five-point stencil, and from the nine-point one that it gives."""
+    system = random_system(*shape, data=0.4, key=jax.random.key(0))
+    stencil = Stencil(*system.coefficients, None, None)
+    for _ in range(2):
+        coarse, weights = coarsen(stencil)
+        shape, below = stencil.mass.shape, coarse.mass.shape
+        up = dense(lambda image, w=weights, s=shape: interpolate(w, image, s), below)
+        down = dense(lambda image, w=weights: restrict(w, image), shape)
+        np.testing.assert_allclose(down, up.T, rtol=0, atol=1e-14)
+        fine = dense(lambda image, s=stencil: nine_point(s, image), shape)
+        found = dense(lambda image, s=coarse: nine_point(s, image), below)
+        np.testing.assert_allclose(found, up.T @ fine @ up, rtol=0, atol=1e-12 * fine.max())
+        stencil = coarse
+
+
+def test_interpolation_keeps_a_constant_where_there_is_no_data():
+    system = random_system(6, 8, key=jax.random.key(1))
+    stencil = Stencil(jnp.zeros((6, 8)), *system.edges, None, None)
+    _, weights = coarsen(stencil)
+    # The last column and row have a corner on one side only.
+    np.testing.assert_allclose(interpolate(weights, jnp.ones((3, 4)), (6, 8)), 1, rtol=1e-14)
+
+
+@pytest.mark.parametrize("name", ["multigrid", "lahbpcg", "jacobi"])
+@pytest.mark.parametrize("shape", [(9, 14), (35, 3)])
+def test_preconditioner_is_symmetric_and_definite(name, shape):
+    system = random_system(*shape, key=jax.random.key(2))
+    options = _core.Options(name, "error", 1)
+    prepared = _core.prepare(options, system.coefficients)
+    cycle = _core.preconditioner(options, prepared.hierarchy)
+    matrix = dense(jax.jit(cycle), shape)
+    np.testing.assert_allclose(matrix, matrix.T, rtol=0, atol=1e-12 * np.abs(matrix).max())
+    assert np.linalg.eigvalsh(matrix).min() > 0
+
+
+@pytest.mark.slow
+def test_iterations_hardly_grow_with_size():
+    from mvedge_jax.diffusion import Solver, System, diffuse
+
+    counts = []
+    for size in (128, 1024):
+        rows, columns = jnp.mgrid[:size, :size]
+        weight = jnp.where((rows % 16 == 0) & (columns % 16 == 3), 1.0, 0.0)
+        label = jnp.sin(9 * rows / size) + jnp.cos(7 * columns / size)
+        maps = (weight, label, jnp.ones((size, size - 1)), jnp.ones((size - 1, size)))
+        system = System(*(a.astype(jnp.float32) for a in maps))
+        counts.append(int(diffuse(system, solver=Solver(stop="residual")).stats.iterations))
+    assert counts[1] <= 1.3 * counts[0]
