@@ -29,7 +29,9 @@ class Views(eqx.Module):
         return Views(self.centre, self.others[index], self.steps[index], self.available[index])
 
 
-def gather_views(light_field: LightField, choice: Sequence[tuple[int, int]] | None = None) -> Views:
+def gather_views(
+    light_field: LightField, *, choice: Sequence[tuple[int, int]] | None = None
+) -> Views:
     """Collects the views that the losses compare with the centre view.
 
     Args:

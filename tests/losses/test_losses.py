@@ -105,7 +105,7 @@ def test_all_views_masked_is_defined():
 
 def test_missing_views_do_not_count():
     light_field = smooth_light_field((6, 7))
-    views = gather_views(light_field, [(1, 0), (1, 2), (0, 1)])
+    views = gather_views(light_field, choice=[(1, 0), (1, 2), (0, 1)])
     some = Views(views.centre, views.others, views.steps, jnp.array([True, True, False]))
     disparity = jnp.full((6, 7), 0.55)
     a, _ = self_supervised(disparity, some, LossWeights())
@@ -190,4 +190,4 @@ def test_vgg_runs_on_a_users_weights_and_says_what_is_wrong(tmp_path):
 )
 def test_bad_choice_of_views(choice, message):
     with pytest.raises(ValueError, match=message):
-        gather_views(smooth_light_field((4, 5)), choice)
+        gather_views(smooth_light_field((4, 5)), choice=choice)
