@@ -13,7 +13,7 @@ import pytest
 from scipy.ndimage import map_coordinates, maximum_filter, minimum_filter
 
 from mvedge_jax.datasets import synthetic
-from mvedge_jax.datasets.synthetic import _render, _scenes
+from mvedge_jax.datasets.synthetic import _scenes, _trace
 
 KEY = jax.random.key(0)
 # Few sizes, so that few functions are compiled.
@@ -281,7 +281,7 @@ def test_camera_and_crop_agree_with_the_truth(pictures):
 
 
 def test_scenes_share_one_compiled_function(pictures):
-    trace: Any = _render._trace_view
+    trace: Any = _trace.trace_view
     before = trace._cache_size()
     world = synthetic.make_world(
         [synthetic.plane((0.0, 0.0, 3.0), (9.0, 9.0), material=PLAIN)] * 5, shadow=0.3
@@ -370,10 +370,10 @@ def test_edges_are_antialiased():
     row = np.asarray(image, float)[7, :, 1]
     row = np.where(row <= 0.04045, row / 12.92, ((row + 0.055) / 1.055) ** 2.4)
     position = (width - 1) / 2 + 0.3 - np.arange(width)  # of the edge, from the pixel's centre
-    expected = (position[:, None] > _render._tent(3)).mean(-1)
+    expected = (position[:, None] > _trace.tent(3)).mean(-1)
     np.testing.assert_allclose(row / row[0], expected, atol=1e-4)
     assert len(np.unique(expected)) > 2
-    quantiles = np.sort(_render._tent(64))
+    quantiles = np.sort(_trace.tent(64))
     cumulative = np.where(quantiles < 0, (1 + quantiles) ** 2 / 2, 1 - (1 - quantiles) ** 2 / 2)
     np.testing.assert_allclose(cumulative, (np.arange(64) + 0.5) / 64, atol=1e-9)
 

@@ -12,7 +12,6 @@ from ._render import (
     visibility as visibility,
 )
 from ._scenes import (
-    make_scene as make_scene,
     scene as scene,
     scene_names as scene_names,
 )
@@ -33,5 +32,6 @@ from ._world import (
     Solids as Solids,
     Surfaces as Surfaces,
     World as World,
+    make_scene as make_scene,
     make_world as make_world,
 )

@@ -1,35 +1,17 @@
 """Rendering: a grid of views, or posed photographs, with exact disparity, depth and ids."""
 
 import concurrent.futures
-import math
 import os
 from collections.abc import Callable
-from functools import partial
 from typing import NamedTuple
 
-import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import lax
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
 from ...lightfield import GroundTruth, LightField
-from ._intersect import Vector, along, intersect, intersect_and_shadow, rotate
-from ._shade import lamp_directions, shade
-from ._world import Scene, Sensor, World
-
-_RAYS = 16384  # traced at once: their intermediate arrays stay in the cache
-_BLUR_REACH = 9  # px, three standard deviations of the widest blur
-
-
-class Pinhole(eqx.Module):
-    """A camera without distortion."""
-
-    origin: Float[Array | np.ndarray, "3"]
-    rotation: Float[Array | np.ndarray, "3 3"]  # camera to world; x right, y down, z forward
-    focal: Float[Array | np.ndarray, "2"]
-    principal: Float[Array | np.ndarray, "2"]
+from ._trace import Mode, Pinhole, mode_of, sees, trace_view
+from ._world import Scene
 
 
 class PosedViews(NamedTuple):
@@ -50,147 +32,10 @@ class PosedViews(NamedTuple):
     intrinsics: Float[Array, "n 3 3"]
 
 
-def _tent(samples: int) -> np.ndarray:
-    """Offsets, px, at equal quantiles of a tent of half width 1: samples of equal weight."""
-    quantile = (np.arange(samples) + 0.5) / samples
-    left = np.sqrt(2 * np.minimum(quantile, 1 - quantile)) - 1
-    return np.where(quantile < 0.5, left, -left)
-
-
-def _rays(pinhole: Pinhole, x: Array, y: Array) -> tuple[Vector, Vector]:
-    """Rays through pixels of one camera, scaled so that the distance is the depth."""
-    across = (
-        (x - pinhole.principal[0]) / pinhole.focal[0],
-        (y - pinhole.principal[1]) / pinhole.focal[1],
-        jnp.ones_like(x),
-    )
-    origin = (pinhole.origin[0], pinhole.origin[1], pinhole.origin[2])
-    return origin, rotate(pinhole.rotation, across)
-
-
-def _encode(linear: Array) -> Array:
-    """Linear light to sRGB, clipped to what a sensor holds."""
-    linear = jnp.clip(linear, 0.0, 1.0)
-    curve = 1.055 * jnp.maximum(linear, 1e-4) ** (1 / 2.4) - 0.055
-    return jnp.where(linear <= 0.0031308, 12.92 * linear, curve)
-
-
-def _blur(image: Float[Array, "y x 3"], sigma: Array) -> Array:
-    """Gaussian blur; the identity for a width of 0."""
-    reach = _BLUR_REACH
-    offsets = jnp.arange(-reach, reach + 1, dtype=image.dtype)
-    taps = jnp.exp(-0.5 * (offsets / jnp.maximum(sigma, 1e-2)) ** 2)
-    taps = taps / taps.sum()
-    padded = jnp.pad(image, ((reach, reach), (reach, reach), (0, 0)), mode="edge")
-    planes = jnp.moveaxis(padded, -1, 0)[:, None]
-    for kernel in (taps[None, None, :, None], taps[None, None, None, :]):
-        planes = lax.conv_general_dilated(planes, kernel, (1, 1), "VALID")
-    return jnp.moveaxis(planes[:, 0], 0, -1)
-
-
-def _add_noise(image: Float[Array, "y x 3"], sensor: Sensor, key: PRNGKeyArray) -> Array:
-    deviation = jnp.sqrt(sensor.read_noise**2 + sensor.shot_noise * image)
-    return image + deviation * jax.random.normal(key, image.shape, image.dtype)
-
-
-class _Mode(NamedTuple):
-    """What is compiled in; the rest of a scene is data."""
-
-    size: tuple[int, int]
-    samples: int
-    exposed: bool  # blur or noise
-
-
-def _mode(scene: Scene, size: tuple[int, int], samples: int) -> _Mode:
-    sensor = scene.sensor
-    return _Mode(
-        size,
-        samples,
-        exposed=any(float(x) > 0 for x in (sensor.blur, sensor.read_noise, sensor.shot_noise)),
-    )
-
-
-@partial(jax.jit, static_argnames=("mode",))
-def _trace_view(
-    world: World,
-    sensor: Sensor,
-    pinhole: Pinhole,
-    key: PRNGKeyArray,
-    view: Int[Array, ""],
-    *,
-    mode: _Mode,
-) -> tuple[Array, Array, Array]:
-    """Image, depth and ids of one view."""
-    height, width = mode.size
-    samples = mode.samples
-    dtype = world.solids.centre.dtype
-    per_pixel = samples * samples
-    # Tiles, nearly square and nearly equal: their rays pass by most solids.
-    side = max(1, math.isqrt(_RAYS // per_pixel))
-    down, across = -(-height // side), -(-width // side)
-    tall, wide = -(-height // down), -(-width // across)
-    offsets = jnp.asarray(_tent(samples), dtype)
-    dy, dx = (o.reshape(-1) for o in jnp.meshgrid(offsets, offsets, indexing="ij"))
-    # The truth is that of the pixel's centre: the middle sample, or one more if there is no middle.
-    if samples % 2 == 0:
-        dy, dx = jnp.pad(dy, (0, 1)), jnp.pad(dx, (0, 1))
-    middle = per_pixel // 2 if samples % 2 else per_pixel
-    axis = (pinhole.rotation[0, 2], pinhole.rotation[1, 2], pinhole.rotation[2, 2])
-    light = world.light
-    # The extra sample of the truth looks at any point of the lamp.
-    towards = lamp_directions(light, len(dx))
-    lamp_x, lamp_y, lamp_z = (jnp.repeat(t, tall * wide) for t in towards)
-    shaded = per_pixel * tall * wide
-
-    def tile(number: Array) -> tuple[Array, Array, Array]:
-        first_row, first_column = number // across * tall, number % across * wide
-        lines = (first_row + jnp.arange(tall, dtype=jnp.int32)).astype(dtype)
-        columns = (first_column + jnp.arange(wide, dtype=jnp.int32)).astype(dtype)
-        # Supersamples outermost: [sample, row, column].
-        x = jnp.broadcast_to(dx[:, None, None] + columns[None, None, :], (len(dx), tall, wide))
-        y = jnp.broadcast_to(dy[:, None, None] + lines[None, :, None], (len(dy), tall, wide))
-        origin, direction = _rays(pinhole, x.reshape(-1), y.reshape(-1))
-        distance, hit, hidden = intersect_and_shadow(
-            world.solids, origin, direction, (lamp_x, lamp_y, lamp_z), light.shadow > 0
-        )
-        depth = distance.reshape(-1, tall, wide)[middle]
-        index = hit.reshape(-1, tall, wide)[middle]
-        distance, hit, hidden = distance[:shaded], hit[:shaded], hidden[:shaded]
-        visible = jnp.where(hidden, 1.0 - light.shadow, 1.0)
-        direction = (direction[0][:shaded], direction[1][:shaded], direction[2][:shaded])
-        footprint = jnp.where(hit < 0, 1.0, distance) / pinhole.focal.min()
-        colour = shade(
-            world,
-            origin,
-            direction,
-            distance,
-            hit,
-            footprint,
-            axis,
-            visible,
-        )
-        return colour.reshape(3, per_pixel, tall, wide).mean(1), depth, index
-
-    def picture(tiles: Array) -> Array:
-        whole = tiles.reshape(down, across, tall, wide).swapaxes(1, 2)
-        return whole.reshape(down * tall, across * wide)[:height, :width]
-
-    colour, depth, index = lax.map(tile, jnp.arange(down * across, dtype=jnp.int32))
-    depth, index = picture(depth), picture(index)
-    image = jnp.stack([picture(colour[:, c]) for c in range(3)], axis=-1)
-    ids = jnp.where(index < 0, 0, world.solids.object_id[jnp.maximum(index, 0)])
-    if mode.exposed:
-        image = _encode(_blur(image, sensor.blur))
-        image = jnp.clip(_add_noise(image, sensor, jax.random.fold_in(key, view)), 0.0, 1.0)
-    else:
-        image = _encode(image)
-    return image, depth, ids
-
-
 def _trace_views(
     scene: Scene,
     pinholes: list[Pinhole],
-    mode: _Mode,
+    mode: Mode,
     progress: Callable[[int, int], None] | None,
     key: PRNGKeyArray,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -203,7 +48,7 @@ def _trace_views(
 
     def trace(k: int) -> None:
         view = np.asarray(k, np.int32)
-        result = _trace_view(scene.world, scene.sensor, pinholes[k], key, view, mode=mode)
+        result = trace_view(scene.world, scene.sensor, pinholes[k], key, view, mode=mode)
         images[k], depth[k], ids[k] = (np.asarray(part) for part in result)
 
     trace(0)  # compiles
@@ -299,7 +144,7 @@ def render(
         )
     shape = (rows, columns, height, width)
     pinholes = [_grid_pinhole(scene, shape, v, u) for v in range(rows) for u in range(columns)]
-    mode = _mode(scene, (height, width), samples)
+    mode = mode_of(scene, (height, width), samples)
     images, depth, ids = _trace_views(scene, pinholes, mode, progress, key)
     # Moved into JAX one by one: what is held twice is one array at a time.
     views = jnp.asarray(images.reshape(*shape, 3))
@@ -377,7 +222,7 @@ def render_posed(
         )
         for p, k in zip(pose, matrix, strict=True)
     ]
-    mode = _mode(scene, (int(size[0]), int(size[1])), samples)
+    mode = mode_of(scene, (int(size[0]), int(size[1])), samples)
     images, depth, ids = _trace_views(scene, pinholes, mode, progress, key)
     return PosedViews(
         jnp.asarray(images),
@@ -386,25 +231,6 @@ def render_posed(
         jnp.asarray(pose.astype(dtype)),
         jnp.asarray(matrix.astype(dtype)),
     )
-
-
-@partial(jax.jit, static_argnames=("size",))
-def _sees(world: World, source: Pinhole, target: Pinhole, *, size: tuple[int, int]) -> Array:
-    height, width = size
-    dtype = world.solids.centre.dtype
-    y, x = jnp.meshgrid(
-        jnp.arange(height, dtype=dtype), jnp.arange(width, dtype=dtype), indexing="ij"
-    )
-    origin, direction = _rays(source, x.reshape(-1), y.reshape(-1))
-    depth, index = intersect(world.solids, origin, direction)
-    point = along(origin, direction, jnp.where(index < 0, 1e4, depth))
-    eye = (target.origin[0], target.origin[1], target.origin[2])
-    back = along(point, eye, jnp.asarray(-1.0, dtype))
-    blocked, _ = intersect(world.solids, eye, back)
-    px = target.focal[0] * back[0] / back[2] + target.principal[0]
-    py = target.focal[1] * back[1] / back[2] + target.principal[1]
-    inside = (px >= -0.5) & (px <= width - 0.5) & (py >= -0.5) & (py <= height - 0.5)
-    return (inside & (blocked > 1.0 - 1e-4)).reshape(size)
 
 
 def visibility(
@@ -435,4 +261,4 @@ def visibility(
                 f"`{name}` must be a view of the {shape[0]}x{shape[1]} grid, got ({v}, {u})."
             )
     first, second = _grid_pinhole(scene, shape, *source), _grid_pinhole(scene, shape, *target)
-    return _sees(scene.world, first, second, size=(int(shape[2]), int(shape[3])))
+    return sees(scene.world, first, second, size=(int(shape[2]), int(shape[3])))

@@ -6,94 +6,40 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import PRNGKeyArray
 
+from ._materials import (
+    BLUE,
+    BRICK,
+    CHECKS,
+    DOTS,
+    MARBLE,
+    MOSS,
+    OCHRE,
+    PLASTER,
+    RED,
+    SAND,
+    SLATE,
+    STRIPES,
+    WOOD,
+)
 from ._solids import bar, box, plane, rotation, sphere
-from ._world import Material, Rig, Scene, Sensor, Solid, Triple, World, make_world
-
-_FOCAL, _GAIN, _FOCUS = 1.4, 20.0, 4.0
-
-# Surfaces that several scenes share.
-_BRICK = Material(
-    dark=(0.47, 0.25, 0.18),
-    light=(0.74, 0.47, 0.36),
-    accent=(0.68, 0.66, 0.61),
-    contrast=0.8,
-    pattern="bricks",
-    size=0.26,
-    aspect=2.6,
-    tint=0.55,
-    grain=0.2,
-    gain=0.75,
-)
-_PLASTER = Material(dark=(0.5, 0.47, 0.42), light=(0.86, 0.82, 0.75), grain=0.6, gain=0.73)
-_SLATE = Material(dark=(0.16, 0.19, 0.21), light=(0.46, 0.5, 0.52), grain=0.5, gain=0.7)
-_MOSS = Material(dark=(0.12, 0.2, 0.07), light=(0.55, 0.62, 0.3), grain=0.3, gain=0.75)
-_SAND = Material(dark=(0.5, 0.38, 0.22), light=(0.88, 0.77, 0.56), grain=0.25, gain=0.75)
-_WOOD = Material(
-    dark=(0.33, 0.18, 0.09),
-    light=(0.74, 0.52, 0.31),
-    accent=(0.13, 0.07, 0.04),
-    grain=0.09,
-    stretch=(9.0, 1.0, 1.0),
-    pattern="bricks",
-    size=0.3,
-    aspect=7.0,
-    tint=0.5,
-)
-_MARBLE = Material(
-    dark=(0.42, 0.45, 0.48), light=(0.95, 0.93, 0.9), contrast=1.2, grain=0.4, gain=0.68
-)
-_RED = Material(
-    dark=(0.45, 0.06, 0.05), light=(0.8, 0.25, 0.18), grain=0.25, gain=0.72, contrast=0.8
-)
-_BLUE = Material(
-    dark=(0.07, 0.16, 0.36), light=(0.35, 0.55, 0.78), grain=0.25, gain=0.72, contrast=0.9
-)
-_OCHRE = Material(
-    dark=(0.55, 0.36, 0.07), light=(0.93, 0.73, 0.3), grain=0.2, gain=0.72, contrast=0.8
-)
-_CHECKS = Material(
-    dark=(0.6, 0.57, 0.5),
-    light=(0.92, 0.9, 0.84),
-    accent=(0.12, 0.2, 0.24),
-    pattern="checks",
-    size=0.16,
-    grain=0.3,
-    tint=0.15,
-)
-_DOTS = Material(
-    dark=(0.62, 0.2, 0.16),
-    light=(0.85, 0.4, 0.3),
-    accent=(0.95, 0.9, 0.8),
-    pattern="dots",
-    size=0.14,
-    grain=0.3,
-)
-_STRIPES = Material(
-    dark=(0.1, 0.3, 0.32),
-    light=(0.3, 0.55, 0.55),
-    accent=(0.93, 0.88, 0.76),
-    pattern="stripes",
-    size=0.13,
-    grain=0.3,
-)
+from ._world import FOCAL, FOCUS, GAIN, Material, Scene, Solid, Triple, make_scene, make_world
 
 
 def _depth(disparity: float) -> float:
-    return 1.0 / (disparity / _GAIN + 1.0 / _FOCUS)
+    return 1.0 / (disparity / GAIN + 1.0 / FOCUS)
 
 
 def _at(x: float, y: float, disparity: float) -> Triple:
     """The point that the centre view sees at `(x, y)`, in picture widths from its middle."""
     z = _depth(disparity)
-    return x * z / _FOCAL, y * z / _FOCAL, z
+    return x * z / FOCAL, y * z / FOCAL, z
 
 
 def _width(fraction: float, disparity: float) -> float:
     """Metres that cover a fraction of the picture's width at a disparity."""
-    return fraction * _depth(disparity) / _FOCAL
+    return fraction * _depth(disparity) / FOCAL
 
 
 def _card(
@@ -150,29 +96,29 @@ class _Recipe(NamedTuple):
 
 
 def _slanted() -> _Recipe:
-    floor = _floor(1.02, 2.2, -2.0, _CHECKS)
-    left = plane((-1.62, 0.0, 4.6), (4.4, 5.0), axes=rotation(yaw=68.0), material=_BRICK)
-    right = plane((1.75, 0.0, 4.6), (4.4, 5.0), axes=rotation(yaw=-62.0), material=_PLASTER)
-    back = plane((0.0, 0.0, 6.2), (9.0, 6.0), axes=rotation(yaw=6.0, pitch=-9.0), material=_SLATE)
+    floor = _floor(1.02, 2.2, -2.0, CHECKS)
+    left = plane((-1.62, 0.0, 4.6), (4.4, 5.0), axes=rotation(yaw=68.0), material=BRICK)
+    right = plane((1.75, 0.0, 4.6), (4.4, 5.0), axes=rotation(yaw=-62.0), material=PLASTER)
+    back = plane((0.0, 0.0, 6.2), (9.0, 6.0), axes=rotation(yaw=6.0, pitch=-9.0), material=SLATE)
     cards = [
-        _card(-0.12, -0.14, 0.2, (0.34, 0.3), _DOTS, axes=rotation(yaw=48.0, roll=8.0)),
-        _card(0.17, 0.1, 0.7, (0.3, 0.34), _MARBLE, axes=rotation(yaw=-40.0, pitch=22.0)),
-        _card(-0.2, 0.2, 0.9, (0.22, 0.2), _MOSS, axes=rotation(pitch=55.0, roll=-12.0)),
-        _card(0.2, -0.28, 0.3, (0.3, 0.16), _OCHRE, axes=rotation(pitch=-50.0, roll=10.0)),
+        _card(-0.12, -0.14, 0.2, (0.34, 0.3), DOTS, axes=rotation(yaw=48.0, roll=8.0)),
+        _card(0.17, 0.1, 0.7, (0.3, 0.34), MARBLE, axes=rotation(yaw=-40.0, pitch=22.0)),
+        _card(-0.2, 0.2, 0.9, (0.22, 0.2), MOSS, axes=rotation(pitch=55.0, roll=-12.0)),
+        _card(0.2, -0.28, 0.3, (0.3, 0.16), OCHRE, axes=rotation(pitch=-50.0, roll=10.0)),
     ]
-    return _Recipe([floor, left, right, back, *cards, _wall(-2.2, _SLATE)], (-2.3, 2.3))
+    return _Recipe([floor, left, right, back, *cards, _wall(-2.2, SLATE)], (-2.3, 2.3))
 
 
 def _edges() -> _Recipe:
     solids = [
-        _wall(-1.2, _BRICK),
-        _card(-0.24, -0.2, -0.5, (0.34, 0.3), _MARBLE),
-        _card(0.22, -0.22, 0.0, (0.26, 0.34), _DOTS, axes=rotation(roll=18.0)),
-        _card(0.02, 0.02, 0.5, (0.24, 0.24), _OCHRE, axes=rotation(roll=45.0)),
-        _card(-0.26, 0.25, 0.9, (0.32, 0.24), _CHECKS, axes=rotation(roll=-9.0)),
-        _card(0.27, 0.24, 1.4, (0.26, 0.3), _STRIPES, axes=rotation(roll=7.0)),
-        sphere(_at(0.0, 0.33, 1.2), _width(0.085, 1.2), material=_BLUE),
-        sphere(_at(-0.03, -0.33, 0.6), _width(0.075, 0.6), material=_MOSS),
+        _wall(-1.2, BRICK),
+        _card(-0.24, -0.2, -0.5, (0.34, 0.3), MARBLE),
+        _card(0.22, -0.22, 0.0, (0.26, 0.34), DOTS, axes=rotation(roll=18.0)),
+        _card(0.02, 0.02, 0.5, (0.24, 0.24), OCHRE, axes=rotation(roll=45.0)),
+        _card(-0.26, 0.25, 0.9, (0.32, 0.24), CHECKS, axes=rotation(roll=-9.0)),
+        _card(0.27, 0.24, 1.4, (0.26, 0.3), STRIPES, axes=rotation(roll=7.0)),
+        sphere(_at(0.0, 0.33, 1.2), _width(0.085, 1.2), material=BLUE),
+        sphere(_at(-0.03, -0.33, 0.6), _width(0.075, 0.6), material=MOSS),
     ]
     return _Recipe(solids, (-1.3, 1.9))
 
@@ -182,20 +128,20 @@ def _thin() -> _Recipe:
     verticals = [
         _rod((-0.44 + 0.075 * k, -0.5, 1.0), (-0.4 + 0.075 * k, 0.12, 0.8), width, material)
         for k, (width, material) in enumerate(
-            zip(widths, (_SAND, _RED, _STRIPES, _OCHRE, _MARBLE), strict=True)
+            zip(widths, (SAND, RED, STRIPES, OCHRE, MARBLE), strict=True)
         )
     ]
     slanted = [
-        _rod((0.02, -0.46, 1.5), (0.48, -0.3, 0.4), 0.006, _OCHRE),
-        _rod((0.05, -0.24, 0.4), (0.48, -0.46, 1.4), 0.01, _RED),
-        _rod((0.04, -0.5, 0.9), (0.34, -0.12, 0.9), 0.004, _SAND),
+        _rod((0.02, -0.46, 1.5), (0.48, -0.3, 0.4), 0.006, OCHRE),
+        _rod((0.05, -0.24, 0.4), (0.48, -0.46, 1.4), 0.01, RED),
+        _rod((0.04, -0.5, 0.9), (0.34, -0.12, 0.9), 0.004, SAND),
     ]
     screens = [
-        _card(0.27, 0.04, 0.6, (0.42, 0.22), _MARBLE, cutout="holes", cutout_size=0.13),
-        _card(-0.22, 0.32, 1.2, (0.5, 0.28), _MOSS, cutout="leaves", cutout_size=0.26),
-        _card(0.27, 0.34, 1.0, (0.36, 0.22), _WOOD, cutout="slats", cutout_size=0.12),
+        _card(0.27, 0.04, 0.6, (0.42, 0.22), MARBLE, cutout="holes", cutout_size=0.13),
+        _card(-0.22, 0.32, 1.2, (0.5, 0.28), MOSS, cutout="leaves", cutout_size=0.26),
+        _card(0.27, 0.34, 1.0, (0.36, 0.22), WOOD, cutout="slats", cutout_size=0.12),
     ]
-    return _Recipe([_wall(-1.07, _SLATE), *verticals, *slanted, *screens], (-1.1, 1.6))
+    return _Recipe([_wall(-1.07, SLATE), *verticals, *slanted, *screens], (-1.1, 1.6))
 
 
 def _textureless() -> _Recipe:
@@ -221,15 +167,15 @@ def _textureless() -> _Recipe:
 
 def _wide() -> _Recipe:
     solids = [
-        _wall(-3.45, _PLASTER),
-        _floor(1.35, 1.2, -3.45, _CHECKS),
-        _card(-0.27, -0.1, -2.4, (0.28, 0.5), _BRICK),
-        box(_at(0.26, -0.02, -1.2), (1.1, 1.6, 1.1), axes=rotation(yaw=28.0), material=_WOOD),
-        sphere(_at(-0.05, -0.22, 0.0), _width(0.12, 0.0), material=_BLUE),
-        _card(-0.2, 0.22, 1.4, (0.26, 0.22), _DOTS, axes=rotation(roll=10.0)),
-        sphere(_at(0.12, 0.2, 2.3), _width(0.1, 2.3), material=_MOSS),
-        _rod((-0.46, -0.46, 3.4), (-0.3, 0.5, 3.0), 0.03, _STRIPES),
-        _card(0.36, 0.35, 3.4, (0.18, 0.18), _OCHRE, axes=rotation(roll=-14.0)),
+        _wall(-3.45, PLASTER),
+        _floor(1.35, 1.2, -3.45, CHECKS),
+        _card(-0.27, -0.1, -2.4, (0.28, 0.5), BRICK),
+        box(_at(0.26, -0.02, -1.2), (1.1, 1.6, 1.1), axes=rotation(yaw=28.0), material=WOOD),
+        sphere(_at(-0.05, -0.22, 0.0), _width(0.12, 0.0), material=BLUE),
+        _card(-0.2, 0.22, 1.4, (0.26, 0.22), DOTS, axes=rotation(roll=10.0)),
+        sphere(_at(0.12, 0.2, 2.3), _width(0.1, 2.3), material=MOSS),
+        _rod((-0.46, -0.46, 3.4), (-0.3, 0.5, 3.0), 0.03, STRIPES),
+        _card(0.36, 0.35, 3.4, (0.18, 0.18), OCHRE, axes=rotation(roll=-14.0)),
     ]
     return _Recipe(solids, (-3.6, 3.6), shadow=0.0)
 
@@ -243,26 +189,26 @@ def _specular() -> _Recipe:
         return replace(material, specular=0.9, shininess=120.0, mirror=mirror)
 
     solids = [
-        _wall(-1.1, _PLASTER),
-        _floor(1.02, 2.2, -1.1, replace(_WOOD, mirror=0.12)),
-        sphere(_at(-0.25, 0.12, 0.7), _width(0.17, 0.7), material=glossy(_BLUE, 0.2)),
-        sphere(_at(0.1, -0.06, 0.1), _width(0.14, 0.1), material=glossy(_RED, 0.3)),
-        sphere(_at(0.1, 0.3, 1.6), _width(0.08, 1.6), material=glossy(_MARBLE, 0.55)),
+        _wall(-1.1, PLASTER),
+        _floor(1.02, 2.2, -1.1, replace(WOOD, mirror=0.12)),
+        sphere(_at(-0.25, 0.12, 0.7), _width(0.17, 0.7), material=glossy(BLUE, 0.2)),
+        sphere(_at(0.1, -0.06, 0.1), _width(0.14, 0.1), material=glossy(RED, 0.3)),
+        sphere(_at(0.1, 0.3, 1.6), _width(0.08, 1.6), material=glossy(MARBLE, 0.55)),
         box(
             (0.95, 0.45, 4.1),
             (0.6, 0.9, 0.6),
             axes=rotation(yaw=30.0),
-            material=glossy(_CHECKS, 0.15),
+            material=glossy(CHECKS, 0.15),
         ),
-        _rod((-0.4, -0.4, 0.6), (0.44, -0.26, 0.2), 0.03, glossy(_OCHRE, 0.3)),
+        _rod((-0.4, -0.4, 0.6), (0.44, -0.26, 0.2), 0.03, glossy(OCHRE, 0.3)),
     ]
     return _Recipe(solids, (-1.3, 2.3))
 
 
 def _crossing() -> _Recipe:
-    fence = replace(_SAND, tint=0.0)
+    fence = replace(SAND, tint=0.0)
     solids = [
-        _wall(-1.13, replace(_BRICK, pattern="none")),
+        _wall(-1.13, replace(BRICK, pattern="none")),
         _card(0.0, 0.0, 0.87, (0.9, 0.5), fence, cutout="slats", cutout_size=0.24),
     ]
     return _Recipe(solids, (-1.3, 1.1), shadow=0.0)
@@ -270,31 +216,27 @@ def _crossing() -> _Recipe:
 
 def _still_life() -> _Recipe:
     top = 1.1  # height of the table, below the camera
-    table = _floor(top, 1.6, -1.35, replace(_WOOD, mirror=0.04))
+    table = _floor(top, 1.6, -1.35, replace(WOOD, mirror=0.04))
     ball = sphere(
-        (-0.8, top - 0.68, 3.85), 0.26, material=replace(_BLUE, specular=0.35, mirror=0.06)
+        (-0.8, top - 0.68, 3.85), 0.26, material=replace(BLUE, specular=0.35, mirror=0.06)
     )
     books = [
-        box((-0.8, top - 0.08, 3.8), (0.95, 0.16, 0.66), axes=rotation(yaw=14.0), material=_RED),
-        box(
-            (-0.82, top - 0.22, 3.82), (0.86, 0.12, 0.6), axes=rotation(yaw=4.0), material=_STRIPES
-        ),
-        box(
-            (-0.79, top - 0.35, 3.82), (0.76, 0.14, 0.54), axes=rotation(yaw=20.0), material=_OCHRE
-        ),
+        box((-0.8, top - 0.08, 3.8), (0.95, 0.16, 0.66), axes=rotation(yaw=14.0), material=RED),
+        box((-0.82, top - 0.22, 3.82), (0.86, 0.12, 0.6), axes=rotation(yaw=4.0), material=STRIPES),
+        box((-0.79, top - 0.35, 3.82), (0.76, 0.14, 0.54), axes=rotation(yaw=20.0), material=OCHRE),
     ]
     screen = plane(
         (-0.25, top - 0.95, 4.8),
         (1.25, 1.9),
         axes=rotation(yaw=-12.0),
-        material=_MARBLE,
+        material=MARBLE,
         cutout="holes",
         cutout_size=0.19,
     )
     chest = box(
-        (0.86, top - 0.42, 4.45), (0.66, 0.84, 0.66), axes=rotation(yaw=35.0), material=_CHECKS
+        (0.86, top - 0.42, 4.45), (0.66, 0.84, 0.66), axes=rotation(yaw=35.0), material=CHECKS
     )
-    moss = sphere((0.86, top - 1.13, 4.45), 0.29, material=_MOSS)
+    moss = sphere((0.86, top - 1.13, 4.45), 0.29, material=MOSS)
     plain = Material(dark=(0.86, 0.84, 0.8), light=(0.86, 0.84, 0.8), contrast=0.0, specular=0.3)
     vase = [
         sphere((0.16, top - 0.2, 3.7), 0.2, material=plain, object_id=10),
@@ -312,9 +254,9 @@ def _still_life() -> _Recipe:
     for x, height, z, radius in twigs:
         tip = (x, top - height, z)
         bunch.append(bar((0.16, top - 0.45, 3.7), tip, radius, material=bark))
-        bunch.append(sphere(tip, 0.045, material=replace(_RED, specular=0.2, grain=0.08)))
-    stick = bar((1.12, top, 3.62), (0.62, -1.1, 3.8), 0.014, material=_SAND)
-    wall = _wall(-1.35, _BRICK)
+        bunch.append(sphere(tip, 0.045, material=replace(RED, specular=0.2, grain=0.08)))
+    stick = bar((1.12, top, 3.62), (0.62, -1.1, 3.8), 0.014, material=SAND)
+    wall = _wall(-1.35, BRICK)
     solids = [wall, table, *books, ball, screen, chest, moss, *vase, *bunch, stick]
     return _Recipe(solids, (-1.5, 1.7))
 
@@ -343,63 +285,6 @@ def scene_names() -> tuple[str, ...]:
         True
     """
     return tuple(_RECIPES)
-
-
-def make_scene(
-    world: World,
-    *,
-    disparity_range: tuple[float, float],
-    focal: float = _FOCAL,
-    gain: float = _GAIN,
-    focus: float = _FOCUS,
-    blur: float = 0.0,
-    read_noise: float = 0.0,
-    shot_noise: float = 0.0,
-    name: str = "synthetic",
-) -> Scene:
-    """Puts cameras in front of a world.
-
-    Args:
-        world: see `make_world`.
-        disparity_range: lowest and highest disparity that a method should look for, px per view
-            step.
-        focal: focal length over the longer side of the views.
-        gain: px metres; a point at depth `z` metres has the disparity `gain (1 / z - 1 / focus)`.
-        focus: distance of zero disparity, metres.
-        blur: standard deviation of the optics' blur, px, 0 to 3.
-        read_noise: standard deviation of the noise in the dark, of sRGB in [0, 1].
-        shot_noise: variance that is added per unit of sRGB.
-        name: what to call it.
-
-    Returns:
-        A scene for `render` and `render_posed`.
-
-    Raises:
-        ValueError: if a number is out of its range.
-    """
-    for label, value in (("focal", focal), ("gain", gain), ("focus", focus)):
-        if not value > 0:
-            raise ValueError(f"`{label}` must be positive, got {value}.")
-    for label, value in (("read_noise", read_noise), ("shot_noise", shot_noise)):
-        if not value >= 0:
-            raise ValueError(f"`{label}` must not be negative, got {value}.")
-    if not 0 <= blur <= 3:
-        raise ValueError(f"`blur` must be between 0 and 3 px, got {blur}.")
-    low, high = disparity_range
-    if not low < high:
-        raise ValueError(f"`disparity_range` must be (low, high) with low < high, got {low, high}.")
-    dtype = world.solids.centre.dtype
-
-    def number(value: float) -> jax.Array:
-        return jnp.asarray(np.asarray(value, float), dtype)
-
-    return Scene(
-        world,
-        Rig(number(focal), number(gain), number(focus)),
-        Sensor(number(blur), number(read_noise), number(shot_noise)),
-        jnp.asarray(np.asarray([low, high], float), dtype),
-        name,
-    )
 
 
 def scene(name: str, *, dtype: Any = jnp.float32, key: PRNGKeyArray | None = None) -> Scene:

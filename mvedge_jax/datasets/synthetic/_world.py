@@ -17,6 +17,7 @@ Cutout = Literal["none", "holes", "slats", "leaves"]
 
 _PATTERNS: tuple[Pattern, ...] = ("none", "checks", "bricks", "stripes", "dots")
 _CUTOUTS: tuple[Cutout, ...] = ("none", "holes", "slats", "leaves")
+FOCAL, GAIN, FOCUS = 1.4, 20.0, 4.0  # of a rig, unless it says otherwise
 _BLOCK = 32  # solids are padded to a multiple of it, so that scenes share a compiled function
 
 
@@ -309,4 +310,61 @@ def make_world(
             softness=floats(softness),
             shadow=floats(shadow),
         ),
+    )
+
+
+def make_scene(
+    world: World,
+    *,
+    disparity_range: tuple[float, float],
+    focal: float = FOCAL,
+    gain: float = GAIN,
+    focus: float = FOCUS,
+    blur: float = 0.0,
+    read_noise: float = 0.0,
+    shot_noise: float = 0.0,
+    name: str = "synthetic",
+) -> Scene:
+    """Puts cameras in front of a world.
+
+    Args:
+        world: see `make_world`.
+        disparity_range: lowest and highest disparity that a method should look for, px per view
+            step.
+        focal: focal length over the longer side of the views.
+        gain: px metres; a point at depth `z` metres has the disparity `gain (1 / z - 1 / focus)`.
+        focus: distance of zero disparity, metres.
+        blur: standard deviation of the optics' blur, px, 0 to 3.
+        read_noise: standard deviation of the noise in the dark, of sRGB in [0, 1].
+        shot_noise: variance that is added per unit of sRGB.
+        name: what to call it.
+
+    Returns:
+        A scene for `render` and `render_posed`.
+
+    Raises:
+        ValueError: if a number is out of its range.
+    """
+    for label, value in (("focal", focal), ("gain", gain), ("focus", focus)):
+        if not value > 0:
+            raise ValueError(f"`{label}` must be positive, got {value}.")
+    for label, value in (("read_noise", read_noise), ("shot_noise", shot_noise)):
+        if not value >= 0:
+            raise ValueError(f"`{label}` must not be negative, got {value}.")
+    if not 0 <= blur <= 3:
+        raise ValueError(f"`blur` must be between 0 and 3 px, got {blur}.")
+    low, high = disparity_range
+    if not low < high:
+        raise ValueError(f"`disparity_range` must be (low, high) with low < high, got {low, high}.")
+    dtype = world.solids.centre.dtype
+
+    def number(value: float) -> Array:
+        return jnp.asarray(np.asarray(value, float), dtype)
+
+    return Scene(
+        world,
+        Rig(number(focal), number(gain), number(focus)),
+        Sensor(number(blur), number(read_noise), number(shot_noise)),
+        jnp.asarray(np.asarray([low, high], float), dtype),
+        name,
     )
