@@ -1,14 +1,12 @@
 """Options and statistics of the solver."""
 
-from typing import Literal, get_args
-
 import equinox as eqx
 from jaxtyping import Array, Bool, Float, Int
 
 from mvedge_jax._params import number
 
-Preconditioner = Literal["multigrid", "lahbpcg", "jacobi"]
-Stop = Literal["error", "residual"]
+_PRECONDITIONERS = ("multigrid", "lahbpcg", "jacobi")
+_STOPS = ("error", "residual")
 
 
 class Solver(eqx.Module):
@@ -31,15 +29,15 @@ class Solver(eqx.Module):
     """
 
     tolerance: Float[Array, ""] | float = number(1e-4)
-    preconditioner: Preconditioner = eqx.field(static=True, default="multigrid")
-    stop: Stop = eqx.field(static=True, default="error")
+    preconditioner: str = eqx.field(static=True, default="multigrid")
+    stop: str = eqx.field(static=True, default="error")
     max_iterations: int = eqx.field(static=True, default=200)
 
     def __check_init__(self) -> None:
-        for name, options in (("preconditioner", Preconditioner), ("stop", Stop)):
-            if getattr(self, name) not in get_args(options):
+        for name, options in (("preconditioner", _PRECONDITIONERS), ("stop", _STOPS)):
+            if getattr(self, name) not in options:
                 raise ValueError(
-                    f"`{name}` must be one of {get_args(options)}; it is {getattr(self, name)!r}."
+                    f"`{name}` must be one of {options}; it is {getattr(self, name)!r}."
                 )
         if self.max_iterations < 1:
             raise ValueError(f"`max_iterations` must be positive; it is {self.max_iterations}.")

@@ -53,7 +53,7 @@ class System(eqx.Module):
         return Coefficients(self.weight, self.tx, self.ty)
 
     @property
-    def edges(self) -> tuple[Float[Array, "y x-1"], Float[Array, "y-1 x"]]:
+    def edges(self) -> tuple[Array, Array]:
         """`tx` and `ty`."""
         return self.tx, self.ty
 

@@ -9,7 +9,7 @@ Pairing = Literal["min", "mean", "harmonic", "second"]
 
 
 def edge_weights(
-    smoothness: Float[Array, "y x"], *, pairing: Pairing = "min"
+    smoothness: Float[Array, "y x"], *, pairing: str = "min"
 ) -> tuple[Float[Array, "y x-1"], Float[Array, "y-1 x"]]:
     r"""Turns one smoothness per pixel into one weight per edge.
 

@@ -61,7 +61,7 @@ def test_pairing_is_differentiable_and_checked():
 
     check_gradient(total, smoothness, rtol=1e-6, key=jax.random.key(5))
     with pytest.raises(ValueError, match="`pairing` must be"):
-        edge_weights(smoothness, pairing="max")  # pyright: ignore[reportArgumentType]
+        edge_weights(smoothness, pairing="max")
 
 
 def test_lineax_operator():
