@@ -147,7 +147,7 @@ def edge_to_depth(params: Parameters, light_field: LightField, sizes: Sizes) -> 
     start = 0.5 * (passes.forward + passes.backward) if first is None else first
 
     def sharper(disparity: Array) -> Array:
-        return sharpen(
+        moved = sharpen(
             disparity,
             guide,
             params.median,
@@ -155,6 +155,24 @@ def edge_to_depth(params: Parameters, light_field: LightField, sizes: Sizes) -> 
             levels=sizes.levels,
             mode=sizes.sharpening,
         )
+        if not sizes.dense:
+            return moved
+
+        def mismatch(candidate: Array) -> Array:
+            measured = photometric_labels(
+                splines[0],
+                splines[1],
+                candidate,
+                params.photometric,
+                radius=sizes.radius,
+                window=sizes.window,
+            )
+            return measured.residual
+
+        before, after = lax.stop_gradient(lax.map(mismatch, jnp.stack([disparity, moved])))
+        slack = params.centre.worse
+        allowed = slack * (before + 2 * params.photometric.noise**2)
+        return jnp.where(after <= allowed, moved, disparity)
 
     def solve(disparity: Array, turn: Array) -> tuple[Array, tuple[Array, Array, Array]]:
         # Sharpening inside of the loop, at its turn, keeps the program small: one solver, not two.

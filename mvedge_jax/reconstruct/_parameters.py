@@ -30,6 +30,9 @@ class CentreParams(eqx.Module):
             weight.
         anchor: weight of the previous map itself, so that a region which neither the points nor the
             views determine keeps its hypothesis instead of its neighbours' disparity.
+        worse: a pixel follows the sharpened map unless its residual grows by more than this factor
+            (plus twice this, squared noise): the median would swallow structures that are thinner
+            than half of its window, and the views know better.
         blur: standard deviation of the Gaussian that the map passes before its steps cut edges,
             px.
     """
@@ -39,7 +42,8 @@ class CentreParams(eqx.Module):
     points: Float[Array, ""] = number(0.3)
     agreement: Float[Array, ""] = number(0.15)
     trust: Float[Array, ""] = number(2.0)
-    anchor: Float[Array, ""] = number(0.0)
+    anchor: Float[Array, ""] = number(0.003)
+    worse: Float[Array, ""] = number(2.0)
     blur: Float[Array, ""] = number(0.5)
 
 
