@@ -2,8 +2,9 @@
 
     python experiments/table_7_2.py --data ../shared/data --scenes hci/cotton hci/backgammon
 
-The thesis' figures are printed beside ours. The map is the result of the optimisation itself, not
-what `mvedge optimize` would keep.
+The thesis' figures are printed beside ours. The map is what `mvedge optimize` writes: the change of
+the model is kept if views that it never saw speak for it, and the map is polished. The curve has
+the rendered model itself.
 """
 
 import argparse

@@ -62,6 +62,10 @@ from ..reconstruct import (
 from ..splatting import SplatSizes
 from ._common import note, output_folder, stage, warn
 
+# On cotton the true map explains the views 0.7 % worse than that of `mvedge depth`, and every
+# optimisation that lowered the error by less than a tenth made the map worse: blurred image edges
+# and bilinear interpolation have a say of that size.
+_MARGIN = 0.1
 _COLUMNS = {
     "mse": "MSE*100",
     "q25": "Q25*100",
@@ -92,10 +96,10 @@ def optimize(
 ) -> None:
     """Optimises points and smoothness so that the rendered map explains the views.
 
-    Starts from the points and the map of `mvedge depth`. Every second view is held out: if they
-    speak against what the optimisation changed, the change is dropped. What remains is polished
-    (bends within the error of the map are removed). OUT gets before.pfm, disparity.pfm, pictures,
-    points.npz, loss.csv, loss.png, state.eqx and report.json.
+    Starts from the points and the map of `mvedge depth`. Every second view is held out: unless
+    what the optimisation changed lowers their error by a tenth, it is dropped. What remains is
+    polished (bends within the error of the map are removed). OUT gets before.pfm, disparity.pfm,
+    pictures, points.npz, loss.csv, loss.png, state.eqx and report.json.
 
     Args:
         scene: folder or file of a light field; `mvedge info` tells what it is.
@@ -167,7 +171,7 @@ def optimize(
             # The model's own error in rendering the first map does not enter, only what changed.
             after = before + after - render(start.model, params, sizes, start=before).disparity
             errors = [_explains(d, held_out, extractor) for d in (before, after)]
-            kept = errors[1] < errors[0]
+            kept = errors[1] < (1 - _MARGIN) * errors[0]
             after = polish(after if kept else before, PolishParams())
         with stage("writing"):
             scores = _write(folder, light_field, before, after, final, history)
@@ -183,7 +187,9 @@ def optimize(
             }
             (folder / "report.json").write_text(json.dumps(report, indent=2), encoding="utf-8")
     if not kept:
-        warn("the held-out views speak against the optimised points; the first map was polished.")
+        warn(
+            "the held-out views do not speak for the optimised points; the first map was polished."
+        )
     for name, row in scores.items():
         note(f"{name}: " + "  ".join(f"{_COLUMNS[k]} {row[k]:.4g}" for k in _COLUMNS))
     note(f"{len(history.loss)} iterations, {seconds:.1f} s; written to {out}")

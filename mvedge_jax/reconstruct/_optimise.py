@@ -134,7 +134,7 @@ def advance(state: State, routine: Routine, objective: Objective) -> tuple[State
         moments = jax.tree.map(lambda new, old: jnp.where(sound, new, old), moments, state.moments)
         better = sound & (loss < state.best_loss)
         best = jax.tree.map(lambda a, b: jnp.where(better, a, b), state.model, state.best)
-        model = objective.project(with_parts(state.model, moved))
+        model = objective.project(with_parts(state.model, (moved[0], moved[1], moved[2], moved[3])))
         norms = jnp.stack([jnp.sqrt(jnp.sum(leaf**2)) for leaf in gradient])
         new = State(
             model,

@@ -32,7 +32,7 @@ class Lists(NamedTuple):
 
     points: Int[Array, "m"]  # concatenated lists of rows of the point table
     start: Int[Array, "g l"]
-    count: Int[Array, "g l"]
+    length: Int[Array, "g l"]
     origin: Float[Array, "g l 2"]  # centre of each tile
 
 
@@ -109,7 +109,7 @@ def _forward(table: Array, physics: Physics, lists: Lists, sizes: SplatSizes):
         first = Rays(zero, zero, jnp.ones_like(zero))
         return jax.lax.fori_loop(0, jnp.max(count, initial=0), step, first)
 
-    grouped = jax.lax.map(group, (lists.start, lists.count, lists.origin))
+    grouped = jax.lax.map(group, (lists.start, lists.length, lists.origin))
     rays = Rays(*(part.reshape(-1, pixels) for part in grouped))
     return rays, (table, physics, lists, rays)
 
@@ -191,7 +191,7 @@ def _backward(sizes: SplatSizes, saved, cotangent: Rays):
         return x.reshape(groups, lanes, pixels)
 
     initial = (jnp.zeros_like(table), jnp.zeros(3, table.dtype))
-    inputs = (lists.start, lists.count, lists.origin)
+    inputs = (lists.start, lists.length, lists.origin)
     inputs += (split(total), split(cotangent.label), split(cotangent.weight))
     (gradient, scalars), _ = jax.lax.scan(group, initial, inputs)
     gradient = gradient.at[-1].set(0)

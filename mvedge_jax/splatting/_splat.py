@@ -1,5 +1,7 @@
 """From a set of points to a label map and a data-weight map."""
 
+import typing
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -7,7 +9,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from mvedge_jax._params import cast
 
-from ._composite import Physics, composite
+from ._composite import Physics, Rays, composite
 from ._params import SplatParams, SplatSizes
 from ._tiles import depth_order, make_tiles
 
@@ -126,7 +128,7 @@ def splat(
         0.5 / params.sigma_weight**2,
         params.density * params.sigma_depth * jnp.sqrt(jnp.asarray(2 * jnp.pi, dtype)),
     )
-    rays = composite(table, physics, tiling.lists, sizes)
+    rays = typing.cast(Rays, composite(table, physics, tiling.lists, sizes))
     tile = sizes.tile
     rows, columns = -(-shape[0] // tile), -(-shape[1] // tile)
 

@@ -99,6 +99,7 @@ def test_a_plane_of_equal_labels_is_reproduced_and_a_mask_ignored():
     np.testing.assert_array_equal(a, b)
 
 
+@pytest.mark.slow
 def test_unnormalised_labels_fade_beside_points():
     model = small_model(n=1)
     model = eqx.tree_at(

@@ -66,7 +66,7 @@ def test_both_routines_lower_the_loss_and_keep_the_best():
         all_at_once(RATES, iterations=24),
         one_at_a_time(RATES, iterations=3, passes=2),
     ):
-        state, history = optimise(first_state(model), routine, goal, chunk=12)
+        state, history = optimise(first_state(model), routine, goal, chunk=6)
         assert history.loss.shape == (24,)
         assert float(history.loss[-1]) < 0.8 * float(history.loss[0])
         best = goal(state.best, state.disparity)[0]
@@ -75,19 +75,19 @@ def test_both_routines_lower_the_loss_and_keep_the_best():
 
 
 def test_one_at_a_time_moves_one_at_a_time():
-    routine = one_at_a_time(Rates(), iterations=2, passes=2)
-    assert routine.length == 16
+    routine = one_at_a_time(Rates(), iterations=6, passes=2)
+    assert routine.length == 48
     np.testing.assert_array_equal(jnp.sum(routine.rates > 0, axis=1), 1)
-    np.testing.assert_array_equal(jnp.argmax(routine.rates[:8], axis=1), [0, 0, 1, 1, 2, 2, 3, 3])
-    np.testing.assert_allclose(routine.rates[8:].max(0) / routine.rates[:8].max(0), Rates().decay)
-    np.testing.assert_array_equal(routine.restart, [True, False] * 8)
+    np.testing.assert_array_equal(jnp.argmax(routine.rates[:24:6], axis=1), [0, 1, 2, 3])
+    np.testing.assert_allclose(routine.rates[24:].max(0) / routine.rates[:24].max(0), Rates().decay)
+    np.testing.assert_array_equal(routine.restart, ([True] + 5 * [False]) * 8)
     model = start_model()
-    state, _ = advance(first_state(model), routine.part(2, 4), objective(model))
+    state, _ = advance(first_state(model), routine.part(6, 12), objective(model))
     np.testing.assert_array_equal(state.model.xy, model.xy)
     np.testing.assert_array_equal(state.model.roughness, model.roughness)
     moved = jnp.abs(state.model.disparity - model.disparity)
-    # the first steps of Adam are one learning rate long
-    assert 0.015 < float(moved.max()) <= 0.03 + 1e-9
+    # a step of Adam is at most about one learning rate long
+    assert 0.03 < float(moved.max()) <= 6 * 0.015 * 1.1
 
 
 def test_stop_and_resume_give_the_same_as_going_on(tmp_path):
@@ -140,7 +140,8 @@ def test_new_points_go_where_the_residual_is_largest():
     model = start_model(30, capacity=34)
     state, goal = first_state(model), objective(model)
     disparity = render_model(model, goal.params, SIZES).disparity
-    residual = jnp.abs(disparity - truth())
+    # Only on the nearer surface: a new point of the farther one, beside it, would be hidden.
+    residual = jnp.where(truth() == 1, jnp.abs(disparity - truth()), 0)
     grown = grow(state, goal, residual, truth(), count=3)
     assert (int(grown.added), int(grown.recycled), int(grown.refused)) == (3, 0, 0)
     new = np.flatnonzero(grown.state.model.valid & ~model.valid)
@@ -149,10 +150,7 @@ def test_new_points_go_where_the_residual_is_largest():
         tuple(p) for p in np.asarray(xy, float)
     }
     after = render_model(grown.state.model, goal.params, SIZES).disparity
-    # A new background point beside a foreground one is hidden; those in front correct the map.
-    near = xy[np.asarray(truth())[xy[:, 1], xy[:, 0]] == 1]
-    assert len(near) > 0
-    at = near[:, 1], near[:, 0]
+    at = xy[:, 1], xy[:, 0]
     assert float(jnp.abs(after - truth())[at].max()) < 0.5 * float(residual[at].min())
     np.testing.assert_array_equal(grown.objective.trust.origin.xy, grown.state.model.xy)
 
