@@ -140,7 +140,7 @@ def thesis_steps(light_field: LightField, measured: Any, truth: np.ndarray) -> l
         )
         size = np.asarray(light.shape)[[0, 2]]
         raster = np.zeros((3, *size), np.float32)
-        raster[:, across, along] = d, c, 1
+        raster[:, across, along] = np.stack([d, c, np.ones_like(d)])
         votes = spatial_vote(
             jnp.asarray(raster[0]),
             jnp.asarray(raster[1]),
@@ -163,7 +163,7 @@ def thesis_steps(light_field: LightField, measured: Any, truth: np.ndarray) -> l
     picked = aligned & voted
     raster = np.zeros((2, *truth.shape), np.float32)
     y, x = p["y"][picked], p["x"][picked]
-    raster[:, y, x] = p["entropy"][picked], 1
+    raster[:, y, x] = np.stack([p["entropy"][picked], np.ones(len(y))])
     smooth = joint_filter(
         jnp.asarray(raster[0]),
         jnp.asarray(raster[1] > 0),
@@ -209,7 +209,7 @@ def steps(light_field: LightField, params: EdgeParams, sizes: EdgeSizes, *, thes
     keep = np.asarray(points.valid)
     px, py = np.clip(np.rint(at[keep]).astype(int).T, 0, np.array(truth.shape[::-1])[:, None] - 1)
     raster = np.zeros((2, *truth.shape), np.float32)
-    raster[:, py, px] = d[keep], 1
+    raster[:, py, px] = np.stack([d[keep], np.ones(len(py))])
     smooth = joint_filter(
         jnp.asarray(raster[0]),
         jnp.asarray(raster[1] > 0),
