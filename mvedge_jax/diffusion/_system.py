@@ -73,7 +73,8 @@ class System(eqx.Module):
 
     def right_hand_side(self) -> Float[Array, "y x"]:
         """`b = w s`, zero where there is no data whatever the label says."""
-        return jnp.where(self.weight > 0, self.weight * self.label, 0)
+        counts = (self.weight != 0) | jnp.isfinite(self.label)
+        return self.weight * jnp.where(counts, self.label, 0)
 
     def energy(self, value: Float[Array, "y x"]) -> Float[Array, ""]:
         """The quadratic at `value`."""
