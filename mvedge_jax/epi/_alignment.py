@@ -52,12 +52,28 @@ def alignment(epi: Float[Array, "u x"], lines: EpiLines) -> Float[Array, "m u"]:
 
 
 def aligned_count(cosine: Float[Array, "m u"], *, angle: float = FILTER_ANGLE) -> Int[Array, " m"]:
-    """How many rows are aligned; the thesis keeps lines with a quarter of them (Eq. 4.3)."""
+    """How many rows are aligned.
+
+    Args:
+        cosine: see `alignment`.
+        angle: largest angle of an aligned gradient.
+
+    Returns:
+        Rows per line; the thesis keeps lines with a quarter of the height (Eq. 4.3).
+    """
     return (cosine > math.cos(angle)).sum(-1)
 
 
 def longest_run(cosine: Float[Array, "m u"], *, angle: float = FILTER_ANGLE) -> Int[Array, " m"]:
-    """Length of the longest run of aligned rows; the authors' code keeps lines with 4 or more."""
+    """Length of the longest run of aligned rows.
+
+    Args:
+        cosine: see `alignment`.
+        angle: largest angle of an aligned gradient.
+
+    Returns:
+        Rows per line; the authors' code keeps lines with 4 or more.
+    """
     aligned = cosine > math.cos(angle)
 
     def advance(carry: tuple[Array, Array], hit: Array) -> tuple[tuple[Array, Array], None]:

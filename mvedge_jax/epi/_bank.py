@@ -31,18 +31,26 @@ class FilterBank(eqx.Module):
 
 
 def bank_radius(reach: float, views: int) -> int:
-    """Radius of the taps, px, that holds lines of disparities up to `reach` in magnitude."""
+    """Radius of the taps that holds lines of all disparities of a bank.
+
+    Args:
+        reach: largest disparity in magnitude, px per view step.
+        views: number of views of the arm.
+
+    Returns:
+        Pixels to either side.
+    """
     return math.ceil(abs(reach) * (views // 2)) + 2
 
 
-def exponential_disparities(count: int = 60, reach: float = 2.0) -> Float[np.ndarray, " k"]:
+def exponential_disparities(count: int, reach: float) -> Float[np.ndarray, " k"]:
     """Disparities that lie denser around zero.
 
     `d_j = reach (exp(-t_j) - exp(-1)) / (1 - exp(-1))` for `count // 2` values of `t` from 0 to 1,
     and their mirror images: `2 (count // 2) - 1` in all, since zero is its own.
 
     Args:
-        count: nominal number of filters, at least 4.
+        count: nominal number of filters, at least 4; 60 in the thesis.
         reach: largest magnitude, px per view step.
 
     Returns:

@@ -14,6 +14,13 @@ def line_entropy(samples: Float[Array, "m s"], *, bins: int = _BINS) -> Float[Ar
 
     Written per sample, `-mean_s log2 P(I(s))`, which equals the sum over bins.
 
+    Args:
+        samples: intensities along each line, not negative.
+        bins: of the histogram.
+
+    Returns:
+        Entropy per line; piecewise constant, hence without a useful gradient.
+
     Source: Thesis 4.1.5, Eq. 4.5 (corrected to a sum over bins).
     """
     largest = jnp.maximum(samples.max(-1, keepdims=True), 1e-6)

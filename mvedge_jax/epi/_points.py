@@ -54,7 +54,12 @@ class EdgeStats(eqx.Module):
 
 
 class Edges(eqx.Module):
-    """The result of `multiview_edges`: the points, and how they came about."""
+    """The result of `multiview_edges`.
+
+    Attributes:
+        points: the edge points.
+        stats: how they came about.
+    """
 
     points: EdgePoints
     stats: EdgeStats
