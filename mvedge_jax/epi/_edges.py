@@ -229,14 +229,10 @@ def multiview_edges(light_field: LightField, params: EdgeParams, sizes: EdgeSize
         visible=only(visible.T),
         valid=valid,
     )
-    zero = jnp.zeros((), candidates.total.dtype)
     stats = EdgeStats(
         candidates=candidates.total,
         overflow=candidates.overflow,
         consistent=consistent.sum(),
-        supported=valid.sum(),
-        recovered=zero,
-        hidden=zero,
         valid=valid.sum(),
     )
     return Edges(points, stats)

@@ -38,18 +38,12 @@ class EdgeStats(eqx.Module):
         candidates: pixels at which the filter bank found an edge along a row or a column.
         overflow: candidates that found no slot; the weakest are left out.
         consistent: points whose views agree at the refined disparity.
-        supported: of those, points that enough of their neighbours agree with.
-        recovered: rejected points that a neighbour's disparity brought back.
-        hidden: lines found behind a nearer one: seen in some views, not in the centre.
-        valid: points returned.
+        valid: points returned: precise, and consistent as far as their neighbours' support asks.
     """
 
     candidates: Int[Array, ""]
     overflow: Int[Array, ""]
     consistent: Int[Array, ""]
-    supported: Int[Array, ""]
-    recovered: Int[Array, ""]
-    hidden: Int[Array, ""]
     valid: Int[Array, ""]
 
 
