@@ -6,6 +6,8 @@ import jax
 import matplotlib as mpl
 
 mpl.use("Agg")
+# Small arrays: compiling is nearly all of the time, and unoptimised programs compile faster.
+jax.config.update("jax_disable_most_optimizations", True)
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_rank_promotion", "raise")
 jax.config.update("jax_numpy_dtype_promotion", "strict")

@@ -45,7 +45,8 @@ def write_hci(
 
     Raises:
         OSError: if a file cannot be written.
-        ValueError: if `visible` has another shape, or an object id does not fit 16 bits.
+        ValueError: if `visible` has another shape, if ground truth is there but not known at every
+            pixel (the layout has no place for a mask), or an object id does not fit 16 bits.
     """
     folder = Path(path)
     rows, columns, height, width, _ = light_field.views.shape
@@ -53,8 +54,13 @@ def write_hci(
         raise ValueError(
             f"`visible` must have the shape {(rows, columns, height, width)}, got {visible.shape}."
         )
-    folder.mkdir(parents=True, exist_ok=True)
     truth = light_field.truth
+    if truth is not None and not bool(truth.valid.all()):
+        raise ValueError(
+            f"`light_field.truth` is unknown at {int((~truth.valid).sum())} pixels, expected none: "
+            "the HCI layout has no place for a mask; drop it with `without_truth()`."
+        )
+    folder.mkdir(parents=True, exist_ok=True)
     available = np.asarray(light_field.available)
     total = int(available.sum())
     for done, (v, u) in enumerate(np.argwhere(available), start=1):
@@ -74,12 +80,11 @@ def write_hci(
         if progress is not None:
             progress(done, total)
     if truth is not None:
-        valid = np.asarray(truth.valid)
-        disparity = np.where(valid, np.asarray(truth.disparity, np.float32), np.nan)
+        disparity = np.asarray(truth.disparity, np.float32)
         write_pfm(folder / "gt_disp_lowres.pfm", disparity)
         if light_field.camera is not None:
             depth = np.asarray(light_field.camera.depth(truth.disparity), np.float32)
-            write_pfm(folder / "gt_depth_lowres.pfm", np.where(valid, depth, np.nan))
+            write_pfm(folder / "gt_depth_lowres.pfm", depth)
         if truth.object_ids is not None:
             _write_ids(folder / "objectids_lowres.png", np.asarray(truth.object_ids))
     _write_parameters(folder / "parameters.cfg", light_field)

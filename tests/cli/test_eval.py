@@ -104,7 +104,6 @@ def test_nothing_is_left_half_written(scene, tmp_path, monkeypatch, interruption
 
 
 def test_mistakes(scene, tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(_main, "_commands", lambda: {"eval": evaluate, "other": evaluate})
     monkeypatch.setitem(os.environ, "MVEDGE_CACHE", "off")
     folder, truth = scene
     good, large = tmp_path / "good.pfm", tmp_path / "large.pfm"

@@ -96,7 +96,6 @@ def test_what_is_too_small_is_not_checked(tmp_path, capsys):
 
 
 def test_command_line(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(_main, "_commands", lambda: {"info": info, "other": info})
     monkeypatch.setitem(os.environ, "MVEDGE_CACHE", "off")
     folder = write_grid(tmp_path / "toy", random_views((5, 5, 6, 8, 3)))
     assert _main.main(["info", str(folder), "--views", "3", "--quick"]) == 0

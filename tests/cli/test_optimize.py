@@ -27,9 +27,8 @@ def scene(tmp_path_factory):
     return write_hci(tmp_path_factory.mktemp("optimize") / "plane", views, disparity=truth)
 
 
-@pytest.mark.parametrize(
-    "options", [["--supervised", "--grow-points", "6"], pytest.param([], marks=pytest.mark.slow)]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("options", [["--supervised", "--grow-points", "6"], []])
 def test_optimize_writes_everything_and_ends_no_worse(scene, tmp_path, capsys, options):
     out = tmp_path / "out"
     words = ["optimize", str(scene), str(out), "--iterations", "8", "--raster", "1", *options]

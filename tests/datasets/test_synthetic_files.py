@@ -82,3 +82,12 @@ def test_mistakes_are_explained(light_field, tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(OSError, match="file"):
         write_hci(light_field, tmp_path / "file")
+
+
+def test_truth_with_gaps_is_refused(light_field, tmp_path):
+    gap = eqx.tree_at(
+        lambda f: f.truth.valid, light_field, light_field.truth.valid.at[3, 4].set(False)
+    )
+    with pytest.raises(ValueError, match="unknown at 1 pixels"):
+        write_hci(gap, tmp_path / "scene")
+    assert not (tmp_path / "scene").exists()

@@ -12,6 +12,7 @@ def depth_map(shape=(19, 23)):
     return jnp.asarray(np.where((x - 11) ** 2 + (y - 9) ** 2 < 25, smooth + 1.5, smooth))
 
 
+@pytest.mark.slow
 def test_more_points_reproduce_better_and_enough_nearly_perfectly(tmp_path):
     truth = depth_map()
     errors, sizes = [], []

@@ -136,6 +136,7 @@ def test_trust_limits_and_pulls_back():
     assert float(heavy.penalty(near)) == pytest.approx(2 * np.log1p(4))
 
 
+@pytest.mark.slow
 def test_new_points_go_where_the_residual_is_largest():
     model = start_model(30, capacity=34)
     state, goal = first_state(model), objective(model)
@@ -181,6 +182,7 @@ def test_capacity_never_shrinks():
         with_capacity(start_model(30), 3)
 
 
+@pytest.mark.slow
 def test_lbfgs_lowers_the_loss():
     model = start_model()
     goal = objective(model)
