@@ -99,7 +99,18 @@ def surface_vectors(
 def choose(
     points: EdgePoints, score: Float[Array, " n"], params: SurfaceParams, *, relaxed: bool = False
 ) -> SurfaceVectors:
-    """Turns scores into surface vectors; see `surface_vectors`."""
+    """Turns scores into surface vectors.
+
+    Args:
+        points: whose normals the vectors follow.
+        score: positive speaks for the side that `+normal` points to, `[n]`.
+        params: offset and temperature, see `SurfaceParams`.
+        relaxed: weigh both sides by a logistic of the score instead of choosing one.
+
+    Returns:
+        The vectors; of points that are not valid, no offset and no preference. Differentiable in
+        `score` where `relaxed`.
+    """
     params = cast(params, points.disparity.dtype)
     if relaxed:
         forward = jax.nn.sigmoid(score / params.temperature)
