@@ -6,14 +6,15 @@ import jax
 import matplotlib as mpl
 
 mpl.use("Agg")
-# Small arrays: compiling is nearly all of the time, and unoptimised programs compile faster.
-jax.config.update("jax_disable_most_optimizations", True)
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_rank_promotion", "raise")
 jax.config.update("jax_numpy_dtype_promotion", "strict")
 
 
 def pytest_configure(config):
+    if config.getoption("markexpr") == "not slow":
+        # Compiling is nearly all of the fast tier's time, and unoptimised programs compile faster.
+        jax.config.update("jax_disable_most_optimizations", True)
     # Only our own warnings are errors at collection time; the filter below applies to each test.
     config.addinivalue_line("filterwarnings", "error")
     config.addinivalue_line("filterwarnings", "ignore::DeprecationWarning:tyro")
