@@ -11,7 +11,7 @@ from jax import lax
 from jax.custom_batching import custom_vmap
 from jaxtyping import Array
 
-from . import _lahbpcg, _multigrid
+from . import _banded, _lahbpcg, _multigrid
 from ._coarsen import ratio
 from ._pcg import Iterate, pcg
 from ._stencil import Coefficients, diagonal, reachable
@@ -19,12 +19,18 @@ from ._stencil import Coefficients, diagonal, reachable
 # Pixels that are solved together under `vmap`. Images of more than half of that are solved one
 # after the other: each stops on its own and stays in the cache. Smaller ones share operations, so
 # that these are long enough to be worth starting; larger groups leave the cache and wait for the
-# slowest member (512 images of 9x512 took 0.9 s in groups of 4, 1.4 s of 64, 3.1 s all at once).
-_LARGE = 1 << 14
+# slowest member.
+_TOGETHER = 1 << 14
+# Entries of the elimination window that are worked on together: as many as fit in the fastest
+# cache, and as many loops over groups as there are cores on the machine at hand.
+_WINDOW, _LANES = 64 * 9 * 9, 2
+# Thin images that are worth eliminating: the cost per pixel grows with the square of the short
+# side, and pixels come one after the other.
+_THIN, _SHORT = 16, 1 << 14
 
 
 class Options(NamedTuple):
-    """What selects a compiled solver."""
+    """What selects a compiled solver. The preconditioner is never `"auto"` here."""
 
     preconditioner: str
     stop: str
@@ -39,8 +45,19 @@ class Prepared(NamedTuple):
     keep: Array
 
 
+def choose(preconditioner: str, shape: tuple[int, int]) -> str:
+    """What `"auto"` stands for at an image size."""
+    if preconditioner != "auto":
+        return preconditioner
+    thin = min(shape) <= _THIN and shape[0] * shape[1] <= _SHORT
+    return "banded" if thin else "multigrid"
+
+
 def prepare(options: Options, coefficients: Coefficients) -> Prepared:
     """Computes everything about a matrix that a solve and its adjoint share."""
+    if options.preconditioner == "banded":
+        # Factors take `2 h` times the memory of an image, and less time to make than to fetch.
+        return Prepared(coefficients, (), reachable(coefficients))
     return _mapped(_prepare, options)(coefficients)
 
 
@@ -54,11 +71,15 @@ def _prepare(options: Options, coefficients: Coefficients) -> Prepared:
     return Prepared(coefficients, hierarchy, reachable(coefficients))
 
 
-def preconditioner(options: Options, hierarchy: Any) -> Callable[[Array], Array]:
+def preconditioner(options: Options, prepared: Prepared) -> Callable[[Array], Array]:
+    """The approximate inverse as a function."""
+    hierarchy = prepared.hierarchy
     if options.preconditioner == "multigrid":
         return _multigrid.cycle(hierarchy)
     if options.preconditioner == "lahbpcg":
         return _lahbpcg.solver(hierarchy)
+    if options.preconditioner == "banded":
+        return _banded.solver(prepared.coefficients)
     return lambda residual: ratio(residual, hierarchy)
 
 
@@ -85,7 +106,7 @@ def _run(
 ) -> Iterate:
     return pcg(
         prepared.coefficients,
-        preconditioner(options, prepared.hierarchy),
+        preconditioner(options, prepared),
         jnp.where(prepared.keep, right, 0),
         prepared.keep,
         absolute,
@@ -121,24 +142,30 @@ def _mapped(function: Callable[..., Any], options: Options) -> Callable[..., Any
 
         return lax.map(one, [leaf for b, leaf in zip(moving, leaves, strict=True) if b])
 
-    def in_groups(size: int, group: int, arguments: Any) -> Any:
+    def in_groups(size: int, arguments: Any) -> Any:
+        group, lanes = _groups(options, size, arguments)
         if size <= group:
             return run_group(*arguments)
-        count = -(-size // group)
+        count = -(-size // (group * lanes)) * lanes
+        group = -(-size // count)
         # The last group is filled up with the first members once more.
         order = np.arange(count * group) % size
         full = arguments if count * group == size else jax.tree.map(lambda a: a[order], arguments)
-        groups = jax.tree.map(lambda a: a.reshape(count, group, *a.shape[1:]), full)
-        result = lax.map(lambda members: run_group(*members), groups)
+        groups = jax.tree.map(lambda a: a.reshape(lanes, -1, group, *a.shape[1:]), full)
+        # Loops that do not depend on each other run at the same time.
+        parts = [
+            lax.map(lambda members: run_group(*members), jax.tree.map(lambda a: a[lane], groups))
+            for lane in range(lanes)
+        ]
+        result = jax.tree.map(lambda *a: jnp.concatenate(a), *parts) if lanes > 1 else parts[0]
         return jax.tree.map(lambda a: a.reshape(count * group, *a.shape[2:])[:size], result)
 
     @run.def_vmap
     def rule(size: int, batched: Any, *arguments: Any) -> tuple[Any, Any]:
-        group = _group(arguments)
-        if group == 1:
+        if _groups(options, size, arguments)[0] == 1:
             result = in_turn(size, batched, arguments)
         else:
-            result = in_groups(size, group, _broadcast(size, batched, arguments))
+            result = in_groups(size, _broadcast(size, batched, arguments))
         return result, jax.tree.map(lambda _: True, result)
 
     @run_group.def_vmap
@@ -146,18 +173,21 @@ def _mapped(function: Callable[..., Any], options: Options) -> Callable[..., Any
         arguments = _broadcast(size, batched, arguments)
         inner = jax.tree.leaves(arguments)[0].shape[1]
         flat = jax.tree.map(lambda a: a.reshape(size * inner, *a.shape[2:]), arguments)
-        group = _group(flat)
-        result = in_groups(size * inner, group, flat)
+        result = in_groups(size * inner, flat)
         result = jax.tree.map(lambda a: a.reshape(size, inner, *a.shape[1:]), result)
         return result, jax.tree.map(lambda _: True, result)
 
     return run
 
 
-def _group(arguments: Any) -> int:
-    """How many members are solved together, from the size of the first image."""
+def _groups(options: Options, size: int, arguments: Any) -> tuple[int, int]:
+    """How many members are solved together, and how many groups at the same time."""
     y, x = jax.tree.leaves(arguments)[0].shape[-2:]
-    return max(_LARGE // (y * x), 1)
+    if options.preconditioner != "banded":
+        return max(_TOGETHER // (y * x), 1), 1
+    # Elimination is a long chain of short operations, which XLA leaves to one core each.
+    group = max(_WINDOW // min(y, x) ** 2, 1)
+    return group, _LANES if size > group else 1
 
 
 def _broadcast(size: int, batched: Any, arguments: Any) -> Any:

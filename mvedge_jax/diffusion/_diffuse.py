@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 
 from mvedge_jax._params import cast
 
-from ._core import Options, Prepared, prepare, solve
+from ._core import Options, Prepared, choose, prepare, solve
 from ._solver import Diffused, Solver, SolveStats
 from ._stencil import Coefficients, differences, inner, largest, product
 from ._system import System, check
@@ -19,7 +19,9 @@ from ._system import System, check
 def diffuse(
     system: System, *, start: Float[Array, "y x"] | None = None, solver: Solver | None = None
 ) -> Diffused:
-    r"""Solves a diffusion system by conjugate gradients with a multigrid preconditioner.
+    r"""Solves a diffusion system by preconditioned conjugate gradients.
+
+    The preconditioner is a multigrid V-cycle, or exact elimination where the image is thin.
 
     The gradient comes from one adjoint solve $A a = \partial L / \partial D$ that reuses the
     hierarchy: $\partial L/\partial s = w a$, $\partial L/\partial w = a (s - D)$,
@@ -80,7 +82,8 @@ def arranged(
     if start is not None and start.shape != system.shape:
         raise ValueError(f"`start` has the shape {start.shape}; the system has {system.shape}.")
     dtype = system.weight.dtype
-    options = Options(solver.preconditioner, solver.stop, solver.max_iterations)
+    chosen = choose(solver.preconditioner, system.shape)
+    options = Options(chosen, solver.stop, solver.max_iterations)
     tolerance = lax.stop_gradient(jnp.asarray(cast(solver.tolerance, dtype)))
     start = None if start is None else lax.stop_gradient(start.astype(dtype))
     return options, system, start, tolerance

@@ -5,7 +5,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from mvedge_jax._params import number
 
-_PRECONDITIONERS = ("multigrid", "lahbpcg", "jacobi")
+_PRECONDITIONERS = ("auto", "multigrid", "banded", "lahbpcg", "jacobi")
 _STOPS = ("error", "residual")
 
 
@@ -14,8 +14,11 @@ class Solver(eqx.Module):
 
     Attributes:
         tolerance: where to stop, traced; see `stop`.
-        preconditioner: `"multigrid"` (one V-cycle; the one to use), `"lahbpcg"` (the locally
-            adapted hierarchical basis of the thesis) or `"jacobi"` (the diagonal; a baseline).
+        preconditioner: `"multigrid"` (one V-cycle), `"banded"` (exact elimination, for images
+            with a short side, such as epipolar-plane images), `"lahbpcg"` (the locally adapted
+            hierarchical basis of the thesis) or `"jacobi"` (the diagonal; a baseline). `"auto"`
+            takes `"banded"` where the short side has at most 16 of at most 16384 pixels, and
+            `"multigrid"` otherwise.
         stop: `"error"` stops when the estimated largest error of the solution, in the unit of
             the labels, is below `tolerance` times the range of the labels. `"residual"` stops when
             the norm of the residual is below `tolerance` times the norm of the right-hand side,
@@ -25,11 +28,11 @@ class Solver(eqx.Module):
 
     Example:
         >>> Solver(tolerance=1e-6).preconditioner
-        'multigrid'
+        'auto'
     """
 
     tolerance: Float[Array, ""] | float = number(1e-4)
-    preconditioner: str = eqx.field(static=True, default="multigrid")
+    preconditioner: str = eqx.field(static=True, default="auto")
     stop: str = eqx.field(static=True, default="error")
     max_iterations: int = eqx.field(static=True, default=200)
 

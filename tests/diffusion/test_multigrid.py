@@ -56,13 +56,13 @@ def test_interpolation_keeps_a_constant_where_there_is_no_data():
     np.testing.assert_allclose(interpolate(weights, jnp.ones((3, 4)), (6, 8)), 1, rtol=1e-14)
 
 
-@pytest.mark.parametrize("name", ["multigrid", "lahbpcg", "jacobi"])
+@pytest.mark.parametrize("name", ["multigrid", "banded", "lahbpcg", "jacobi"])
 @pytest.mark.parametrize("shape", [(9, 14), (35, 3)])
 def test_preconditioner_is_symmetric_and_definite(name, shape):
     system = random_system(*shape, key=jax.random.key(2))
     options = _core.Options(name, "error", 1)
     prepared = _core.prepare(options, system.coefficients)
-    cycle = _core.preconditioner(options, prepared.hierarchy)
+    cycle = _core.preconditioner(options, prepared)
     matrix = dense(jax.jit(cycle), shape)
     np.testing.assert_allclose(matrix, matrix.T, rtol=0, atol=1e-12 * np.abs(matrix).max())
     assert np.linalg.eigvalsh(matrix).min() > 0
