@@ -5,30 +5,20 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float
 
 from .._params import cast
 from ..color import srgb_to_gray, srgb_to_lab
 from ..lightfield import LightField
 from ._bank import FilterBank, prewitt_bank
+from ._candidates import Candidates, contrast, find_candidates, subpixel, unit_gradient
 from ._noise import noise_variance
 from ._params import EdgeParams, EdgeSizes
 from ._points import EdgePoints, Edges, EdgeStats
-from ._refine import Refined, refine_chunks
-from ._search import Maps, search, vertex
+from ._refine import Refined, no_points, refine_chunks
+from ._search import Maps, search
 from ._spline import spline_coefficients
 from ._support import neighbour_support
-
-
-class Candidates(NamedTuple):
-    """Pixels on an edge, in raster order: the gathers of the refinement then stay local."""
-
-    row: Int[Array, " n"]
-    column: Int[Array, " n"]
-    valid: Bool[Array, " n"]
-    found: Bool[Array, "2 n"]
-    total: Int[Array, ""]
-    overflow: Int[Array, ""]
 
 
 def scene_banks(
@@ -43,76 +33,25 @@ def scene_banks(
     return prewitt_bank(disparity, views[1], radius), prewitt_bank(disparity, views[0], radius)
 
 
-def line_maxima(strength: Float[Array, "y x"], floor: Float[Array, ""]) -> Bool[Array, "y x"]:
-    """Where a response is a local maximum along x, and above a floor."""
-    left = jnp.pad(strength[:, :-1], ((0, 0), (1, 0)))
-    right = jnp.pad(strength[:, 1:], ((0, 0), (0, 1)))
-    return (strength > left) & (strength >= right) & (strength > floor)
-
-
-def _candidates(maps: Maps, floor: Array, capacity: int) -> Candidates:
-    across = line_maxima(maps.strength[0], floor)
-    down = line_maxima(maps.strength[1].T, floor).T
-    either = across | down
-    strength = jnp.where(either, maps.strength.max(0), 0)
-    count = either.sum()
-    # The weakest go first where there are more candidates than slots, not the last ones.
-    if capacity < strength.size:
-        cut = jnp.sort(strength.reshape(-1))[strength.size - capacity - 1]
-        either = either & ((count <= capacity) | (strength > cut))
-    row, column = (
-        axis.astype(jnp.int32) for axis in jnp.nonzero(either, size=capacity, fill_value=0)
-    )
-    kept = either.sum()
-    valid = jnp.arange(capacity, dtype=kept.dtype) < kept
-    found = jnp.stack([across[row, column], down[row, column]]) & valid[None]
-    return Candidates(row, column, valid, found, count, count - kept)
-
-
-def _subpixel(maps: Maps, candidates: Candidates) -> Float[Array, "n 2"]:
-    """Vertex of the response along the direction, or directions, in which it is a maximum."""
-    row, column = candidates.row, candidates.column
-    height, width = maps.disparity.shape
-
-    def at(arm: int, down: int, right: int) -> Array:
-        y = jnp.clip(row + down, 0, height - 1)
-        x = jnp.clip(column + right, 0, width - 1)
-        return maps.strength[arm, y, x]
-
-    middle_x, middle_y = at(0, 0, 0), at(1, 0, 0)
-    shift_x = jnp.clip(vertex(at(0, 0, -1), middle_x, at(0, 0, 1)), -0.5, 0.5)
-    shift_y = jnp.clip(vertex(at(1, -1, 0), middle_y, at(1, 1, 0)), -0.5, 0.5)
-    shift = jnp.where(candidates.found, jnp.stack([shift_x, shift_y]), 0)
-    return jnp.stack([column.astype(shift.dtype), row.astype(shift.dtype)], -1) + shift.T
-
-
-def unit_gradient(gray: Float[Array, "y x"]) -> Float[Array, "y x 2"]:
-    """Unit direction of the smoothed gradient, `(x, y)`; 0 where the image is flat."""
-    taps = jnp.asarray([1.0, 4.0, 6.0, 4.0, 1.0], gray.dtype) / 16
-    slope = jnp.asarray([-1.0, -2.0, 0.0, 2.0, 1.0], gray.dtype) / 8
-
-    def along(image: Array, kernel: Array, axis: int) -> Array:
-        margin = [(0, 0), (0, 0)]
-        margin[axis] = (2, 2)
-        padded = jnp.pad(image, margin, mode="edge")
-        size = image.shape[axis]
-        parts = [kernel[i] * jax.lax.slice_in_dim(padded, i, i + size, axis=axis) for i in range(5)]
-        return sum(parts[1:], parts[0])
-
-    gradient = jnp.stack(
-        [along(along(gray, taps, 0), slope, 1), along(along(gray, taps, 1), slope, 0)], -1
-    )
-    square = (gradient**2).sum(-1, keepdims=True)
-    safe = jnp.where(square > 1e-12, square, 1)
-    return jnp.where(square > 1e-12, gradient / jnp.sqrt(safe), 0)
-
-
 class Measured(NamedTuple):
     """All that is known of the candidates before any is judged."""
 
     maps: Maps
+    centre: Float[Array, "2 y x"]
     candidates: Candidates
     refined: Refined
+
+
+def standard_error(refined: Refined, params: EdgeParams) -> Float[Array, " n"]:
+    """Standard error of the disparities, px."""
+    # The views are quantised: equal samples do not make a disparity certain.
+    variance = refined.residual + params.noise_floor
+    return jnp.sqrt(variance / jnp.maximum(refined.information, 1e-6) + params.error_floor**2)
+
+
+def _passes(refined: Refined, params: EdgeParams) -> Bool[Array, " n"]:
+    precise = standard_error(refined, params) < params.error_limit
+    return precise & (refined.mismatch < params.residual_limit)
 
 
 def measure_candidates(light_field: LightField, params: EdgeParams, sizes: EdgeSizes) -> Measured:
@@ -132,23 +71,53 @@ def measure_candidates(light_field: LightField, params: EdgeParams, sizes: EdgeS
         window=sizes.window,
         tile=sizes.tile,
     )
-    candidates = _candidates(maps, params.strength_floor, sizes.capacity)
-    row, column = candidates.row, candidates.column
-    refined = refine_chunks(
-        (spline_coefficients(gray[0], axis=-1), spline_coefficients(gray[1], axis=-1)),
-        column,
-        row,
-        maps.disparity[row, column],
-        None,
-        candidates.valid,
-        params.robustness,
-        saturation,
-        params.contrast_floor + noise,
-        window=sizes.window,
-        iterations=sizes.iterations,
-        chunk=sizes.chunk,
+    centre = contrast(srgb_to_lab(light_field.centre_view))
+    # The difference of two noisy values in three channels; four standard deviations.
+    centre_floor = params.strength_floor + 4 * jnp.sqrt(6 * noise)
+    candidates = find_candidates(
+        maps, centre, params.strength_floor, centre_floor, capacity=sizes.capacity
     )
-    return Measured(maps, candidates, refined)
+    row, column = candidates.row, candidates.column
+    coefficients = (
+        spline_coefficients(gray[0], axis=-1),
+        spline_coefficients(gray[1], axis=-1),
+    )
+
+    blank = no_points(sizes.capacity, sum(light_field.views.shape[:2]), light_field.views.dtype)
+
+    def attempt(
+        carry: tuple[Refined, Array], again: Bool[Array, ""]
+    ) -> tuple[tuple[Refined, Array], None]:
+        """Refines some of the candidates, packed together, and keeps what is better."""
+        refined, wanted = carry
+        order = jnp.nonzero(wanted, size=sizes.capacity, fill_value=0)[0].astype(jnp.int32)
+        count = wanted.sum().astype(jnp.int32)
+        packed = refine_chunks(
+            coefficients,
+            column[order],
+            row[order],
+            maps.disparity[row, column][order],
+            None,
+            jnp.arange(sizes.capacity, dtype=jnp.int32) < count,
+            params.robustness,
+            saturation,
+            params.contrast_floor + noise,
+            again,
+            window=sizes.window,
+            iterations=sizes.iterations,
+            chunk=sizes.chunk,
+        )
+        slot = jnp.maximum(jnp.cumsum(wanted.astype(jnp.int32)) - 1, 0)
+        tried = jax.tree.map(lambda leaf: leaf[..., slot], packed)
+        passes = _passes(tried, params)
+        better = wanted & (passes | ~again)
+        refined = jax.tree.map(lambda a, b: jnp.where(better, b, a), refined, tried)
+        return (refined, wanted & ~passes), None
+
+    # What some of the views do not show gets a second try, with the views that agree with the
+    # centre one. (First with all: a few views agree with much by accident.)
+    (refined, _), _ = jax.lax.scan(attempt, (blank, candidates.valid), jnp.asarray([False, True]))
+    return Measured(maps, centre, candidates, refined)
 
 
 @eqx.filter_jit
@@ -157,10 +126,12 @@ def multiview_edges(light_field: LightField, params: EdgeParams, sizes: EdgeSize
 
     1. A bank of oriented Prewitt filters gives edge strength and position along every horizontal
        and vertical EPI (Thesis 4.1.1). Local maxima along either direction become points, one per
-       pixel.
+       pixel; so do those of the centre view's own contrast, which lines that cross a stronger one
+       need.
     2. Windowed photo-consistency over both arms gives each its disparity; a few Gauss-Newton
        steps refine it. Pixels of other surfaces in the window and views that do not show the
-       point lose their say.
+       point lose their say. What fails is tried again with the views that agree with the centre
+       one: a line that passes behind a nearer one is hidden in the others.
     3. Points whose views disagree, or whose neighbours do, are dropped (Thesis 4.1.3 and 4.1.5 in
        effect; those tests are here under their own names, too).
 
@@ -183,11 +154,9 @@ def multiview_edges(light_field: LightField, params: EdgeParams, sizes: EdgeSize
         0
     """
     params = cast(params, light_field.views.dtype)
-    maps, candidates, refined = measure_candidates(light_field, params, sizes)
+    maps, centre, candidates, refined = measure_candidates(light_field, params, sizes)
     row, column = candidates.row, candidates.column
-    # The views are quantised: equal samples do not make a disparity certain.
-    variance = refined.residual + params.noise_floor
-    error = jnp.sqrt(variance / jnp.maximum(refined.information, 1e-6) + params.error_floor**2)
+    error = standard_error(refined, params)
     mismatch = refined.mismatch
     precise = candidates.valid & (error < params.error_limit)
     consistent = precise & (mismatch < params.residual_limit)
@@ -210,7 +179,8 @@ def multiview_edges(light_field: LightField, params: EdgeParams, sizes: EdgeSize
     # A point that its neighbours agree with may have twice the residual, a lone one next to none.
     valid = precise & (mismatch < 2 * params.residual_limit * support)
 
-    strength = jnp.where(candidates.found, maps.strength[:, row, column], 0).max(0)
+    strength = jnp.where(candidates.alone, centre[:, row, column], 0)
+    strength = jnp.where(candidates.found, maps.strength[:, row, column], strength).max(0)
     confidence = strength / (strength + params.confidence_scale) * vote
     view_mismatch = refined.view_residual / (refined.core_contrast + params.contrast_floor)[None]
     visible = refined.inside & (view_mismatch < params.visibility_limit)
@@ -221,7 +191,7 @@ def multiview_edges(light_field: LightField, params: EdgeParams, sizes: EdgeSize
         return jnp.where(keep, values, jnp.zeros_like(values))
 
     points = EdgePoints(
-        xy=only(_subpixel(maps, candidates)),
+        xy=only(subpixel(maps, centre, candidates)),
         disparity=only(refined.disparity),
         confidence=only(confidence),
         error=only(error),

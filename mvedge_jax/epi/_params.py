@@ -111,7 +111,7 @@ class EdgeSizes:
         return self.spacing / 1000 * max(abs(self.first), abs(self.first + self.filters - 1))
 
     @staticmethod
-    def for_light_field(light_field: LightField, *, fill: float = 0.55) -> "EdgeSizes":
+    def for_light_field(light_field: LightField, *, fill: float = 0.6) -> "EdgeSizes":
         """Chooses sizes on the host, from the shape and the disparity range of a light field.
 
         Args:

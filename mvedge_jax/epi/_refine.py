@@ -44,6 +44,14 @@ class Refined(NamedTuple):
     inside: Bool[Array, "s n"]
 
 
+def no_points(count: int, views: int, dtype: jnp.dtype) -> Refined:
+    """All zeros."""
+    nothing = jnp.zeros(count, dtype)
+    per_view = jnp.zeros((views, count), dtype)
+    inside = jnp.zeros((views, count), bool)
+    return Refined(nothing, nothing, nothing, nothing, nothing, per_view, nothing, inside)
+
+
 def _strips(
     coefficients: Array, row: Array, column: Array, disparity: Array, half: int
 ) -> tuple[Array, Array, Array, Array]:
@@ -94,6 +102,7 @@ def refine_points(
     robustness: Float[Array, ""],
     saturation: Float[Array, ""],
     contrast_floor: Float[Array, ""],
+    anchored: Bool[Array, ""],
     *,
     window: int,
     iterations: int,
@@ -116,6 +125,9 @@ def refine_points(
         saturation: variance over the views at which a pixel of the window has a quarter of its
             weight.
         contrast_floor: added to the contrast where residuals are compared with it.
+        anchored: take the centre view for what the point looks like, so that views that are
+            hidden lose their weight from the first step on, and judge the point by the views
+            that are left. Their loss costs: the residuals grow by the share of weight lost.
         window: side of the window, odd.
         iterations: Gauss-Newton steps.
 
@@ -169,7 +181,9 @@ def refine_points(
         information = (weight * (square + 2 * centred_x * centred_y * xy[None])).sum(0)
         per_view = (belief[None] * squared).sum((1, 2))
         core_view = squared[:, core, core].mean((1, 2))
-        seen = known / jnp.maximum(known.sum(0), 1e-6)[None]
+        # Views that do not show the point have no say, but their loss has a price.
+        trusted = jnp.where(anchored, weight, known)
+        seen = trusted * known.sum(0)[None] / jnp.maximum(trusted.sum(0), 1e-6)[None] ** 2
         contrast = jnp.maximum(xx, yy)
         core_contrast = jnp.maximum(
             (slope_x * slope_x)[core, core].mean((0, 1)),
@@ -198,6 +212,20 @@ def refine_points(
             per_view,
         )
 
+    def agreeing() -> Array:
+        """Weights of the views from how well they agree with the centre one at the start."""
+        values_h, slopes_h = _sample(strips_h, steps_h, base_h, column, disparity, half)
+        values_v, slopes_v = _sample(strips_v, steps_v, base_v, row, disparity, half)
+        middle_h, middle_v = steps_h.shape[0] // 2, count_v // 2
+        apart_v = (values_v - values_v[middle_v][None]) ** 2
+        apart_h = (values_h - values_h[middle_h][None]) ** 2
+        apart = jnp.concatenate([apart_v.mean((1, 2)), apart_h.mean((1, 2))])
+        slope_h, slope_v = slopes_h[middle_h] ** 2, slopes_v[middle_v] ** 2
+        slope = jnp.maximum(slope_h.mean((0, 1)), slope_v.mean((0, 1)))
+        return known / (1 + apart / (robustness * (slope + 1.0))[None]) ** 2
+
+    first = lax.cond(anchored, agreeing, lambda: known)
+
     def advance(carry: tuple[Array, Array, Refined], _: None) -> tuple[tuple, None]:
         current, weight = carry[:2]
         step, state = measure(current, weight)
@@ -207,10 +235,10 @@ def refine_points(
 
     # One more round than steps, whose step is not taken: it measures where the last one led to.
     # (A separate call would double the program.)
-    nothing = jnp.zeros_like(disparity)
-    per_view = jnp.zeros_like(known)
-    blank = Refined(nothing, nothing, nothing, nothing, nothing, per_view, nothing, per_view)
-    (_, _, state), _ = lax.scan(advance, (disparity, known, blank), None, length=iterations + 1)
+    blank = no_points(disparity.shape[0], known.shape[0], disparity.dtype)._replace(
+        inside=jnp.zeros_like(known)
+    )
+    (_, _, state), _ = lax.scan(advance, (disparity, first, blank), None, length=iterations + 1)
     return state._replace(inside=inside)
 
 
@@ -224,6 +252,7 @@ def refine_chunks(
     robustness: Float[Array, ""],
     saturation: Float[Array, ""],
     contrast_floor: Float[Array, ""],
+    anchored: Bool[Array, ""],
     *,
     window: int,
     iterations: int,
@@ -241,6 +270,7 @@ def refine_chunks(
         robustness: see `refine_points`.
         saturation: see `refine_points`.
         contrast_floor: see `refine_points`.
+        anchored: see `refine_points`.
         window: side of the window.
         iterations: Gauss-Newton steps.
         chunk: points at a time; the number of slots must be a multiple of it.
@@ -265,21 +295,16 @@ def refine_chunks(
             robustness,
             saturation,
             contrast_floor,
+            anchored,
             window=window,
             iterations=iterations,
         )
-
-    shapes = jax.eval_shape(
-        work,
-        tuple(jax.ShapeDtypeStruct((chunk,), a.dtype) for a in (column, row, disparity))
-        + (jax.ShapeDtypeStruct((views, chunk), disparity.dtype),),
-    )
 
     @jax.checkpoint
     def one(arguments: tuple[Array, ...]) -> Refined:
         x, y, d, *rest, keep = arguments
         weight = rest[0] if rest else jnp.ones((views, chunk), d.dtype)
-        nothing = jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), shapes)
+        nothing = no_points(chunk, views, d.dtype)
         return lax.cond(keep.any(), work, lambda _: nothing, (x, y, d, weight))
 
     inputs = [column, row, disparity] + ([] if start is None else [start]) + [valid]

@@ -1,0 +1,143 @@
+"""Where edges are: pixels at which the filter bank or the centre view alone finds one."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from ._search import Maps, vertex
+
+
+class Candidates(NamedTuple):
+    """Pixels on an edge, in raster order: the gathers of the refinement then stay local.
+
+    Attributes:
+        row: y of each.
+        column: x of each.
+        valid: which slots hold one.
+        found: whether the filter response is a maximum along x, and along y.
+        alone: whether only the contrast of the centre view is.
+        total: how many there are.
+        overflow: how many found no slot.
+    """
+
+    row: Int[Array, " n"]
+    column: Int[Array, " n"]
+    valid: Bool[Array, " n"]
+    found: Bool[Array, "2 n"]
+    alone: Bool[Array, "2 n"]
+    total: Int[Array, ""]
+    overflow: Int[Array, ""]
+
+
+def line_maxima(strength: Float[Array, "y x"], floor: Float[Array, ""]) -> Bool[Array, "y x"]:
+    """Where a response is a local maximum along x, and above a floor."""
+    left = jnp.pad(strength[:, :-1], ((0, 0), (1, 0)))
+    right = jnp.pad(strength[:, 1:], ((0, 0), (0, 1)))
+    return (strength > left) & (strength >= right) & (strength > floor)
+
+
+def contrast(colour: Float[Array, "y x c"]) -> Float[Array, "2 y x"]:
+    """Central differences of one view along x and y, Euclidean norm over the channels."""
+
+    def along(axis: int) -> Array:
+        margin = [(0, 0), (0, 0), (0, 0)]
+        margin[axis] = (1, 1)
+        padded = jnp.pad(colour, margin, mode="edge")
+        size = colour.shape[axis]
+        ahead = jax.lax.slice_in_dim(padded, 2, size + 2, axis=axis)
+        energy = ((ahead - jax.lax.slice_in_dim(padded, 0, size, axis=axis)) ** 2).sum(-1)
+        return jnp.where(energy > 0, jnp.sqrt(jnp.where(energy > 0, energy, 1)), 0)
+
+    return jnp.stack([along(1), along(0)])
+
+
+def find_candidates(
+    maps: Maps,
+    centre: Float[Array, "2 y x"],
+    floor: Float[Array, ""],
+    centre_floor: Float[Array, ""],
+    *,
+    capacity: int,
+) -> Candidates:
+    """Local maxima of the filter response or of the centre view's contrast, along x or y.
+
+    Where lines cross, the stronger one raises the response of filters that only cross it, all
+    around: the weaker one is not a maximum there, although the centre view shows it clearly.
+
+    Args:
+        maps: filter responses.
+        centre: see `contrast`.
+        floor: weakest response.
+        centre_floor: weakest contrast of the centre view alone, whose noise is not averaged.
+        capacity: slots.
+
+    Returns:
+        The candidates, in raster order.
+    """
+
+    def maxima(values: Array, least: Array) -> Array:
+        return jnp.stack([line_maxima(values[0], least), line_maxima(values[1].T, least).T])
+
+    own = maxima(maps.strength, floor)
+    single = maxima(centre, centre_floor)
+    strength = jnp.where(own, maps.strength, jnp.where(single, centre, 0)).max(0)
+    either = (own | single).any(0)
+    count = either.sum()
+    # The weakest go first where there are more candidates than slots, not the last ones.
+    if capacity < strength.size:
+        cut = jnp.sort(strength.reshape(-1))[strength.size - capacity - 1]
+        either = either & ((count <= capacity) | (strength > cut))
+    row, column = (
+        axis.astype(jnp.int32) for axis in jnp.nonzero(either, size=capacity, fill_value=0)
+    )
+    kept = either.sum()
+    valid = jnp.arange(capacity, dtype=kept.dtype) < kept
+    found = own[:, row, column] & valid[None]
+    alone = single[:, row, column] & valid[None] & ~found
+    return Candidates(row, column, valid, found, alone, count, count - kept)
+
+
+def subpixel(
+    maps: Maps, centre: Float[Array, "2 y x"], candidates: Candidates
+) -> Float[Array, "n 2"]:
+    """Vertex of the response along the direction, or directions, in which it is a maximum."""
+    row, column = candidates.row, candidates.column
+    height, width = maps.disparity.shape
+
+    def shift(values: Array) -> Array:
+        def at(arm: int, down: int, right: int) -> Array:
+            y = jnp.clip(row + down, 0, height - 1)
+            x = jnp.clip(column + right, 0, width - 1)
+            return values[arm, y, x]
+
+        middle_x, middle_y = at(0, 0, 0), at(1, 0, 0)
+        shift_x = jnp.clip(vertex(at(0, 0, -1), middle_x, at(0, 0, 1)), -0.5, 0.5)
+        shift_y = jnp.clip(vertex(at(1, -1, 0), middle_y, at(1, 1, 0)), -0.5, 0.5)
+        return jnp.stack([shift_x, shift_y])
+
+    moved = jnp.where(candidates.found, shift(maps.strength), 0)
+    moved = jnp.where(candidates.alone, shift(centre), moved)
+    return jnp.stack([column.astype(moved.dtype), row.astype(moved.dtype)], -1) + moved.T
+
+
+def unit_gradient(gray: Float[Array, "y x"]) -> Float[Array, "y x 2"]:
+    """Unit direction of the smoothed gradient, `(x, y)`; 0 where the image is flat."""
+    taps = jnp.asarray([1.0, 4.0, 6.0, 4.0, 1.0], gray.dtype) / 16
+    slope = jnp.asarray([-1.0, -2.0, 0.0, 2.0, 1.0], gray.dtype) / 8
+
+    def along(image: Array, kernel: Array, axis: int) -> Array:
+        margin = [(0, 0), (0, 0)]
+        margin[axis] = (2, 2)
+        padded = jnp.pad(image, margin, mode="edge")
+        size = image.shape[axis]
+        parts = [kernel[i] * jax.lax.slice_in_dim(padded, i, i + size, axis=axis) for i in range(5)]
+        return sum(parts[1:], parts[0])
+
+    gradient = jnp.stack(
+        [along(along(gray, taps, 0), slope, 1), along(along(gray, taps, 1), slope, 0)], -1
+    )
+    square = (gradient**2).sum(-1, keepdims=True)
+    safe = jnp.where(square > 1e-12, square, 1)
+    return jnp.where(square > 1e-12, gradient / jnp.sqrt(safe), 0)
