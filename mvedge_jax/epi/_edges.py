@@ -72,8 +72,8 @@ def measure_candidates(light_field: LightField, params: EdgeParams, sizes: EdgeS
         tile=sizes.tile,
     )
     centre = contrast(srgb_to_lab(light_field.centre_view))
-    # The difference of two noisy values in three channels; four standard deviations.
-    centre_floor = params.strength_floor + 4 * jnp.sqrt(6 * noise)
+    # The difference of two noisy values in three channels; two standard deviations.
+    centre_floor = params.strength_floor + 2 * jnp.sqrt(6 * noise)
     candidates = find_candidates(
         maps, centre, params.strength_floor, centre_floor, capacity=sizes.capacity
     )
