@@ -14,6 +14,7 @@ from mvedge_jax.lightfield import LightField
 from mvedge_jax.losses import (
     LossWeights,
     SupervisedWeights,
+    all_views,
     gather_views,
     self_supervised_loss,
 )
@@ -25,6 +26,7 @@ from mvedge_jax.reconstruct import (
     Parameters,
     PolishParams,
     Rates,
+    RefineParams,
     SelfSupervised,
     Sizes,
     Start,
@@ -34,10 +36,12 @@ from mvedge_jax.reconstruct import (
     all_at_once,
     begin,
     edge_to_depth,
+    finish_refinement,
     fit_to_map,
     grow,
     image_roughness,
     polish,
+    prepare_refinement,
     render_model,
     start_from_points,
     trust_labels,
@@ -147,6 +151,33 @@ def run_supervised(
     return state.best, state.disparity
 
 
+def run_refined(
+    start: Start,
+    light_field: LightField,
+    first: jax.Array,
+    *,
+    raster: int,
+    iterations: int,
+    look: Look | None = None,
+) -> jax.Array:
+    """What `mvedge optimize` does: the evidence of all views, confirmed by halves of them."""
+    params, sizes = rendering(raster)
+    blind = light_field.without_truth()
+    views = gather_views(blind, choice=all_views(blind))
+    refine = RefineParams()
+    refinement = prepare_refinement(start, first, views, refine, params, sizes)
+    rates = Rates(rate=jnp.asarray([0.05, 0.002, 0.05, 0.02]))
+    table = all_at_once(rates, iterations=iterations)
+    state = begin(refinement.start.model, refinement.rendered, key=jax.random.key(0))
+    piece = max(iterations // 4, 1)
+    for at in range(0, iterations, piece):
+        state, history = advance(state, table.part(at, at + piece), refinement.objective)
+        if look is not None:
+            look(int(state.iteration), state.disparity, float(history.loss[-1]))
+    print(f"share of proposals confirmed: {float(refinement.correction.share.mean()):.3f}")
+    return finish_refinement(refinement, state.best, refine)
+
+
 def run_self_supervised(
     start: Start,
     light_field: LightField,
@@ -159,7 +190,7 @@ def run_self_supervised(
     label: float = 0.05,
     look: Look | None = None,
 ) -> tuple[Start, jax.Array]:
-    """Optimises a model against the views, with trust in its labels' errors, and polishes."""
+    """Minimises the reprojection error, with trust in the labels' errors, and polishes."""
     params, sizes = rendering(raster)
     views = gather_views(light_field.without_truth())
     count = views.steps.shape[0]
@@ -187,7 +218,7 @@ def run_self_supervised(
             float(explains(d, held_out, LossWeights())[1].reprojection) for d in (first, after)
         ]
         print(f"held-out error {error[0]:.6f} -> {error[1]:.6f}", flush=True)
-        # As in `mvedge optimize`: smaller gains are no evidence.
+        # As `mvedge optimize --loss reprojection` does: smaller gains are no evidence.
         after = after if error[1] < 0.9 * error[0] else first
     return Start(state.best, start.error), polish(after, PolishParams())
 

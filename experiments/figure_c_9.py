@@ -13,7 +13,7 @@ from _model import (
     load_scene,
     plain_model,
     printer,
-    run_self_supervised,
+    run_refined,
     run_supervised,
     scores,
 )
@@ -42,7 +42,7 @@ def main() -> None:
         look = printer(f"{100 * share:g} %", light_field, curve)
         if arguments.self_supervised:
             model = eqx.tree_at(lambda m: m.valid, start.model, kept)
-            _, after = run_self_supervised(
+            after = run_refined(
                 Start(model, start.error), light_field, first,
                 raster=arguments.raster, iterations=arguments.iterations, look=look,
             )  # fmt: skip

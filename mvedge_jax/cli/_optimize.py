@@ -23,6 +23,7 @@ from ..losses import (
     LossWeights,
     SupervisedWeights,
     Views,
+    all_views,
     gather_views,
     load_vgg16,
     self_supervised_loss,
@@ -35,6 +36,7 @@ from ..reconstruct import (
     Parameters,
     PolishParams,
     Rates,
+    RefineParams,
     Routine,
     SelfSupervised,
     Sizes,
@@ -45,6 +47,7 @@ from ..reconstruct import (
     all_at_once,
     begin,
     edge_to_depth,
+    finish_refinement,
     fit_to_map,
     grow,
     image_roughness,
@@ -52,6 +55,7 @@ from ..reconstruct import (
     one_at_a_time,
     optimise,
     polish,
+    prepare_refinement,
     render_model,
     save_state,
     start_from_points,
@@ -63,8 +67,8 @@ from ..splatting import SplatSizes
 from ._common import note, output_folder, stage, warn
 
 # On cotton the true map explains the views 0.7 % worse than that of `mvedge depth`, and every
-# optimisation that lowered the error by less than a tenth made the map worse: blurred image edges
-# and bilinear interpolation have a say of that size.
+# optimisation by plain reprojection that lowered the error by less than a tenth made the map
+# worse: gloss, blurred image edges and bilinear interpolation have a say of that size.
 _MARGIN = 0.1
 _COLUMNS = {
     "mse": "MSE*100",
@@ -81,6 +85,7 @@ def optimize(
     /,
     *,
     supervised: bool = False,
+    loss: Literal["evidence", "reprojection"] = "evidence",
     routine: Literal["joint", "thesis"] = "joint",
     iterations: int = 40,
     features: Literal["colours", "filters", "vgg16"] = "colours",
@@ -96,21 +101,25 @@ def optimize(
 ) -> None:
     """Optimises points and smoothness so that the rendered map explains the views.
 
-    Starts from the points and the map of `mvedge depth`. Every second view is held out: unless
-    what the optimisation changed lowers their error by a tenth, it is dropped. What remains is
-    polished (bends within the error of the map are removed). OUT gets before.pfm, disparity.pfm,
-    pictures, points.npz, loss.csv, loss.png, state.eqx and report.json.
+    Starts from the points and the map of `mvedge depth`. With `--loss evidence` the photometric
+    error of all views is linearised around that map, freed from gloss and shading, and halved:
+    what either half of the views proposes counts as far as the other half confirms it. With
+    `--loss reprojection`, (7.15) of the thesis, every second view of the crosshair is held out,
+    and unless the optimisation lowers their error by a tenth it is dropped. The map is polished
+    (bends within its error are removed). OUT gets before.pfm, disparity.pfm, pictures, points.npz,
+    loss.csv, loss.png, state.eqx and report.json.
 
     Args:
         scene: folder or file of a light field; `mvedge info` tells what it is.
         out: folder to make.
         supervised: fit to the scene's ground truth instead of the views.
+        loss: what the views are asked, see above.
         routine: all parameters at once, or the thesis' turns (Q, Z, R, xy; 5 passes).
         iterations: in all for `joint`; per parameter and pass for `thesis` (13 there).
-        features: what images are compared by.
+        features: what images are compared by, for `--loss reprojection`.
         vgg16: an .npz file of VGG16's first two convolutions, for `--features vgg16`.
         grow_points: points to add where the map is worst, half-way; needs `--supervised`.
-        subset: views drawn per iteration; all by default.
+        subset: views drawn per iteration of `--loss reprojection`; all by default.
         raster: raster pixels per pixel.
         views: use the central VIEWS x VIEWS views only; odd.
         scale: shrink the views by this factor, at most 1.
@@ -141,9 +150,17 @@ def optimize(
         )  # fmt: skip
         objective: Supervised | SelfSupervised
         training, held_out = _split(gather_views(blind))
+        refine, refinement = RefineParams(), None
+        rates = Rates(rate=jnp.asarray([0.05, 0.002, 0.05, 0.02]))
+        origin = first
         if supervised:
             objective, start = _supervised(light_field, start, grow_points, params, sizes)
             rates = Rates(rate=jnp.asarray([0.15, 0.01, 0.08, 0.05]))
+        elif loss == "evidence":
+            with stage("asking the views"):
+                everyone = gather_views(blind, choice=all_views(blind))
+                refinement = prepare_refinement(start, first, everyone, refine, params, sizes)
+            start, objective, origin = refinement.start, refinement.objective, refinement.rendered
         else:
             with stage("fitting the model to that map"):
                 extra = int(points.valid.sum()) // 10
@@ -157,20 +174,24 @@ def optimize(
             if routine == "joint"
             else one_at_a_time(Rates(), iterations=iterations)
         )
-        began = begin(start.model, first, key=key)
+        began = begin(start.model, origin, key=key)
         if state is not None:
             began = load_state(state, began)
         clock = time.perf_counter()
         final, history = _run(began, table, objective, grow_points)
         seconds = time.perf_counter() - clock
         render = eqx.filter_jit(render_model)
-        before = first
-        after = render(final.best, params, sizes, start=final.disparity).disparity
-        errors, kept = [], True
+        before, errors, kept = first, [], True
+        if refinement is not None:
+            after = finish_refinement(refinement, final.best, refine)
+        else:
+            after = render(final.best, params, sizes, start=final.disparity).disparity
         if not supervised:
-            # The model's own error in rendering the first map does not enter, only what changed.
-            after = before + after - render(start.model, params, sizes, start=before).disparity
+            if refinement is None:
+                # The model's own error in rendering the first map does not enter.
+                after = before + after - render(start.model, params, sizes, start=before).disparity
             errors = [_explains(d, held_out, extractor) for d in (before, after)]
+        if not supervised and refinement is None:
             kept = errors[1] < (1 - _MARGIN) * errors[0]
             after = polish(after if kept else before, PolishParams())
         with stage("writing"):
@@ -181,7 +202,10 @@ def optimize(
                 "iterations": int(final.iteration),
                 "seconds": round(seconds, 2),
                 "points": int(final.best.valid.sum()),
-                "held-out error before, after": errors,
+                "reprojection error before, after": errors,
+                "share of proposals confirmed": (
+                    None if refinement is None else float(refinement.correction.share.mean())
+                ),
                 "kept the optimised points": bool(kept),
                 "scores": scores,
             }

@@ -22,4 +22,8 @@ from ._terms import (
     ssim as ssim,
     warp_views as warp_views,
 )
-from ._views import Views as Views, gather_views as gather_views
+from ._views import (
+    Views as Views,
+    all_views as all_views,
+    gather_views as gather_views,
+)

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from mvedge_jax.lightfield import LightField
@@ -61,3 +62,16 @@ def gather_views(
         light_field.steps[v, u],
         light_field.available[v, u],
     )
+
+
+def all_views(light_field: LightField) -> list[tuple[int, int]]:
+    """Grid positions of all available views but the centre, for `gather_views`.
+
+    Args:
+        light_field: the views; `available` must be concrete, not traced.
+
+    Returns:
+        Positions `(v, u)`, row by row.
+    """
+    there = np.argwhere(np.asarray(light_field.available))
+    return [(int(v), int(u)) for v, u in there if (v, u) != light_field.centre]

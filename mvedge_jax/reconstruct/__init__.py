@@ -12,6 +12,13 @@ from ._encode import (
     load_encoding as load_encoding,
     save_encoding as save_encoding,
 )
+from ._evidence import (
+    Correction as Correction,
+    Evidence as Evidence,
+    EvidenceParams as EvidenceParams,
+    agreed_correction as agreed_correction,
+    view_evidence as view_evidence,
+)
 from ._grow import (
     Grown as Grown,
     grow as grow,
@@ -60,6 +67,12 @@ from ._polish import (
     PolishParams as PolishParams,
     bending as bending,
     polish as polish,
+)
+from ._refine import (
+    Refinement as Refinement,
+    RefineParams as RefineParams,
+    finish_refinement as finish_refinement,
+    prepare_refinement as prepare_refinement,
 )
 from ._routine import (
     Rates as Rates,

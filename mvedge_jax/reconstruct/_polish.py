@@ -6,7 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import optax
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from mvedge_jax._params import cast, number
 
@@ -18,8 +18,9 @@ class PolishParams(eqx.Module):
         error: scale of the errors of the map, px; larger changes cost little more.
         bend: second difference above which a bend costs in proportion rather than by its square.
         weight: of the prior against the map.
-        step: neighbours that differ by more are on different surfaces, px: no bend is counted
-            across them, so depth edges stay as they are.
+        step: a difference that exceeds one beside it by more separates surfaces, px: no bend is
+            counted across it, so that depth edges stay as they are.
+        jump: beside steps larger than this, px, nothing is polished: those pixels are mixtures.
         rate: first learning rate of Adam, px.
     """
 
@@ -27,6 +28,7 @@ class PolishParams(eqx.Module):
     bend: Float[Array, ""] = number(0.001)
     weight: Float[Array, ""] = number(3.0)
     step: Float[Array, ""] = number(0.03)
+    jump: Float[Array, ""] = number(0.1)
     rate: Float[Array, ""] = number(5e-4)
 
 
@@ -50,7 +52,10 @@ def bending(
     """
     params = cast(params, disparity.dtype)
     guide = jax.lax.stop_gradient(guide)
-    along_x, along_y = (jnp.abs(jnp.diff(guide, axis=axis)) < params.step for axis in (1, 0))
+    steps_x, steps_y = _steps(guide), _steps(guide.T).T
+    along_x, along_y = steps_x < params.step, steps_y < params.step
+    clear = _away_from_steps(steps_x < params.jump, steps_y < params.jump)
+    along_x, along_y = along_x & clear[:, 1:] & clear[:, :-1], along_y & clear[1:] & clear[:-1]
     d = disparity
     stencils = (
         (d[:, 2:] - 2 * d[:, 1:-1] + d[:, :-2], along_x[:, 1:] & along_x[:, :-1], 1),
@@ -66,6 +71,20 @@ def bending(
         cost = jnp.sqrt(bend**2 + params.bend**2) - params.bend
         total = total + times * jnp.sum(jnp.where(smooth, cost, 0))
     return total / params.bend
+
+
+def _steps(guide: Float[Array, "y x"]) -> Float[Array, "y x-1"]:
+    """By how much each difference along x exceeds its smaller neighbour: slants have no step."""
+    slope = jnp.abs(jnp.diff(guide, axis=1))
+    p = jnp.pad(slope, ((0, 0), (1, 1)))
+    return slope - jnp.minimum(jnp.minimum(p[:, :-2], p[:, 2:]), slope)
+
+
+def _away_from_steps(along_x: Bool[Array, "y w"], along_y: Bool[Array, "h x"]) -> Array:
+    """Pixels none of whose four edges is a step: a step's own pixels may be mixtures."""
+    x = jnp.pad(along_x, ((0, 0), (1, 1)), constant_values=True)
+    y = jnp.pad(along_y, ((1, 1), (0, 0)), constant_values=True)
+    return x[:, 1:] & x[:, :-1] & y[1:] & y[:-1]
 
 
 @eqx.filter_jit

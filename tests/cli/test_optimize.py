@@ -28,7 +28,9 @@ def scene(tmp_path_factory):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("options", [["--supervised", "--grow-points", "6"], []])
+@pytest.mark.parametrize(
+    "options", [["--supervised", "--grow-points", "6"], ["--loss", "reprojection"], []]
+)
 def test_optimize_writes_everything_and_ends_no_worse(scene, tmp_path, capsys, options):
     out = tmp_path / "out"
     words = ["optimize", str(scene), str(out), "--iterations", "8", "--raster", "1", *options]
@@ -42,8 +44,8 @@ def test_optimize_writes_everything_and_ends_no_worse(scene, tmp_path, capsys, o
     with (out / "loss.csv").open() as file:
         losses = [float(row["loss"]) for row in csv.DictReader(file)]
     assert len(losses) == 8
-    points = np.load(out / "points.npz")
-    assert len(points["xy"]) == report["points"]
+    with np.load(out / "points.npz") as points:
+        assert len(points["xy"]) == report["points"]
     for name in ("before.png", "after.png", "after_error.png", "loss.png"):
         assert cv2.imread(str(out / name)) is not None, name
     assert (out / "state.eqx").is_file()
