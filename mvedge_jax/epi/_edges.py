@@ -5,7 +5,8 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jax import lax
+from jaxtyping import Array, Bool, Float, Int
 
 from .._params import cast
 from ..color import srgb_to_gray, srgb_to_lab
@@ -15,7 +16,7 @@ from ._candidates import Candidates, contrast, find_candidates, subpixel, unit_g
 from ._noise import noise_variance
 from ._params import EdgeParams, EdgeSizes
 from ._points import EdgePoints, Edges, EdgeStats
-from ._refine import Refined, no_points, refine_chunks
+from ._refine import Refined, no_points, refine_chunks, refinement_reach
 from ._search import Maps, search
 from ._spline import spline_coefficients
 from ._support import neighbour_support
@@ -54,6 +55,17 @@ def _passes(refined: Refined, params: EdgeParams) -> Bool[Array, " n"]:
     return precise & (refined.mismatch < params.residual_limit)
 
 
+class _Attempts(NamedTuple):
+    refined: Refined
+    wanted: Bool[Array, " n"]
+    start: Float[Array, " n"]
+
+
+def _highest(values: Float[Array, "y x"]) -> Float[Array, "y x"]:
+    """Maximum over 5x5 pixels."""
+    return lax.reduce_window(values, -jnp.inf, lax.max, (5, 5), (1, 1), "SAME")
+
+
 def measure_candidates(light_field: LightField, params: EdgeParams, sizes: EdgeSizes) -> Measured:
     """Searches and refines, but judges nothing: the first half of `multiview_edges`."""
     params = cast(params, light_field.views.dtype)
@@ -78,45 +90,63 @@ def measure_candidates(light_field: LightField, params: EdgeParams, sizes: EdgeS
         maps, centre, params.strength_floor, centre_floor, capacity=sizes.capacity
     )
     row, column = candidates.row, candidates.column
+    shape = maps.disparity.shape
     coefficients = (
         spline_coefficients(gray[0], axis=-1),
         spline_coefficients(gray[1], axis=-1),
     )
 
     blank = no_points(sizes.capacity, sum(light_field.views.shape[:2]), light_field.views.dtype)
+    reach = refinement_reach(max(light_field.views.shape[:2]))
 
-    def attempt(
-        carry: tuple[Refined, Array], again: Bool[Array, ""]
-    ) -> tuple[tuple[Refined, Array], None]:
-        """Refines some of the candidates, packed together, and keeps what is better."""
-        refined, wanted = carry
+    def attempt(carry: _Attempts, index: Int[Array, ""]) -> tuple[_Attempts, None]:
+        """Refines the candidates that want it, packed together, and keeps what is better."""
+        refined, wanted, start = carry
         order = jnp.nonzero(wanted, size=sizes.capacity, fill_value=0)[0].astype(jnp.int32)
         count = wanted.sum().astype(jnp.int32)
         packed = refine_chunks(
             coefficients,
             column[order],
             row[order],
-            maps.disparity[row, column][order],
+            start[order],
             None,
             jnp.arange(sizes.capacity, dtype=jnp.int32) < count,
             params.robustness,
-            saturation,
+            params.refine_saturation + noise,
             params.contrast_floor + noise,
-            again,
+            index == 1,
             window=sizes.window,
             iterations=sizes.iterations,
             chunk=sizes.chunk,
         )
         slot = jnp.maximum(jnp.cumsum(wanted.astype(jnp.int32)) - 1, 0)
         tried = jax.tree.map(lambda leaf: leaf[..., slot], packed)
-        passes = _passes(tried, params)
-        better = wanted & (passes | ~again)
+        # A disparity that only the neighbours propose has to be theirs, and clearly so.
+        near = jnp.abs(tried.disparity - start) < params.support_tolerance
+        near = near & (tried.mismatch < 0.5 * params.residual_limit)
+        better = wanted & ((index == 0) | (_passes(tried, params) & (near | (index == 1))))
         refined = jax.tree.map(lambda a, b: jnp.where(better, b, a), refined, tried)
-        return (refined, wanted & ~passes), None
+        passes = candidates.valid & _passes(refined, params)
 
-    # What some of the views do not show gets a second try, with the views that agree with the
-    # centre one. (First with all: a few views agree with much by accident.)
-    (refined, _), _ = jax.lax.scan(attempt, (blank, candidates.valid), jnp.asarray([False, True]))
+        def nearer() -> tuple[Array, Array]:
+            place = jnp.where(passes, row * shape[1] + column, shape[0] * shape[1])
+            flat = jnp.full(shape[0] * shape[1], -jnp.inf, start.dtype)
+            image = flat.at[place].set(lax.stop_gradient(refined.disparity), mode="drop")
+            front = _highest(image.reshape(shape))[row, column]
+            between = front - refined.disparity > reach
+            return jnp.isfinite(front) & candidates.valid & (between | ~passes), front
+
+        wanted, start = lax.cond(
+            index == 1, nearer, lambda: (candidates.valid & ~passes, maps.disparity[row, column])
+        )
+        return _Attempts(refined, wanted, jnp.where(wanted, start, 0)), None
+
+    # 1. All views. 2. What fails: the views that agree with the centre one, since a nearer surface
+    # hides it from the others. (Not at first: a few views agree with much by accident.) 3. What
+    # fails, or has a nearer surface beside it: the disparity of that. The border between two
+    # surfaces belongs to the nearer one, however well the farther one agrees on its side.
+    everything = _Attempts(blank, candidates.valid, maps.disparity[row, column])
+    (refined, *_), _ = lax.scan(attempt, everything, jnp.arange(3, dtype=jnp.int32))
     return Measured(maps, centre, candidates, refined)
 
 

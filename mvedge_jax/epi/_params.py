@@ -24,8 +24,9 @@ class EdgeParams(eqx.Module):
             three filters beats a fine one: neighbours must differ.
         saturation: variance over the views, grey levels squared, beyond which a pixel of a window
             counts as another surface.
-        noise_gain: how much the variance of the scene's noise adds to `saturation` and to
-            `contrast_floor`.
+        refine_saturation: the same in the refinement, whose start is known to be close.
+        noise_gain: how much the variance of the scene's noise adds to `saturation`,
+            `refine_saturation` and `contrast_floor`.
         robustness: residual of a view, relative to the contrast, that quarters its weight.
         strength_floor: weakest edge considered, Lab units per px.
         contrast_floor: added to the contrast where residuals are compared with it.
@@ -44,6 +45,7 @@ class EdgeParams(eqx.Module):
     banks: tuple[FilterBank, FilterBank] | None = None
     step: Float[Array, ""] = number(0.1)
     saturation: Float[Array, ""] = number(0.2)
+    refine_saturation: Float[Array, ""] = number(0.05)
     noise_gain: Float[Array, ""] = number(1.0)
     robustness: Float[Array, ""] = number(0.2)
     strength_floor: Float[Array, ""] = number(0.1)

@@ -44,6 +44,11 @@ class Refined(NamedTuple):
     inside: Bool[Array, "s n"]
 
 
+def refinement_reach(views: int) -> float:
+    """How far the refinement can move a disparity, px per view step."""
+    return _SLACK / max(views // 2, 1)
+
+
 def no_points(count: int, views: int, dtype: jnp.dtype) -> Refined:
     """All zeros."""
     nothing = jnp.zeros(count, dtype)
@@ -148,8 +153,7 @@ def refine_points(
     step_x = jnp.concatenate([nothing_v, steps_h])[:, None]
     step_y = jnp.concatenate([steps_v, nothing_h])[:, None]
     count_v = steps_v.shape[0]
-    reach = max(across.shape[0], down.shape[0]) // 2
-    limit = _SLACK / max(reach, 1)
+    limit = refinement_reach(max(down.shape[0], across.shape[0]))
     core = slice(max(half - 1, 0), half + 2)
 
     def measure(current: Array, weight: Array) -> tuple[Array, Refined]:

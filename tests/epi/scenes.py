@@ -43,3 +43,29 @@ def two_planes(near, far, *, edge, views=9, size=(16, 64), dtype=jnp.float32):
         image[v, u] = cover * front + (1 - cover) * back
     span = (min(near, far) - 0.3, max(near, far) + 0.3)
     return LightField(jnp.asarray(np.clip(image, 0, 1), dtype), disparity_range=span)
+
+
+def fence(near, far, *, slats, views=9, size=(16, 64), dtype=jnp.float32):
+    """Near vertical slats `(left, right)` before a far plane, both textured.
+
+    Returns the light field, and which surface and which disparity every pixel of the middle row of
+    views shows [u y x].
+    """
+    height, width = size
+    y, x = np.mgrid[0:height, 0:width].astype(float)
+    image = np.zeros((views, views, height, width, 3))
+    surfaces = np.zeros((views, height, width), int)
+    for v, u in np.ndindex(views, views):
+        du, dv = views // 2 - u, views // 2 - v
+        front = 0.3 + 0.7 * waves(x - du * near, y - dv * near, 1)
+        back = 0.6 * waves(x - du * far, y - dv * far, 2)
+        own = x - du * near
+        cover = np.zeros_like(own)
+        for left, right in slats:
+            cover += np.clip(own - left + 0.5, 0, 1) - np.clip(own - right + 0.5, 0, 1)
+        image[v, u] = cover[..., None] * front + (1 - cover[..., None]) * back
+        if v == views // 2:
+            surfaces[u] = cover > 0.5
+    span = (min(near, far) - 0.3, max(near, far) + 0.3)
+    light_field = LightField(jnp.asarray(np.clip(image, 0, 1), dtype), disparity_range=span)
+    return light_field, surfaces, np.where(surfaces, near, far)

@@ -5,9 +5,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from epi.scenes import plane, two_planes
+from epi.scenes import fence, plane, two_planes
 from helpers import check_gradient, count_traces, shared_data
+from scipy import ndimage
 
+from experiments._crossings import crossing_table, crossings, survive
+from experiments.edge_accuracy import depth_edges
+from mvedge_jax.datasets import synthetic
 from mvedge_jax.epi import (
     EdgeParams,
     EdgeSizes,
@@ -110,6 +114,63 @@ def test_both_sides_of_an_occluding_edge_are_found():
     at_edge = (np.abs(x - 30) < 2) & (np.abs(d - 0.8) < 0.05)
     rows = np.rint(np.asarray(edges.points.xy)[keep, 1][at_edge])
     assert len(np.unique(rows)) >= 0.85 * 16
+
+
+def _points(light_field):
+    return multiview_edges(light_field, EdgeParams(), EdgeSizes.for_light_field(light_field)).points
+
+
+def test_both_lines_of_a_crossing_survive():
+    """What counts as a crossing, and as surviving, stands in `experiments/_crossings.py`."""
+    light_field, surfaces, disparity = fence(0.8, -0.6, slats=[(16.2, 24.4), (40.3, 46.8)])
+    arm = np.asarray(light_field.horizontal_arm)
+    found = crossings(arm, surfaces, disparity, view=4)
+    far, near = survive(_points(light_field), found)
+    assert len(far) > 40
+    assert found.views.min() >= 3
+    assert np.mean(far & near) >= 0.95
+
+
+@pytest.mark.slow
+def test_crossings_of_the_synthetic_scene_survive():
+    """Must show 2."""
+    light_field = synthetic.render(
+        synthetic.scene("crossing"), shape=(9, 9, 192, 256), key=jax.random.key(0)
+    )
+    shown, hidden = crossing_table(light_field, _points)
+    assert shown["crossings"] > 800
+    assert shown["both %"] >= 95
+    assert hidden["crossings"] > 400
+    assert hidden["far line %"] >= 95
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "name", ["demo", "slanted", "edges", "thin", "textureless", "wide", "noisy", "crossing"]
+)
+def test_depth_edges_have_points(name):
+    """Must show 1: nearly all depth edges, with the range found from the data."""
+    light_field = synthetic.render(
+        synthetic.scene(name), shape=(9, 9, 192, 256), key=jax.random.key(0)
+    )
+    truth = light_field.truth
+    assert truth is not None
+    blind = eqx.tree_at(
+        lambda field: field.disparity_range,
+        light_field.without_truth(),
+        None,
+        is_leaf=lambda leaf: leaf is None,
+    )
+    points = _points(blind)
+    keep = np.asarray(points.valid)
+    x, y = np.clip(np.rint(np.asarray(points.xy)[keep]).astype(int).T, 0, [[255], [191]])
+    hit = np.ones((192, 256), bool)
+    hit[y, x] = False
+    near = np.asarray(ndimage.distance_transform_edt(hit)) <= 2
+    assert near[depth_edges(np.asarray(truth.disparity))].mean() >= 0.85
+    d = np.asarray(points.disparity)[keep]
+    low, high = np.quantile(np.asarray(truth.disparity), [0.01, 0.99])
+    assert np.mean((d > low - 0.5) & (d < high + 0.5)) > 0.97
 
 
 def test_a_view_that_does_not_show_a_point_is_told():
