@@ -25,13 +25,11 @@ class Level(NamedTuple):
 
     Attributes:
         root: square roots of the numbers that it is scaled by.
-        diagonal: the scaled diagonal, or None where it is 1.
-        stencil: the scaled edges; the mass is that of the unscaled matrix.
+        stencil: the scaled edges; the mass is that of the unscaled matrix. The diagonal is 1.
         weights: interpolation from the next level, unscaled.
     """
 
     root: Array
-    diagonal: Array | None
     stencil: Stencil
     weights: Interpolation
 
@@ -134,8 +132,7 @@ def _smooth(value: Array, right: Array, level: Level, factors: Array) -> Array:
 
 
 def _residual(value: Array, right: Array, level: Level) -> Array:
-    own = value if level.diagonal is None else level.diagonal * value
-    return right - own + ties(level.stencil, value)
+    return right - value + ties(level.stencil, value)
 
 
 def _factors(dtype: jnp.dtype) -> Array:
@@ -146,8 +143,7 @@ def _factors(dtype: jnp.dtype) -> Array:
 
 
 def _scale(stencil: Stencil, weights: Interpolation) -> Level:
-    diagonal, size = degree(stencil)
-    root = jnp.sqrt(size)
+    root = jnp.sqrt(degree(stencil))
     inverse = _inverse(root)
     diagonals: list[Array | None] = [None, None]
     if stencil.falling is not None and stencil.rising is not None:
@@ -161,8 +157,7 @@ def _scale(stencil: Stencil, weights: Interpolation) -> Level:
         stencil.ty * inverse[..., 1:, :] * inverse[..., :-1, :],
         *diagonals,
     )
-    flat = stencil.falling is None
-    return Level(root, None if flat else diagonal * inverse**2, scaled, weights)
+    return Level(root, scaled, weights)
 
 
 def _inverse(root: Array) -> Array:

@@ -1,5 +1,6 @@
 """Preconditioned conjugate gradients on a batch of images, each with its own stopping."""
 
+import math
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -20,6 +21,8 @@ class Iterate(NamedTuple):
 
 
 class _State(NamedTuple):
+    probes: Array
+    slowest: Array
     value: Array
     residual: Array
     direction: Array
@@ -41,6 +44,7 @@ def pcg(
     absolute: Array,
     relative: Array,
     *,
+    probes: Array,
     stop: str,
     max_iterations: int,
 ) -> Iterate:
@@ -56,6 +60,10 @@ def pcg(
         keep: pixels that take part; elsewhere the solution stays 0.
         absolute: part of the threshold for the measure of error.
         relative: part of the threshold, as a share of the largest entry of the solution.
+        probes: steps that are spent on probing the preconditioner before the solve. They apply
+            one minus the preconditioned matrix to waves, which leaves what the preconditioner
+            misses: conjugate gradients take long to notice a region that hangs on the rest by
+            edges a million times weaker than its own, as its residual is as small.
         stop: `"error"` measures the largest entry of the preconditioned residual, `"residual"`
             the root of the sum of squares of the residual.
         max_iterations: number of steps at most.
@@ -63,46 +71,67 @@ def pcg(
     Returns:
         The solution and its statistics.
     """
+    right = residual
+    lowest = 4 * jnp.finfo(right.dtype).eps
 
     def step(state: _State) -> _State:
         estimated_error = jnp.where(keep, precondition(state.residual), 0)
+        probing = state.probes > 0
         energy = inner(state.residual, estimated_error)
         mixture = jnp.where(state.energy > 0, energy / _nonzero(state.energy), 0)
-        direction = estimated_error + spread(mixture) * state.direction
+        factor = jnp.where(probing, -1, mixture)
+        direction = estimated_error + spread(factor) * state.direction
         moved = product(coefficients, direction)
         curvature = inner(direction, moved)
         able = state.active & (curvature > 0) & (energy > 0) & jnp.isfinite(energy / curvature)
+        able = able & ~probing
         length = jnp.where(able, energy / _nonzero(curvature), 0)
         longest, last = _longest(state, mixture, length)
-        value = state.value + spread(length) * direction
+        # Selected, not multiplied by zero: what cannot be used may be infinite.
+        value = jnp.where(spread(able), state.value + spread(length) * direction, state.value)
         residual = state.residual - spread(length) * moved
+        residual = jnp.where(spread(able), residual, state.residual)
+        # What is left of the probe, next to what there was before this step.
+        left = largest(direction) / _nonzero(largest(state.direction))
+        slowest = jnp.where(probing, jnp.clip(1 - left, lowest, 1), state.slowest)
+        last_probe = state.probes == 1
+        residual = jnp.where(spread(probing), moved, residual)
+        residual = jnp.where(spread(last_probe), right, residual)
+        direction = jnp.where(spread(last_probe), 0, direction)
         if stop == "error":
             # The step is taken after its estimate has been made, so that the answer is better
             # than the estimate by about the factor of one iteration.
-            estimate = largest(estimated_error) * jnp.maximum(longest, 1)
+            estimate = largest(estimated_error) * jnp.maximum(longest, 1 / state.slowest)
         else:
             estimate = jnp.sqrt(inner(residual, residual))
-        converged = estimate <= absolute + relative * largest(value)
+        converged = ~probing & (estimate <= absolute + relative * largest(value))
+        solving = state.active & ~probing
         return _State(
-            value,
-            residual,
-            direction,
-            energy,
-            length,
-            longest,
-            last,
-            state.iterations + state.active.astype(jnp.int32),
-            jnp.where(state.active, estimate, state.estimate),
-            jnp.where(state.active, converged, state.converged),
-            able & ~converged & (state.iterations + 1 < max_iterations),
+            probes=jnp.maximum(state.probes - 1, 0),
+            slowest=slowest,
+            value=value,
+            residual=residual,
+            direction=direction,
+            energy=jnp.where(probing, 0, energy),
+            length=length,
+            longest=longest,
+            last=last,
+            iterations=state.iterations + solving.astype(jnp.int32),
+            estimate=jnp.where(solving, estimate, state.estimate),
+            converged=jnp.where(state.active, converged, state.converged),
+            active=probing | (able & ~converged & (state.iterations + 1 < max_iterations)),
         )
 
-    zero = jnp.zeros(residual.shape[:-2], residual.dtype)
-    nothing = jnp.zeros_like(residual)
+    zero = jnp.zeros(right.shape[:-2], right.dtype)
+    nothing = jnp.zeros_like(right)
+    probing = spread(probes > 0)
+    probe = jnp.where(keep, _probe(right), 0)
     state = _State(
+        probes=probes,
+        slowest=jnp.ones_like(zero),
         value=nothing,
-        residual=residual,
-        direction=nothing,
+        residual=jnp.where(probing, product(coefficients, probe), right),
+        direction=jnp.where(probing, probe, 0),
         energy=zero,
         length=zero,
         longest=zero,
@@ -114,6 +143,22 @@ def pcg(
     )
     state = lax.while_loop(lambda state: jnp.any(state.active), step, state)
     return Iterate(state.value, state.iterations, state.estimate, state.converged)
+
+
+def _probe(like: Array) -> Array:
+    """Waves of several lengths and directions on 1: different in every region, smooth inside.
+
+    Noise would do too, but float32 loses what it leaves behind to the rounding of its residual.
+    """
+    rows, columns = (
+        lax.broadcasted_iota(jnp.int32, like.shape, like.ndim - k).astype(like.dtype)
+        for k in (2, 1)
+    )
+    total = jnp.ones_like(like)
+    for length, angle in ((17.0, 0.4), (29.0, 2.0), (61.0, 1.1), (151.0, 2.7)):
+        phase = math.cos(angle) * columns + math.sin(angle) * rows
+        total = total + 0.5 * jnp.sin(2 * math.pi / length * phase)
+    return total
 
 
 def _nonzero(value: Array) -> Array:

@@ -34,7 +34,7 @@ class Solver(eqx.Module):
     tolerance: Float[Array, ""] | float = number(1e-4)
     preconditioner: str = eqx.field(static=True, default="auto")
     stop: str = eqx.field(static=True, default="error")
-    max_iterations: int = eqx.field(static=True, default=200)
+    max_iterations: int = eqx.field(static=True, default=1000)
 
     def __check_init__(self) -> None:
         for name, options in (("preconditioner", _PRECONDITIONERS), ("stop", _STOPS)):

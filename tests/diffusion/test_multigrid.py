@@ -28,11 +28,12 @@ def test_coarse_matrix_is_the_galerkin_product(shape):
     y, x = shape
     keys = jax.random.split(jax.random.key(0), 4)
     weight = jax.random.uniform(keys[0], shape)
-    # Strong isolated data give negative row sums, which are cut off: not here.
+    # Strong isolated data give negative row sums and strongly uneven edges negative ones, which
+    # are cut off: not here.
     stencil = Stencil(
         jnp.where(jax.random.bernoulli(keys[1], 0.4, shape), weight, 0),
-        jax.random.uniform(keys[2], (y, x - 1)),
-        jax.random.uniform(keys[3], (y - 1, x)),
+        jax.random.uniform(keys[2], (y, x - 1), minval=0.5),
+        jax.random.uniform(keys[3], (y - 1, x), minval=0.5),
         None,
         None,
     )
@@ -46,6 +47,29 @@ def test_coarse_matrix_is_the_galerkin_product(shape):
         found = dense(lambda image, s=coarse: nine_point(s, image), below)
         np.testing.assert_allclose(found, up.T @ fine @ up, rtol=0, atol=1e-12 * fine.max())
         stencil = coarse
+
+
+def test_no_coarse_matrix_is_smaller_than_the_galerkin_product():
+    """Edges of 1 and 1e-4 at random, where the product itself has negative ones."""
+    shape = (9, 10)
+    keys = jax.random.split(jax.random.key(3), 3)
+    tx = jnp.where(jax.random.bernoulli(keys[0], 0.5, (9, 9)), 1.0, 1e-4)
+    ty = jnp.where(jax.random.bernoulli(keys[1], 0.5, (8, 10)), 1.0, 1e-4)
+    weight = jnp.where(jax.random.bernoulli(keys[2], 0.1, shape), 1e5, 0.0)
+    stencil = Stencil(weight, tx, ty, None, None)
+    cut = []
+    for _ in range(2):
+        coarse, weights = coarsen(stencil)
+        shape, below = stencil.mass.shape, coarse.mass.shape
+        up = dense(lambda image, w=weights, s=shape: interpolate(w, image, s), below)
+        fine = dense(lambda image, s=stencil: nine_point(s, image), shape)
+        found = dense(lambda image, s=coarse: nine_point(s, image), below)
+        galerkin = up.T @ fine @ up
+        cut.append(np.abs(found - galerkin).max())
+        assert np.linalg.eigvalsh(found - galerkin).min() > -1e-9 * np.abs(found).max()
+        assert all(float(maps.min()) >= 0 for maps in jax.tree.leaves(coarse))
+        stencil = coarse
+    assert max(cut) > 1e-3
 
 
 def test_interpolation_keeps_a_constant_where_there_is_no_data():
