@@ -11,7 +11,6 @@ compared is the time from weights and labels to a map.
 import argparse
 import importlib
 import json
-import resource
 import statistics
 import subprocess
 import sys
@@ -27,7 +26,7 @@ import scipy.ndimage
 import scipy.sparse.linalg
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-from _report import print_table, shared_data, write_csv, write_json  # noqa: E402
+from _report import peak_memory, print_table, shared_data, write_csv, write_json  # noqa: E402
 
 from mvedge_jax.diffusion import (  # noqa: E402
     Solver,
@@ -109,6 +108,76 @@ def ours(preconditioner: Any, repeats: int) -> Callable[[System, float], Answer]
         return Answer(0.0, seconds, int(result.stats.iterations), np.asarray(result.value))
 
     return run
+
+
+def epipolar_images(count: int = 512, views: int = 9, width: int = 512, *, seed: int = 0) -> System:
+    """A batch of epipolar-plane images with slanted edges and labels at nine pixels in ten.
+
+    Smoothness follows the gradient as in the angular diffusion of Thesis 6.1, from 1e4 down.
+    """
+    random = np.random.default_rng(seed)
+    steps, columns = np.arange(views)[:, None] - views // 2, np.arange(width)[None]
+    weight = np.where(random.uniform(size=(count, views, width)) < 0.9, 15.0, 0.0)
+    weight[:, views // 2] = 5.0
+    label, smoothness = np.zeros_like(weight), np.zeros_like(weight)
+    for i in range(count):
+        gradient = np.zeros((views, width))
+        for _ in range(25):
+            slope, start = random.uniform(-1.5, 1.5), random.uniform(0, width)
+            edge = start - steps * slope
+            strength = random.exponential(10) * np.clip(1.5 - np.abs(columns - edge), 0, None)
+            gradient = np.maximum(gradient, strength)
+            label[i] = np.where(columns > edge, slope, label[i])
+        smoothness[i] = 0.1 / (gradient**2 + 1e-5)
+    tx = np.minimum(smoothness[..., 1:], smoothness[..., :-1])
+    ty = np.minimum(smoothness[:, 1:], smoothness[:, :-1])
+    return System(*(jnp.asarray(a, jnp.float32) for a in (weight, label, tx, ty)))
+
+
+def batches_and_gradients(repeats: int) -> list[dict[str, Any]]:
+    """A batch of thin systems under `vmap`, and what a gradient costs next to a solve."""
+    rows = []
+    systems = epipolar_images()
+    exact = [
+        scipy.sparse.linalg.spsolve(
+            one.to_scipy().tocsc(), np.asarray(one.right_hand_side()).ravel()
+        )
+        for one in (jax.tree.map(lambda maps, i=i: maps[i], systems) for i in (0, 255))
+    ]
+    for stop in ("residual", "error"):
+        solver = Solver(tolerance=1e-5, stop=stop)
+        function = jax.jit(jax.vmap(lambda system, solver=solver: diffuse(system, solver=solver)))
+        found = jax.block_until_ready(function(systems))
+        seconds = repeat(lambda f=function: jax.block_until_ready(f(systems)), repeats)
+        errors = [
+            np.abs(found.value[i].ravel() - e).max() for i, e in zip((0, 255), exact, strict=True)
+        ]
+        rows.append({
+            "task": f"512 images of 9x512, 1e-5 of the {stop}", "ms": 1e3 * seconds,
+            "iterations": int(found.stats.iterations.max()), "max_error": float(max(errors)),
+            "converged": bool(found.stats.converged.all()),
+        })  # fmt: skip
+    folder = shared_data()
+    path = None if folder is None else folder / "poisson" / "cotton_n5000_w1.npz"
+    if path is not None and path.exists():
+        data = np.load(path)
+        maps = (data["w"], data["d"], data["sx"][:, 1:], data["sy"][1:])
+        system = System(*(jnp.asarray(a, jnp.float32) for a in maps))
+    else:
+        system = generate(512, 1e3)
+    solve = jax.jit(diffuse)
+    both = jax.jit(jax.value_and_grad(lambda system: jnp.sum(diffuse(system).value ** 2)))
+    one, two = (
+        repeat(lambda f=f: jax.block_until_ready(f(system)), 2 * repeats)
+        for f in (solve, both)
+        if jax.block_until_ready(f(system)) is not None
+    )
+    rows += [
+        {"task": "solve of 512x512, 1e-4 of the error", "ms": 1e3 * one},
+        {"task": "value and gradient of it", "ms": 1e3 * two, "solves": two / one},
+    ]
+    keys = ("task", "ms", "solves", "iterations", "max_error", "converged")
+    return [{key: row.get(key) for key in keys} for row in rows]
 
 
 def repeat(function: Callable[[], Any], repeats: int) -> float:
@@ -271,7 +340,7 @@ def measure(
         "setup_s": answer.setup, "solve_s": answer.solve, "total_s": answer.setup + answer.solve,
         "iterations": answer.iterations, "relative_residual": float(residual),
         "max_error": None if exact is None else float(np.abs(value - exact.ravel()).max()),
-        "peak_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
+        "peak_mb": peak_memory() / 2**20,
     }  # fmt: skip
     return row
 
@@ -360,6 +429,9 @@ def main() -> None:
         print_table(found, title=problem.name)
         rows += found
         write_json(arguments.out / "diffusion.json", rows)
+    extra = batches_and_gradients(arguments.repeats)
+    print_table(extra, title="batches and gradients")
+    write_json(arguments.out / "batches.json", extra)
     keys = list(dict.fromkeys(key for row in rows for key in row))
     write_csv(arguments.out / "diffusion.csv", [{k: row.get(k) for k in keys} for row in rows])
     plot(rows, arguments.out / "diffusion.png")
