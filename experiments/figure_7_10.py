@@ -1,7 +1,7 @@
 """Figure 7.10: supervised optimisation over iterations, and error against bytes.
 
 python experiments/figure_7_10.py --data ../shared/data --scenes hci/cotton --grow 18000
-python experiments/figure_7_10.py --scenes hci/cotton --bytes
+python experiments/figure_7_10.py --scenes hci/cotton --only bytes
 """
 
 import argparse
@@ -68,17 +68,18 @@ def main() -> None:
     parser.add_argument("--pieces", type=int, default=5)
     parser.add_argument("--grow", type=int, default=18000)
     parser.add_argument("--raster", type=int, default=1)
-    parser.add_argument("--bytes", action="store_true", help="only the error against bytes")
+    parser.add_argument("--only", choices=["bytes", "curves"], help="half of the experiment")
     parser.add_argument("--points", type=int, nargs="+", default=[500, 2000, 8000, 20000, 50000])
     parser.add_argument("--out", type=Path, default=Path("results/figure_7_10"))
     arguments = parser.parse_args()
     arguments.out.mkdir(parents=True, exist_ok=True)
     for name in arguments.scenes:
         light_field, stem = load_scene(name, arguments.data), name.replace("/", "_")
-        coded = bytes_table(name, light_field, arguments.points)
-        print_table(coded, title="error against bytes")
-        write_csv(arguments.out / f"{stem}_bytes.csv", coded)
-        if arguments.bytes:
+        if arguments.only != "curves":
+            coded = bytes_table(name, light_field, arguments.points)
+            print_table(coded, title="error against bytes")
+            write_csv(arguments.out / f"{stem}_bytes.csv", coded)
+        if arguments.only == "bytes":
             continue
         rows = curve(name, light_field, arguments)
         print_table(rows, title="Figure 7.10")

@@ -126,7 +126,7 @@ def grow(
 
     Free places are used first, then those of the points that contribute least (nearly all are
     points that nearer neighbours hide: recycling is what brings them back, since they receive no
-    gradient of their own).
+    gradient of their own; `ModelSizes.clears` has the measurement).
 
     Args:
         state: of the optimisation.

@@ -54,7 +54,10 @@ class ModelSizes:
         splat: of the splat; its `scale` is the raster's.
         normalised: divide labels by their coverage.
         clears: a point that loses its weight loses its opacity too, so that what it hides comes
-            back. In the thesis a point hides what is behind it whatever its weight.
+            back. In the thesis a point hides what is behind it whatever its weight. Alone this
+            helps little: in `experiments/hidden_points.py`, where 70 % of the points are hidden,
+            many by wrong ones, the error after the optimisation falls by 1 %; recycling hidden
+            points (`grow`) lowers it by 8 %, both together by 11 %.
         pairing: how two pixels' smoothness makes an edge's, see `edge_weights`.
     """
 

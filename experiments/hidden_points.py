@@ -1,0 +1,116 @@
+"""Points that a nearer neighbour hides: what brings them back into the optimisation.
+
+    python experiments/hidden_points.py
+
+A square stands in front of a plane. Some of the points on it and beside it are given a label that
+is too near, so that they hide the right ones around them, which get next to no gradient. The
+supervised optimisation is run with all points opaque as in the thesis, with opacities that fall
+with the weight (`ModelSizes.clears`), with hidden points recycled (`grow`), and with both.
+"""
+
+import argparse
+from pathlib import Path
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from _report import print_table, write_csv
+
+from mvedge_jax.losses import SupervisedWeights
+from mvedge_jax.reconstruct import (
+    DepthModel,
+    ModelParams,
+    ModelSizes,
+    Rates,
+    Supervised,
+    advance,
+    all_at_once,
+    begin,
+    grow,
+    render_model,
+    unlimited,
+    usefulness,
+)
+from mvedge_jax.splatting import SplatSizes
+
+SHAPE = (32, 40)
+PIECES = 4
+
+
+def noisy_points(truth: jax.Array, count: int, share: float, seed: int) -> DepthModel:
+    """Random points with the true labels, a share of them 0.3 to 1 px too near."""
+    rng = np.random.default_rng(seed)
+    xy = rng.uniform(0, [SHAPE[1] - 1, SHAPE[0] - 1], (count, 2))
+    column, row = np.round(xy).astype(int).T
+    label = np.asarray(truth)[row, column]
+    label = label + (rng.random(count) < share) * rng.uniform(0.3, 1.0, count)
+    zero = jnp.zeros(count, jnp.float32)
+    return DepthModel(
+        jnp.asarray(label, jnp.float32),
+        jnp.asarray(xy, jnp.float32),
+        zero,
+        jnp.zeros(SHAPE, jnp.float32),
+        jnp.ones(count, bool),
+    )
+
+
+def main() -> None:
+    """Runs the experiment."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--points", type=int, default=260)
+    parser.add_argument("--share", type=float, default=0.3, help="of points that are too near")
+    parser.add_argument("--iterations", type=int, default=60)
+    parser.add_argument("--seeds", type=int, default=3)
+    parser.add_argument("--out", type=Path, default=Path("results/hidden_points"))
+    arguments = parser.parse_args()
+    truth = jnp.zeros(SHAPE, jnp.float32).at[8:24, 12:28].set(1.0)
+    known, params = jnp.ones(SHAPE, bool), ModelParams()
+    weights = SupervisedWeights(square=jnp.asarray(3.0))
+    rates = Rates(rate=jnp.asarray([0.15, 0.01, 0.08, 0.05]))
+    table = all_at_once(rates, iterations=arguments.iterations)
+    piece = arguments.iterations // PIECES
+    render = eqx.filter_jit(render_model)
+    rows = []
+    for name, clears, recycles in (
+        ("nothing (thesis)", False, False),
+        ("opacity", True, False),
+        ("recycling", False, True),
+        ("both", True, True),
+    ):
+        sizes = ModelSizes(splat=SplatSizes(scale=1, lanes=16), clears=clears)
+        errors, hidden = np.zeros((arguments.seeds, 2)), np.zeros((arguments.seeds, 2))
+        for seed in range(arguments.seeds):
+            model = noisy_points(truth, arguments.points, arguments.share, seed)
+            goal = Supervised(truth, known, unlimited(model), params, weights, sizes)
+            state = begin(model, truth * 0, key=jax.random.key(seed))
+            for at in range(0, PIECES * piece, piece):
+                state, _ = advance(state, table.part(at, at + piece), goal)
+                if recycles and at < (PIECES - 1) * piece:
+                    wrong = jnp.abs(state.disparity - truth)
+                    grown = grow(state, goal, wrong, truth, count=arguments.points // 10)
+                    state = grown.state
+                    assert isinstance(grown.objective, Supervised)
+                    goal = grown.objective
+            for column, theta in enumerate((model, state.best)):
+                found = render(theta, params, sizes).disparity
+                errors[seed, column] = 100 * float(jnp.mean((found - truth) ** 2))
+                use = usefulness(theta, params, sizes)
+                hidden[seed, column] = 100 * float(jnp.mean(use < 0.05))
+        rows.append(
+            {
+                "way back": name,
+                "MSE*100 before": errors[:, 0].mean(),
+                "MSE*100 after": errors[:, 1].mean(),
+                "worst seed": errors[:, 1].max(),
+                "hidden % before": hidden[:, 0].mean(),
+                "hidden % after": hidden[:, 1].mean(),
+            }
+        )
+        print(rows[-1], flush=True)
+    print_table(rows, title="points that a nearer neighbour hides")
+    write_csv(arguments.out / "hidden_points.csv", rows)
+
+
+if __name__ == "__main__":
+    main()
