@@ -121,7 +121,7 @@ def _stages(measure, params: Parameters, light_field, sizes: Sizes) -> None:
         "dense labels",
         eqx.filter_jit(
             lambda a, b, d, p: photometric_labels(
-                a, b, d, p, radius=sizes.radius, window=sizes.window
+                a, b, d, p, radius=sizes.radius, passes=sizes.passes
             )
         ),
         *splines,

@@ -30,7 +30,7 @@ from ._parameters import CentreParams, Parameters, Sizes
 from ._photometric import photometric_labels
 from ._sharpen import sharpen
 from ._smoothness import edge_smoothness
-from ._volume import hypotheses
+from ._volume import hypotheses, noise_variance
 
 
 class DepthStats(NamedTuple):
@@ -84,7 +84,8 @@ def edge_to_depth(params: Parameters, light_field: LightField, sizes: Sizes) -> 
     """Estimates the disparity of every pixel of the centre view.
 
     1. Multi-view edges give precise disparities at image edges (Thesis 4.1).
-    2. Hypotheses: per pixel, the disparity at which the unhidden half of either arm agrees best.
+    2. Hypotheses: per pixel, the disparity at which the unhidden half of either arm agrees best,
+       along paths through the image where the pixel alone does not tell.
     3. Bidirectional diffusion and what surrounds each edge give its surface vector, which
        moves the label onto the surface that it was measured on (4.2.2).
     4. Diffusion (6.1), repeated, between labels weighted by their standard errors: those of the
@@ -139,6 +140,11 @@ def edge_to_depth(params: Parameters, light_field: LightField, sizes: Sizes) -> 
         low = (sizes.edges.first + 1) * step
         high = (sizes.edges.first + sizes.edges.filters - 2) * step
         tried = low + (high - low) * jnp.linspace(0, 1, sizes.hypotheses, dtype=dtype)
+        floor = params.photometric.noise
+        arms = horizontal, vertical
+        measured = noise_variance(*lax.stop_gradient((arms, tried, jnp.zeros_like(floor))))
+        noise = jnp.maximum(jnp.sqrt(measured), floor)
+        params = eqx.tree_at(lambda p: p.photometric.noise, params, noise)
         first = hypotheses(horizontal, vertical, lab, tried, params.volume, window=sizes.window)
     surface = _sides(points, passes, first, horizontal, vertical, params, sizes, shape)
     from_points, hits = _point_labels(points, surface, passes, params, sizes, shape)
@@ -165,7 +171,7 @@ def edge_to_depth(params: Parameters, light_field: LightField, sizes: Sizes) -> 
                 candidate,
                 params.photometric,
                 radius=sizes.radius,
-                window=sizes.window,
+                passes=sizes.passes,
             )
             return measured.residual
 
@@ -276,7 +282,7 @@ def _with_dense(
         disparity,
         params.photometric,
         radius=sizes.radius,
-        window=sizes.window,
+        passes=sizes.passes,
     )
     floor = params.photometric.noise**2
     excess = jnp.maximum(measured.residual, floor) / (params.centre.trust * floor)

@@ -37,12 +37,12 @@ class CentreParams(eqx.Module):
             px.
     """
 
-    precision: Float[Array, ""] = number(0.01)
-    smoothness: Float[Array, ""] = number(2.0)
+    precision: Float[Array, ""] = number(0.006)
+    smoothness: Float[Array, ""] = number(1.5)
     points: Float[Array, ""] = number(0.3)
     agreement: Float[Array, ""] = number(0.15)
     trust: Float[Array, ""] = number(2.0)
-    anchor: Float[Array, ""] = number(0.003)
+    anchor: Float[Array, ""] = number(0.005)
     worse: Float[Array, ""] = number(2.0)
     blur: Float[Array, ""] = number(0.5)
 
@@ -87,7 +87,8 @@ class Sizes:
             6.2); `"naive"`: no surface vectors, labels stay on their edges (Fig. B.1).
         relaxed: keep both sides of an edge with probabilities instead of choosing one.
         solves: diffusions before the sharpening, and again after it.
-        window: half the width of the windows of the dense measurement, px.
+        window: half the width of the windows in which hypotheses are compared, px.
+        passes: over the neighbours whose measurements are shared, see `photometric_labels`.
         sharpening: see `sharpen`; once, between the two rounds of solves.
         median_radius: radius of the weighted median, px.
         levels: slices of the weighted median.
@@ -101,6 +102,7 @@ class Sizes:
     relaxed: bool = False
     solves: int = 2
     window: int = 2
+    passes: int = 2
     sharpening: Sharpening = "clip"
     median_radius: int = 7
     levels: int = 48
@@ -111,6 +113,7 @@ class Sizes:
             ("radius", 1),
             ("solves", 1),
             ("window", 0),
+            ("passes", 0),
             ("median_radius", 1),
             ("levels", 2),
         ):

@@ -26,9 +26,9 @@ class PhotometricParams(eqx.Module):
     """
 
     noise: Float[Array, ""] = number(1.5 / 255)
-    same_surface: Float[Array, ""] = number(0.1)
+    same_surface: Float[Array, ""] = number(0.07)
     largest_step: Float[Array, ""] = number(0.1)
-    outlier: Float[Array, ""] = number(2.0)
+    outlier: Float[Array, ""] = number(1.0)
 
 
 class PhotometricLabels(NamedTuple):
@@ -73,7 +73,7 @@ def photometric_labels(
     params: PhotometricParams,
     *,
     radius: int,
-    window: int,
+    passes: int,
 ) -> PhotometricLabels:
     r"""One Gauss-Newton step of every pixel's disparity towards photo-consistency.
 
@@ -89,7 +89,7 @@ def photometric_labels(
         disparity: the map to improve, px per view step, `[y, x]`.
         params: see `PhotometricParams`.
         radius: how far occluders are looked for, px.
-        window: half the width of the neighbourhood, px.
+        passes: over the neighbourhood: 1 for 3x3 pixels, 2 for 7x7, 3 for 15x15.
 
     Returns:
         Labels with their variances. Differentiable with respect to views, disparity, parameters.
@@ -98,7 +98,7 @@ def photometric_labels(
     across = _arm_normal(horizontal, disparity, params, radius)
     down = _arm_normal(vertical, disparity.T, params, radius)
     own = _Normal(*(a + b.T for a, b in zip(across, down, strict=True)))
-    total = _gather(own, disparity, params, window)
+    total = _gather(own, disparity, params, passes)
     channels = horizontal.planes.shape[1]
     freedom = jnp.maximum(channels * total.freedom, 1)
     residual = jnp.maximum(total.residual, 0) / freedom
@@ -111,22 +111,35 @@ def photometric_labels(
     return PhotometricLabels(disparity + step, variance, residual)
 
 
-def _gather(own: _Normal, disparity: Array, params: PhotometricParams, window: int) -> _Normal:
-    """Sums the normal equations over neighbours on the same surface."""
-    size = 2 * window + 1
-    padded = jax.tree.map(lambda a: jnp.pad(a, window), own)
-    near = jnp.pad(disparity, window, mode="edge")
+def _gather(own: _Normal, disparity: Array, params: PhotometricParams, passes: int) -> _Normal:
+    """Sums the normal equations over neighbours on the same surface.
+
+    Passes over 3x3 pixels, each twice as far apart as the one before: the window of the second is
+    7x7, that of the third 15x15, for 9 terms a pass.
+    """
+    total = own
+    for step in (2**i for i in range(passes)):
+        total = _gather3(total, disparity, params, step)
+    return total
+
+
+def _gather3(own: _Normal, disparity: Array, params: PhotometricParams, step: int) -> _Normal:
+    padded = jax.tree.map(lambda a: jnp.pad(a, step), own)
+    near = jnp.pad(disparity, step, mode="edge")
+    taps = jnp.asarray([0.5, 1.0, 0.5], disparity.dtype)
 
     def add(total: _Normal, offset: Array) -> tuple[_Normal, None]:
-        start = (offset // size, offset % size)
+        row, column = offset // 3, offset % 3
+        start = (row * step, column * step)
         other = lax.dynamic_slice(near, start, disparity.shape)
         same = jnp.exp(-(((other - disparity) / params.same_surface) ** 2))
+        weight = taps[row] * taps[column] * same
         return jax.tree.map(
-            lambda t, p: t + same * lax.dynamic_slice(p, start, disparity.shape), total, padded
+            lambda t, p: t + weight * lax.dynamic_slice(p, start, disparity.shape), total, padded
         ), None
 
     zero = jax.tree.map(jnp.zeros_like, own)
-    total, _ = lax.scan(jax.checkpoint(add), zero, jnp.arange(size * size))
+    total, _ = lax.scan(jax.checkpoint(add), zero, jnp.arange(9))
     return total
 
 

@@ -9,6 +9,8 @@ from jaxtyping import Array, Float
 from mvedge_jax._crosshair import Arm
 from mvedge_jax._params import cast, number
 
+from ._paths import aggregate
+
 
 class VolumeParams(eqx.Module):
     """Parameters of the hypotheses.
@@ -18,11 +20,18 @@ class VolumeParams(eqx.Module):
             that a view in which the pixel is hidden says nothing, instead of a lot.
         noise_floor: least noise assumed, standard deviation in units of sRGB.
         colour: neighbours whose CIELAB colour differs by much more than this do not take part.
+        slant: price of a change by one hypothesis between neighbouring pixels; of 2, the cost of a
+            pixel that no view confirms.
+        jump: price of a larger change between pixels of the same colour.
+        jump_colour: step of CIELAB colour that halves the price of a jump.
     """
 
     truncation: Float[Array, ""] = number(4.0)
     noise_floor: Float[Array, ""] = number(1.0 / 255)
     colour: Float[Array, ""] = number(4.0)
+    slant: Float[Array, ""] = number(0.05)
+    jump: Float[Array, ""] = number(0.8)
+    jump_colour: Float[Array, ""] = number(4.0)
 
 
 def hypotheses(
@@ -41,46 +50,71 @@ def hypotheses(
     $\min(C_{left}, C_{right}) + \min(C_{above}, C_{below})$, each a mean of truncated
     squared colour differences to the centre view over a colour-weighted window.
 
+    These costs are summed along paths through the image, so that pixels that the views say little
+    about follow their surroundings; see `aggregate`.
+
     Args:
         horizontal: the horizontal arm.
         vertical: the vertical arm, transposed.
         lab: the centre view in CIELAB, `[c, y, x]`.
-        disparities: what to try, px per view step, increasing.
+        disparities: what to try, px per view step, increasing, evenly spaced.
         params: see `VolumeParams`.
         window: half the width of the window, px.
 
     Returns:
-        One of `disparities` per pixel. A selection: no gradient passes.
+        Disparity per pixel, between the hypotheses by a parabola. A selection: no gradient passes.
     """
     params = cast(params, lab.dtype)
     horizontal, vertical, lab, disparities, params = lax.stop_gradient(
         (horizontal, vertical, lab, disparities, params)
     )
-    noise = noise_variance(horizontal, disparities, params.noise_floor)
+    noise = noise_variance((horizontal, vertical), disparities, params.noise_floor)
     truncation = params.truncation * horizontal.planes.shape[1] * noise
     support = _colour_weights(lab, params.colour, window)
 
-    def consider(best: tuple[Array, Array], disparity: Array) -> tuple[tuple[Array, Array], None]:
+    def cost(disparity: Array) -> Array:
         left, right, above, below = agreement(horizontal, vertical, disparity, truncation)
         left, right, above, below = (
-            _weighted_mean(cost, support, window) for cost in (left, right, above, below)
+            _weighted_mean(part, support, window) for part in (left, right, above, below)
         )
-        cost = jnp.minimum(left, right) + jnp.minimum(above, below)
-        better = cost < best[0]
-        return (jnp.where(better, cost, best[0]), jnp.where(better, disparity, best[1])), None
+        return (jnp.minimum(left, right) + jnp.minimum(above, below)) / truncation
 
-    start = jnp.full_like(lab[0], jnp.inf), jnp.full_like(lab[0], disparities[0])
-    return lax.scan(consider, start, disparities)[0][1]
+    total = aggregate(
+        lax.map(cost, disparities),
+        lab,
+        slant=params.slant,
+        jump=params.jump,
+        colour=params.jump_colour,
+    )
+    return _cheapest(total, disparities)
+
+
+def _cheapest(total: Float[Array, "d y x"], disparities: Float[Array, " d"]) -> Array:
+    """The disparity of least cost, refined by a parabola through it and its neighbours."""
+    count = disparities.shape[0]
+    winner = jnp.argmin(total, axis=0)[None]
+    inner = jnp.clip(winner, 1, max(count - 2, 1))
+
+    def at(index: Array) -> Array:
+        return jnp.take_along_axis(total, jnp.clip(index, 0, count - 1), axis=0)[0]
+
+    before, here, after = at(inner - 1), at(inner), at(inner + 1)
+    bend = before - 2 * here + after
+    shift = 0.5 * (before - after) / jnp.where(bend > 0, bend, 1)
+    shift = jnp.where((bend > 0) & (winner == inner)[0], jnp.clip(shift, -0.5, 0.5), 0)
+    spacing = (disparities[-1] - disparities[0]) / (count - 1)
+    return disparities[winner[0]] + spacing * shift
 
 
 def noise_variance(
-    arm: Arm, disparities: Float[Array, " d"], floor: Float[Array, ""]
+    arms: tuple[Arm, Arm], disparities: Float[Array, " d"], floor: Float[Array, ""]
 ) -> Float[Array, ""]:
     """Variance of a colour channel that the best disparity leaves unexplained.
 
-    The median over every eighth row of the smallest mean squared difference between two views,
-    over two, but never less than `floor` squared.
+    The median over every eighth row of the smallest mean squared difference between two views of
+    the longer arm, over two, but never less than `floor` squared nor more than a tenth squared.
     """
+    arm = max(arms, key=lambda a: a.planes.shape[0])
     rows = arm._replace(planes=arm.planes[:, :, ::8])
     wide = jnp.asarray(1e3, arm.planes.dtype)
 
@@ -93,7 +127,8 @@ def noise_variance(
 
     start = jnp.full(rows.planes.shape[2:], jnp.inf, arm.planes.dtype)
     best, _ = lax.scan(consider, start, disparities)
-    return jnp.maximum(jnp.median(best) / (2 * arm.planes.shape[1]), floor**2)
+    variance = jnp.minimum(jnp.median(best) / (2 * arm.planes.shape[1]), 0.01)
+    return jnp.maximum(variance, floor**2)
 
 
 def _colour_weights(lab: Array, scale: Array, window: int) -> Array:
@@ -168,13 +203,15 @@ def _half_arms(arm: Arm, disparity: Array, truncation: Array) -> tuple[Array, Ar
                 square = square + (value - reference) ** 2
             return total + there * (truncation * square / (square + truncation)), None
 
-        chosen = np.asarray(views)
+        chosen = np.asarray(views, int)
         padding = ((0, 0), (0, 0), (0, 0), (width, width + 3))
         planes = jnp.pad(arm.planes[chosen], padding, mode="edge")
         there = arm.available[chosen].astype(arm.planes.dtype)
         start = jnp.zeros((height, width), arm.planes.dtype)
         total, _ = lax.scan(add, start, (planes, arm.steps[chosen], there))
-        return total / jnp.maximum(jnp.sum(there), 1)
+        count = jnp.sum(there)
+        # A half without views confirms nothing.
+        return jnp.where(count > 0, total / jnp.maximum(count, 1), truncation)
 
     return half(before), half(after)
 

@@ -51,7 +51,7 @@ def test_one_trace_serves_every_parameter(edges_scene):
     sizes = Sizes.for_light_field(edges_scene, **SMALL)
     run, traces = count_traces(lambda p: edge_to_depth(p, blind, sizes).disparity)
     first = run(Parameters())
-    changed = eqx.tree_at(lambda p: p.centre.smoothness, Parameters(), jnp.asarray(9.0))
+    changed = eqx.tree_at(lambda p: p.centre.smoothness, Parameters(), replace_fn=lambda s: 6 * s)
     second = run(changed)
     assert traces() == 1
     assert float(jnp.abs(first - second).max()) > 1e-4
@@ -94,7 +94,8 @@ def test_every_leaf_has_a_finite_gradient_that_matches_differences():
     light_field = small_scene(shape=(3, 3, 32, 40), dtype=np.float64)
     truth = light_field.truth.disparity.astype(np.float64)
     blind = light_field.without_truth()
-    sizes = Sizes.for_light_field(light_field, **SMALL)
+    # The median selects, so its own derivative is no part of the gradient.
+    sizes = Sizes.for_light_field(light_field, sharpening="none", **SMALL)
     params = Parameters()
     moving, rest = eqx.partition(params, eqx.is_inexact_array)
 
