@@ -29,4 +29,5 @@ from ._range import disparity_range as disparity_range
 from ._refine import Refined as Refined, refine_points as refine_points
 from ._response import bank_response as bank_response, sheared_response as sheared_response
 from ._support import neighbour_support as neighbour_support
+from ._thesis import ThesisParams as ThesisParams, ThesisSteps as ThesisSteps
 from ._vote import spatial_vote as spatial_vote

@@ -1,12 +1,13 @@
 """The whole point stage: light field in, multi-view edge points out."""
 
+import math
 from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
 from .._params import cast
 from ..color import srgb_to_gray, srgb_to_lab
@@ -20,6 +21,7 @@ from ._refine import Refined, no_points, refine_chunks, refinement_reach
 from ._search import Maps, search
 from ._spline import spline_coefficients
 from ._support import neighbour_support
+from ._thesis import ThesisParams, thesis_points
 
 
 def scene_banks(
@@ -97,6 +99,10 @@ def measure_candidates(light_field: LightField, params: EdgeParams, sizes: EdgeS
     )
 
     blank = no_points(sizes.capacity, sum(light_field.views.shape[:2]), light_field.views.dtype)
+    # The border itself, not what is beside it: there the nearer disparity fits a plain surface too.
+    # The border itself, not what is beside it: a plain surface fits the nearer disparity there, too.
+    strongest = lax.stop_gradient(centre.max(0))
+    ridge = (strongest > 0.9 * _highest(strongest))[row, column]
     reach = refinement_reach(max(light_field.views.shape[:2]))
 
     def attempt(carry: _Attempts, index: Int[Array, ""]) -> tuple[_Attempts, None]:
@@ -134,7 +140,7 @@ def measure_candidates(light_field: LightField, params: EdgeParams, sizes: EdgeS
             image = flat.at[place].set(lax.stop_gradient(refined.disparity), mode="drop")
             front = _highest(image.reshape(shape))[row, column]
             between = front - refined.disparity > reach
-            return jnp.isfinite(front) & candidates.valid & (between | ~passes), front
+            return jnp.isfinite(front) & candidates.valid & ridge & (between | ~passes), front
 
         wanted, start = lax.cond(
             index == 1, nearer, lambda: (candidates.valid & ~passes, maps.disparity[row, column])
@@ -150,8 +156,51 @@ def measure_candidates(light_field: LightField, params: EdgeParams, sizes: EdgeS
     return Measured(maps, centre, candidates, refined)
 
 
+def _thesis_edges(
+    light_field: LightField, params: EdgeParams, sizes: EdgeSizes, key: PRNGKeyArray | None
+) -> Edges:
+    assert sizes.thesis is not None
+    own = ThesisParams() if params.thesis is None else params.thesis
+    found = thesis_points(
+        (
+            srgb_to_lab(light_field.horizontal_arm),
+            srgb_to_lab(jnp.swapaxes(light_field.vertical_arm, 1, 2)),
+        ),
+        light_field.centre_view,
+        scene_banks(params, sizes, light_field.views.shape[:2]),
+        cast(own, light_field.views.dtype),
+        params.strength_floor,
+        sizes.thesis,
+        capacity=sizes.capacity,
+        key=key,
+    )
+    height, width = light_field.views.shape[2:4]
+    column = jnp.clip(jnp.round(found.xy[:, 0]).astype(jnp.int32), 0, width - 1)
+    row = jnp.clip(jnp.round(found.xy[:, 1]).astype(jnp.int32), 0, height - 1)
+    normal = unit_gradient(srgb_to_gray(light_field.centre_view))[row, column]
+    confidence = found.strength / (found.strength + params.confidence_scale)
+    # All that is known of a line's precision is the spacing of the filters.
+    error = jnp.broadcast_to(params.step / math.sqrt(12), found.disparity.shape)
+    points = EdgePoints(
+        found.xy, found.disparity, confidence, error, normal, found.visible, found.valid
+    )
+    points = jax.tree.map(
+        lambda leaf: jnp.where(
+            found.valid.reshape(-1, *[1] * (leaf.ndim - 1)), leaf, jnp.zeros_like(leaf)
+        ),
+        points,
+    )
+    return Edges(points, EdgeStats(found.lines, found.overflow, found.kept, found.valid.sum()))
+
+
 @eqx.filter_jit
-def multiview_edges(light_field: LightField, params: EdgeParams, sizes: EdgeSizes) -> Edges:
+def multiview_edges(
+    light_field: LightField,
+    params: EdgeParams,
+    sizes: EdgeSizes,
+    *,
+    key: PRNGKeyArray | None = None,
+) -> Edges:
     """Finds edge points with accurate disparities, from the crosshair of a light field.
 
     1. A bank of oriented Prewitt filters gives edge strength and position along every horizontal
@@ -168,11 +217,16 @@ def multiview_edges(light_field: LightField, params: EdgeParams, sizes: EdgeSize
     Args:
         light_field: only the crosshair of views is read; ground truth is not.
         params: see `EdgeParams`.
-        sizes: see `EdgeSizes.for_light_field`.
+        sizes: see `EdgeSizes.for_light_field`. With `sizes.thesis`, the thesis' own chain runs
+            instead: fitted lines, alignment, vote, entropy search, joint filter (`ThesisSteps`).
+        key: for the entropy search of that chain; nothing else is random.
 
     Returns:
         Points and statistics. Positions, disparities, confidences and errors are differentiable
         in the views and in every continuous parameter, at the selection made.
+
+    Raises:
+        ValueError: if the entropy search is asked for without `key`.
 
     Source: Thesis 4.1; REFERENCE_NOTES sections 1-9, 23 and 24 for where and why it differs.
 
@@ -184,6 +238,8 @@ def multiview_edges(light_field: LightField, params: EdgeParams, sizes: EdgeSize
         0
     """
     params = cast(params, light_field.views.dtype)
+    if sizes.thesis is not None:
+        return _thesis_edges(light_field, params, sizes, key)
     maps, centre, candidates, refined = measure_candidates(light_field, params, sizes)
     row, column = candidates.row, candidates.column
     error = standard_error(refined, params)

@@ -10,6 +10,7 @@ from .._params import number
 from ..lightfield import LightField
 from ._bank import FilterBank, bank_radius
 from ._range import disparity_range
+from ._thesis import ThesisParams, ThesisSteps
 
 
 class EdgeParams(eqx.Module):
@@ -40,6 +41,8 @@ class EdgeParams(eqx.Module):
             point.
         noise_floor: variance of the quantisation, grey levels squared; 8 bits by default.
         error_floor: smallest standard error, px: interpolation and calibration are not perfect.
+        thesis: parameters of the thesis' own chain, which `EdgeSizes.thesis` asks for; None for
+            its defaults.
     """
 
     banks: tuple[FilterBank, FilterBank] | None = None
@@ -58,6 +61,7 @@ class EdgeParams(eqx.Module):
     visibility_limit: Float[Array, ""] = number(1.0)
     noise_floor: Float[Array, ""] = number(0.013)
     error_floor: Float[Array, ""] = number(0.0005)
+    thesis: ThesisParams | None = None
 
 
 @dataclass(frozen=True)
@@ -74,6 +78,8 @@ class EdgeSizes:
         chunk: points refined at a time.
         spacing: spacing of the filters, thousandths of a px: `EdgeParams.step`, as far as the
             reach of the taps depends on it.
+        thesis: run the thesis' own chain, with these steps, instead of the search for
+            photo-consistency; for comparison.
     """
 
     first: int
@@ -84,6 +90,7 @@ class EdgeSizes:
     tile: int = 64
     chunk: int = 128
     spacing: int = 100
+    thesis: ThesisSteps | None = None
 
     def __post_init__(self):
         if self.filters < 3:
