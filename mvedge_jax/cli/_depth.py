@@ -18,6 +18,7 @@ from ..lightfield import LightField
 from ..metrics import boundary_scores, depth_scores
 from ..reconstruct import DepthResult, Parameters, Sizes, edge_to_depth
 from ._common import note, output_folder, stage, warn
+from ._points import valid_points, write_points
 
 _COLUMNS = {
     "mse": "MSE*100",
@@ -45,8 +46,9 @@ def depth(
     """Estimates the disparity of every pixel of a light field's centre view.
 
     OUT gets disparity.pfm, disparity16.png (its range is in report.json), disparity.png in colour,
-    confidence.png, points.npz, report.json and, where the camera is known, depth.pfm in metres.
-    With ground truth: error maps and scores over the whole frame and without 15 px per side.
+    confidence.png, points.npz, points.csv, report.json and, where the camera is known, depth.pfm in
+    metres. With ground truth: error maps and scores, over the whole frame and without 15 px per
+    side.
 
     Args:
         scene: folder or file of a light field; `mvedge info` tells what it is.
@@ -109,18 +111,9 @@ def _write(folder: Path, light_field: LightField, result: DepthResult) -> None:
     plotting.plot_disparity(disparity).savefig(folder / "disparity.png")
     if light_field.camera is not None:
         write_pfm(folder / "depth.pfm", np.asarray(light_field.camera.depth(result.disparity)))
-    points, surface = result.points, result.surface
-    keep = np.asarray(points.valid)
-    np.savez_compressed(
-        folder / "points.npz",
-        xy=np.asarray(points.xy)[keep],
-        disparity=np.asarray(points.disparity)[keep],
-        confidence=np.asarray(points.confidence)[keep],
-        error=np.asarray(points.error)[keep],
-        normal=np.asarray(points.normal)[keep],
-        visible=np.asarray(points.visible)[keep],
-        surface_vector=np.asarray(surface.offset)[keep],
-    )
+    keep = np.asarray(result.points.valid)
+    surface = np.asarray(result.surface.offset)[keep]
+    write_points(folder, valid_points(result.points), surface=surface)
 
 
 def _image(path: Path, image: np.ndarray) -> None:

@@ -11,11 +11,10 @@ import tyro
 
 from .. import plotting
 from ..datasets import load_light_field
-from ..epi import EdgeParams, EdgePoints, Edges, EdgeSizes, multiview_edges
+from ..epi import EdgeParams, Edges, EdgeSizes, multiview_edges
 from ..lightfield import LightField
 from ._common import note, output_folder, stage, warn
-
-_HEADER = "x,y,disparity,confidence,standard_error,normal_x,normal_y,views"
+from ._points import valid_points, write_points
 
 
 def edges(
@@ -86,33 +85,9 @@ def edges(
     note(f"{seconds:.1f} s; written to {out}")
 
 
-def _valid(points: EdgePoints) -> EdgePoints:
-    """The points without empty slots, on the host."""
-    keep = np.asarray(points.valid)
-    return jax.tree.map(lambda leaf: np.asarray(leaf)[keep], points)
-
-
 def _write(folder: Path, light_field: LightField, found: Edges) -> None:
-    points = _valid(found.points)
-    fields = vars(points)
-    np.savez_compressed(
-        folder / "points.npz",
-        **{name: value for name, value in fields.items() if name != "valid"},
-    )
-    table = np.column_stack(
-        [
-            points.xy,
-            points.disparity,
-            points.confidence,
-            points.error,
-            points.normal,
-            points.visible.sum(1),
-        ]
-    )
-    formats = ["%.3f"] * 2 + ["%.5f"] * 2 + ["%.2e"] + ["%.4f"] * 2 + ["%d"]
-    np.savetxt(
-        folder / "points.csv", table, fmt=formats, delimiter=",", header=_HEADER, comments=""
-    )
+    points = valid_points(found.points)
+    write_points(folder, points)
     if not len(points.disparity):
         warn("no edges were found; there is nothing to draw.")
         return
