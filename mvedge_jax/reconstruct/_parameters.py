@@ -39,7 +39,7 @@ class CentreParams(eqx.Module):
 
     precision: Float[Array, ""] = number(0.006)
     smoothness: Float[Array, ""] = number(1.5)
-    points: Float[Array, ""] = number(0.3)
+    points: Float[Array, ""] = number(0.5)
     agreement: Float[Array, ""] = number(0.15)
     trust: Float[Array, ""] = number(2.0)
     anchor: Float[Array, ""] = number(0.005)

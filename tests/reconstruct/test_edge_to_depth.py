@@ -212,7 +212,7 @@ def test_adam_lowers_the_loss_on_another_scene_too():
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "bars"),
-    [("cotton", (0.58, 0.18, 25, 8, 2.5)), ("backgammon", (5.6, 0.2, 25, 9, 5))],
+    [("cotton", (0.58, 0.15, 25, 8, 2.5)), ("backgammon", (5.6, 0.2, 25, 9, 5))],
 )
 def test_benchmark_scenes(name, bars):
     light_field = load_light_field(shared_data("hci", name))
