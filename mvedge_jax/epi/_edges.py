@@ -100,7 +100,6 @@ def measure_candidates(light_field: LightField, params: EdgeParams, sizes: EdgeS
 
     blank = no_points(sizes.capacity, sum(light_field.views.shape[:2]), light_field.views.dtype)
     # The border itself, not what is beside it: there the nearer disparity fits a plain surface too.
-    # The border itself, not what is beside it: a plain surface fits the nearer disparity there, too.
     strongest = lax.stop_gradient(centre.max(0))
     ridge = (strongest > 0.9 * _highest(strongest))[row, column]
     reach = refinement_reach(max(light_field.views.shape[:2]))
