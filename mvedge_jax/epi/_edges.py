@@ -243,7 +243,9 @@ def multiview_edges(
     row, column = candidates.row, candidates.column
     error = standard_error(refined, params)
     mismatch = refined.mismatch
-    precise = candidates.valid & (error < params.error_limit)
+    # Where a lens gives no light at all, only the sensor's own pattern agrees between the views.
+    lit = _highest(100 * srgb_to_gray(light_field.centre_view)) > params.dark_limit
+    precise = candidates.valid & lit[row, column] & (error < params.error_limit)
     consistent = precise & (mismatch < params.residual_limit)
 
     shape = maps.disparity.shape

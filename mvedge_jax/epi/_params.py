@@ -33,6 +33,8 @@ class EdgeParams(eqx.Module):
         contrast_floor: added to the contrast where residuals are compared with it.
         residual_limit: largest residual, relative to the contrast, of an accepted point half of
             whose neighbours agree with it; in proportion for other shares.
+        dark_limit: grey level that some pixel of the 5x5 around a point must exceed: two of 255
+            steps, as in the vignetted corners of a lenslet camera.
         error_limit: largest standard error of an accepted point, px.
         support_radius: standard deviation, px, of the neighbourhood that votes.
         support_tolerance: disparity difference, px, at which a neighbour's vote is one half.
@@ -54,6 +56,7 @@ class EdgeParams(eqx.Module):
     strength_floor: Float[Array, ""] = number(0.1)
     contrast_floor: Float[Array, ""] = number(0.05)
     residual_limit: Float[Array, ""] = number(0.4)
+    dark_limit: Float[Array, ""] = number(0.8)
     error_limit: Float[Array, ""] = number(0.03)
     support_radius: Float[Array, ""] = number(2.0)
     support_tolerance: Float[Array, ""] = number(0.1)
