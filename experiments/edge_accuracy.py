@@ -1,12 +1,13 @@
 """Accuracy of the multi-view edges against ground truth, after each step and against nuisances.
 
     python experiments/edge_accuracy.py cotton backgammon --data ../shared/data
-    python experiments/edge_accuracy.py synthetic:demo synthetic:wide --sweeps
+    python experiments/edge_accuracy.py synthetic:demo synthetic:wide --sweep
 
 A point sits between two surfaces: the error is that of the best of the 3x3 pixels around it, and
 that of the nearest pixel beside it. Coverage is the share of depth-edge pixels (a step above
 0.1 px) with a point within 2 px. The thesis' own methods (plain filter response, alignment of
-gradients, spatial vote, entropy search, joint filter) are rows of the table of steps.
+gradients, spatial vote, entropy search, joint filter) are rows of the table of steps. Where the
+truth of every view is known, a second table counts the crossing lines that survive.
 """
 
 import dataclasses
@@ -24,21 +25,17 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from scipy import ndimage
 
+from experiments._crossings import crossing_table
 from experiments._report import print_table, shared_data, write_csv, write_json
 from mvedge_jax import plotting
-from mvedge_jax.color import srgb_to_lab
 from mvedge_jax.datasets import load_light_field, synthetic
 from mvedge_jax.epi import (
     EdgeParams,
+    EdgePoints,
     EdgeSizes,
-    EpiLines,
-    aligned_count,
-    alignment,
-    entropy_search,
+    ThesisSteps,
     joint_filter,
-    longest_run,
     multiview_edges,
-    spatial_vote,
 )
 from mvedge_jax.epi._edges import measure_candidates
 from mvedge_jax.lightfield import LightField
@@ -99,93 +96,39 @@ def score(truth: np.ndarray, x: np.ndarray, y: np.ndarray, d: np.ndarray) -> dic
     }
 
 
-def _as_lines(along: np.ndarray, across: np.ndarray, d: np.ndarray, c: np.ndarray, rows: int):
-    """Lines grouped by EPI, and which slot each came to."""
-    order = np.lexsort((along, across))
-    counts = np.bincount(across, minlength=rows)
-    slot = np.empty(len(along), int)
-    slot[order] = np.arange(len(along)) - np.repeat(np.cumsum(counts) - counts, counts)
-    capacity = max(int(counts.max()), 1)
-
-    def fill(values: np.ndarray) -> jax.Array:
-        table = np.zeros((rows, capacity), np.float32)
-        table[across, slot] = values
-        return jnp.asarray(table)
-
-    lines = EpiLines(fill(along), fill(d), fill(c), fill(np.ones(len(d))) > 0)
-    return lines, (across, slot)
-
-
-def thesis_steps(light_field: LightField, measured: Any, truth: np.ndarray) -> list[dict]:
-    """Rows of the table for the thesis' own chain, on the same candidates."""
-    chosen = jax.tree.map(np.asarray, measured.candidates)
-    maps = jax.tree.map(np.asarray, measured.maps)
-    found: dict[str, list[np.ndarray]] = {}
-    for arm in (0, 1):
-        keep = chosen.found[arm]
-        x, y = chosen.column[keep], chosen.row[keep]
-        d, c = maps.peak[arm, y, x], maps.strength[arm, y, x]
-        views = light_field.horizontal_epis() if arm == 0 else light_field.vertical_epis()
-        light = jax.lax.map(lambda epi: srgb_to_lab(epi)[..., 0], views)
-        light = jnp.asarray(ndimage.gaussian_filter(np.asarray(light), (0.85, 0, 0.85)))
-        along, across = (x, y) if arm == 0 else (y, x)
-        lines, where = _as_lines(along, across, d, c, light.shape[0])
-        cosine = jax.lax.map(lambda a: alignment(*a), (light, lines))
-        run = np.asarray(jax.vmap(longest_run)(cosine))[where]
-        count = np.asarray(jax.vmap(aligned_count)(cosine))[where]
-        keys = jax.random.split(jax.random.key(arm), light.shape[0])
-        moved = jax.lax.map(
-            lambda a: entropy_search(a[0], a[1], jnp.float32(0.15), jnp.float32(0.88), key=a[2]),
-            (light, lines, keys),
-        )
-        size = np.asarray(light.shape)[[0, 2]]
-        raster = np.zeros((3, *size), np.float32)
-        raster[:, across, along] = np.stack([d, c, np.ones_like(d)])
-        votes = spatial_vote(
-            jnp.asarray(raster[0]),
-            jnp.asarray(raster[1]),
-            jnp.asarray(raster[2] > 0),
-            jnp.float32(1 / (light.shape[1] - 1)),
-        )
-        columns = {
-            "x": x,
-            "y": y,
-            "d": d,
-            "run": run,
-            "count": count,
-            "vote": np.asarray(votes)[across, along],
-            "entropy": np.asarray(moved.disparity)[where],
-        }
-        for name, values in columns.items():
-            found.setdefault(name, []).append(values)
-    p = {name: np.concatenate(values) for name, values in found.items()}
-    aligned, voted = p["run"] >= 4, p["vote"] >= 8e-5
-    picked = aligned & voted
-    raster = np.zeros((2, *truth.shape), np.float32)
-    y, x = p["y"][picked], p["x"][picked]
-    raster[:, y, x] = np.stack([p["entropy"][picked], np.ones(len(y))])
-    smooth = joint_filter(
-        jnp.asarray(raster[0]),
-        jnp.asarray(raster[1] > 0),
-        light_field.centre_view,
-        jnp.float32(5.0),
-        jnp.float32(0.1),
-        jnp.float32(0.5),
-    )
-    quarter = p["count"] >= light_field.views.shape[1] / 4
-    rows = [("plain filter response", slice(None), p["d"])]
-    rows += [("plain, aligned in a quarter of the rows (4.3)", quarter, p["d"])]
-    rows += [("plain, longest aligned run >= 4", aligned, p["d"])]
-    rows += [("plain, spatial vote >= 8e-5 (4.2)", voted, p["d"])]
-    rows += [("plain, run and vote", picked, p["d"])]
-    rows += [("  + entropy search (4.5)", picked, p["entropy"])]
-    table = [
-        {"step": f"thesis: {name}", **score(truth, p["x"][keep], p["y"][keep], d[keep])}
-        for name, keep, d in rows
-    ]
-    table += [
-        {"step": "thesis:     + joint filter (4.6)", **score(truth, x, y, np.asarray(smooth)[y, x])}
-    ]
+def thesis_steps(light_field: LightField, params: EdgeParams, sizes: EdgeSizes) -> list[dict]:
+    """Rows of the table for the thesis' own chain, each with one step more or another."""
+    assert light_field.truth is not None
+    truth = np.asarray(light_field.truth.disparity)
+    plain = ThesisSteps(levels=1, alignment="none", vote=False, entropy=False, joint=False)
+    run = dataclasses.replace(plain, alignment="run")
+    both = dataclasses.replace(run, vote=True)
+    searched = dataclasses.replace(both, entropy=True)
+    smoothed = dataclasses.replace(searched, joint=True)
+    variants = {
+        "plain response, fitted lines (4.1.1, 4.1.2)": plain,
+        "plain, modulated (Alg. 1)": dataclasses.replace(plain, modulate=True),
+        "plain, pyramid (4.1.4)": dataclasses.replace(plain, levels=2),
+        "plain, aligned in a quarter of the rows (4.3)": dataclasses.replace(
+            plain, alignment="count"
+        ),
+        "plain, longest aligned run >= 4": run,
+        "plain, spatial vote >= 8e-5 (4.2)": dataclasses.replace(plain, vote=True),
+        "plain, run and vote": both,
+        "  + entropy search (4.5)": searched,
+        "    + joint filter (4.6)": smoothed,
+        "      + pyramid: everything": dataclasses.replace(smoothed, levels=2),
+    }
+    table = []
+    for name, variant in variants.items():
+        chosen = dataclasses.replace(sizes, thesis=variant)
+        points = multiview_edges(
+            light_field.without_truth(), params, chosen, key=jax.random.key(0)
+        ).points
+        keep = np.asarray(points.valid)
+        x, y = np.asarray(points.xy)[keep].T
+        row = score(truth, x, y, np.asarray(points.disparity)[keep])
+        table.append({"step": f"thesis: {name}", **row})
     return table
 
 
@@ -200,7 +143,7 @@ def steps(light_field: LightField, params: EdgeParams, sizes: EdgeSizes, *, thes
     y = np.asarray(measured.candidates.row)[valid]
     searched = np.asarray(measured.maps.disparity)[y, x]
     refined = np.asarray(measured.refined.disparity)[valid]
-    table = thesis_steps(blind, measured, truth) if thesis else []
+    table = thesis_steps(light_field, params, sizes) if thesis else []
     table.append({"step": "windowed photo-consistency", **score(truth, x, y, searched)})
     table.append({"step": "  + Gauss-Newton", **score(truth, x, y, refined)})
     row, points = final(light_field, params, sizes)
@@ -306,6 +249,15 @@ def main(
         label = name.replace(":", "_").replace("/", "_")
         write_csv(out / f"{label}.csv", table)
         everything[name] = table
+        truth = light_field.truth
+        if truth is not None and truth.view_ids is not None:
+
+            def find(part: LightField) -> EdgePoints:
+                return multiview_edges(part, params, EdgeSizes.for_light_field(part)).points
+
+            met = crossing_table(light_field, find)
+            print_table(met, title=f"{name}: lines that cross in horizontal EPIs")
+            write_csv(out / f"{name.replace(':', '_').replace('/', '_')}_crossings.csv", met)
         figure = plotting.plot_edges(
             light_field.centre_view,
             points.xy,
