@@ -1,10 +1,10 @@
 """Preconditioned conjugate gradients on a batch of images, each with its own stopping."""
 
-import math
 from collections.abc import Callable
 from typing import NamedTuple
 
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 from jaxtyping import Array
 
@@ -146,19 +146,18 @@ def pcg(
 
 
 def _probe(like: Array) -> Array:
-    """Waves of several lengths and directions on 1: different in every region, smooth inside.
+    """Waves of several lengths on 1: different in every region, smooth inside.
 
     Noise would do too, but float32 loses what it leaves behind to the rounding of its residual.
     """
-    rows, columns = (
-        lax.broadcasted_iota(jnp.int32, like.shape, like.ndim - k).astype(like.dtype)
-        for k in (2, 1)
-    )
-    total = jnp.ones_like(like)
-    for length, angle in ((17.0, 0.4), (29.0, 2.0), (61.0, 1.1), (151.0, 2.7)):
-        phase = math.cos(angle) * columns + math.sin(angle) * rows
-        total = total + 0.5 * jnp.sin(2 * math.pi / length * phase)
-    return total
+    y, x = like.shape[-2:]
+    total = jnp.ones((y, x), like.dtype)
+    for along_y, along_x in ((19.0, 17.0), (71.0, 29.0), (37.0, 113.0), (151.0, 211.0)):
+        rows = np.sin(2 * np.pi / along_y * np.arange(y) + 1)
+        columns = np.sin(2 * np.pi / along_x * np.arange(x) + 2)
+        waves = jnp.asarray(rows, like.dtype)[:, None] * jnp.asarray(columns, like.dtype)[None]
+        total = total + 0.7 * waves
+    return jnp.broadcast_to(total, like.shape)
 
 
 def _nonzero(value: Array) -> Array:
