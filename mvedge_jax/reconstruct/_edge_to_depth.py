@@ -190,7 +190,7 @@ def edge_to_depth(params: Parameters, light_field: LightField, sizes: Sizes) -> 
         tx, ty = edge_smoothness(lab, _blur(disparity, params.centre.blur), params.smoothness)
         uniform = params.centre.smoothness
         system = System(labels.weight, labels.value, uniform * tx, uniform * ty)
-        found = diffuse(system, start=disparity, solver=Solver(tolerance=jnp.asarray(1e-4, dtype)))
+        found = diffuse(system, start=disparity, solver=Solver(tolerance=params.centre.tolerance))
         return found.value, (labels.weight, found.stats.iterations, found.stats.converged)
 
     rounds = 2 if sizes.dense and sizes.sharpening != "none" else 1

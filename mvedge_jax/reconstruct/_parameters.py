@@ -35,6 +35,8 @@ class CentreParams(eqx.Module):
             than half of its window, and the views know better.
         blur: standard deviation of the Gaussian that the map passes before its steps cut edges,
             px.
+        tolerance: where the diffusion stops, share of the range of its labels. The gradient is
+            that of the exact solution whatever this is.
     """
 
     precision: Float[Array, ""] = number(0.006)
@@ -45,6 +47,7 @@ class CentreParams(eqx.Module):
     anchor: Float[Array, ""] = number(0.005)
     worse: Float[Array, ""] = number(2.0)
     blur: Float[Array, ""] = number(0.5)
+    tolerance: Float[Array, ""] = number(1e-4)
 
 
 class Parameters(eqx.Module):
