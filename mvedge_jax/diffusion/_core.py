@@ -59,7 +59,7 @@ def choose(preconditioner: str, shape: tuple[int, int]) -> str:
 def prepare(options: Options, coefficients: Coefficients) -> Prepared:
     """Computes everything about a matrix that a solve and its adjoint share."""
     if options.preconditioner == "banded":
-        # Factors take `2 h` times the memory of an image, and less time to make than to fetch.
+        # Factors take `h` times the memory of an image: the adjoint makes them once more.
         return Prepared(coefficients, (), reachable(coefficients))
     return _mapped(_prepare, options)(coefficients)
 

@@ -35,7 +35,7 @@ def diffuse(
     range of the labels. Where the preconditioner misses a mode, the estimate is too small by the
     smallest eigenvalue of the preconditioned matrix, so it is divided by what conjugate gradients
     have seen of that eigenvalue (never multiplied). Where edges differ by more than 1e5, what
-    they have not seen yet is bounded by what repeated V-cycles leave of waves.
+    they have not seen yet is guessed from what repeated V-cycles leave of waves: a guess, no bound.
 
     *Singular parts.* A part of the image without a path of positive edges to any data has no
     unique solution. It takes the weighted mean of all labels (0 if there is no data at all), has
