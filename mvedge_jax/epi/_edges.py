@@ -43,6 +43,7 @@ class Measured(NamedTuple):
     centre: Float[Array, "2 y x"]
     candidates: Candidates
     refined: Refined
+    error_limit: Float[Array, ""]
 
 
 def standard_error(refined: Refined, params: EdgeParams) -> Float[Array, " n"]:
@@ -52,8 +53,10 @@ def standard_error(refined: Refined, params: EdgeParams) -> Float[Array, " n"]:
     return jnp.sqrt(variance / jnp.maximum(refined.information, 1e-6) + params.error_floor**2)
 
 
-def _passes(refined: Refined, params: EdgeParams) -> Bool[Array, " n"]:
-    precise = standard_error(refined, params) < params.error_limit
+def _passes(
+    refined: Refined, params: EdgeParams, error_limit: Float[Array, ""]
+) -> Bool[Array, " n"]:
+    precise = standard_error(refined, params) < error_limit
     return precise & (refined.mismatch < params.residual_limit)
 
 
@@ -77,6 +80,7 @@ def measure_candidates(light_field: LightField, params: EdgeParams, sizes: EdgeS
     banks = scene_banks(params, sizes, light_field.views.shape[:2])
     noise = params.noise_gain * noise_variance(gray[0][light_field.centre[1]])
     saturation = params.saturation + noise
+    error_limit = params.error_limit * jnp.sqrt(1 + noise)
     maps = search(
         (srgb_to_lab(across), srgb_to_lab(down)),
         gray,
@@ -129,9 +133,11 @@ def measure_candidates(light_field: LightField, params: EdgeParams, sizes: EdgeS
         # A disparity that only the neighbours propose has to be theirs, and clearly so.
         near = jnp.abs(tried.disparity - start) < params.support_tolerance
         near = near & (tried.mismatch < 0.5 * params.residual_limit)
-        better = wanted & ((index == 0) | (_passes(tried, params) & (near | (index == 1))))
+        better = wanted & (
+            (index == 0) | (_passes(tried, params, error_limit) & (near | (index == 1)))
+        )
         refined = jax.tree.map(lambda a, b: jnp.where(better, b, a), refined, tried)
-        passes = candidates.valid & _passes(refined, params)
+        passes = candidates.valid & _passes(refined, params, error_limit)
 
         def nearer() -> tuple[Array, Array]:
             place = jnp.where(passes, row * shape[1] + column, shape[0] * shape[1])
@@ -152,7 +158,7 @@ def measure_candidates(light_field: LightField, params: EdgeParams, sizes: EdgeS
     # surfaces belongs to the nearer one, however well the farther one agrees on its side.
     everything = _Attempts(blank, candidates.valid, maps.disparity[row, column])
     (refined, *_), _ = lax.scan(attempt, everything, jnp.arange(3, dtype=jnp.int32))
-    return Measured(maps, centre, candidates, refined)
+    return Measured(maps, centre, candidates, refined, error_limit)
 
 
 def _thesis_edges(
@@ -239,13 +245,13 @@ def multiview_edges(
     params = cast(params, light_field.views.dtype)
     if sizes.thesis is not None:
         return _thesis_edges(light_field, params, sizes, key)
-    maps, centre, candidates, refined = measure_candidates(light_field, params, sizes)
+    maps, centre, candidates, refined, error_limit = measure_candidates(light_field, params, sizes)
     row, column = candidates.row, candidates.column
     error = standard_error(refined, params)
     mismatch = refined.mismatch
     # Where a lens gives no light at all, only the sensor's own pattern agrees between the views.
     lit = _highest(100 * srgb_to_gray(light_field.centre_view)) > params.dark_limit
-    precise = candidates.valid & lit[row, column] & (error < params.error_limit)
+    precise = candidates.valid & lit[row, column] & (error < error_limit)
     consistent = precise & (mismatch < params.residual_limit)
 
     shape = maps.disparity.shape

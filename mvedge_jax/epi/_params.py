@@ -26,8 +26,9 @@ class EdgeParams(eqx.Module):
         saturation: variance over the views, grey levels squared, beyond which a pixel of a window
             counts as another surface.
         refine_saturation: the same in the refinement, whose start is known to be close.
-        noise_gain: how much the variance of the scene's noise adds to `saturation`,
-            `refine_saturation` and `contrast_floor`.
+        noise_gain: how much the variance of the scene's noise, grey levels squared, adds to
+            `saturation`, `refine_saturation` and `contrast_floor`, and to 1 in the square of the
+            factor on `error_limit`.
         robustness: residual of a view, relative to the contrast, that quarters its weight.
         strength_floor: weakest edge considered, Lab units per px.
         contrast_floor: added to the contrast where residuals are compared with it.
@@ -35,7 +36,8 @@ class EdgeParams(eqx.Module):
             whose neighbours agree with it; in proportion for other shares.
         dark_limit: grey level that some pixel of the 5x5 around a point must exceed: two of 255
             steps, as in the vignetted corners of a lenslet camera.
-        error_limit: largest standard error of an accepted point, px.
+        error_limit: largest standard error of an accepted point, px, in a scene without noise.
+            Noise makes good points less precise, too, and each carries its own error.
         support_radius: standard deviation, px, of the neighbourhood that votes.
         support_tolerance: disparity difference, px, at which a neighbour's vote is one half.
         confidence_scale: strength, Lab units per px, at which the confidence is one half.

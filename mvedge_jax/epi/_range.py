@@ -9,6 +9,7 @@ from jaxtyping import Array
 from ..color import srgb_to_gray, srgb_to_lab
 from ..lightfield import LightField
 from ._bank import bank_radius, prewitt_bank
+from ._candidates import contrast
 from ._search import Maps, search
 
 _STEP = 0.1
@@ -63,6 +64,7 @@ def disparity_range(light_field: LightField, *, start: float = 4.0) -> tuple[flo
     vc, uc = light_field.centre
     coarse = light_field.without_truth().downsample(factor)
     across, down = coarse.views[vc], coarse.views[:, uc]
+    shown = np.asarray(contrast(srgb_to_lab(coarse.centre_view))).max(0) > 1.0
     reach = start
     while True:
         count = int(np.ceil(reach / factor / _STEP))
@@ -70,7 +72,8 @@ def disparity_range(light_field: LightField, *, start: float = 4.0) -> tuple[flo
         radius = bank_radius(_STEP * count, max(across.shape[0], down.shape[0]))
         tile = min(64, -(-max(across.shape[1:3]) // 8) * 8)
         maps = jax.tree.map(np.asarray, _coarse(across, down, disparity, radius, tile))
-        edge = maps.strength.max(0) > 1.0
+        # Filters of a wrong disparity respond beside an edge, too, where the centre view has none.
+        edge = (maps.strength.max(0) > 1.0) & shown
         # The end filters win by accident in places without contrast or depth: leave those out.
         sure = edge & (maps.cost < 0.6)
         if not edge.any():

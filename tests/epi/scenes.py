@@ -30,6 +30,18 @@ def plane(disparity, *, views=5, rows=None, size=(24, 32), seed=0, dtype=jnp.flo
     return LightField(jnp.asarray(np.clip(image, 0, 1), dtype), disparity_range=span)
 
 
+def flat_rectangle(disparity, *, views=9, size=(64, 96)):
+    """A rectangle of one colour before a wall of another: nothing but its border to measure."""
+    y, x = np.mgrid[0 : size[0], 0 : size[1]].astype(float)
+    image = np.zeros((views, views, *size, 3))
+    for v, u in np.ndindex(views, views):
+        own_y, own_x = y - (views // 2 - v) * disparity, x - (views // 2 - u) * disparity
+        cover = np.clip(own_x - 19.5, 0, 1) * np.clip(size[1] - 19.5 - own_x, 0, 1)
+        cover = cover * np.clip(own_y - 11.5, 0, 1) * np.clip(size[0] - 11.5 - own_y, 0, 1)
+        image[v, u] = (0.6 - 0.3 * cover)[..., None] * np.array([1.0, 0.9, 0.8])
+    return LightField(jnp.asarray(image, jnp.float32))
+
+
 def two_planes(near, far, *, edge, views=9, size=(16, 64), dtype=jnp.float32):
     """A vertical occluding edge: a near textured plane left of `edge`, a far one right of it."""
     height, width = size

@@ -5,7 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from epi.scenes import fence, plane, two_planes
+from epi.scenes import fence, flat_rectangle, plane, two_planes
 from helpers import check_gradient, count_traces, shared_data
 from scipy import ndimage
 
@@ -147,22 +147,7 @@ def test_crossings_of_the_synthetic_scene_survive():
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "name",
-    [
-        *("demo", "slanted", "edges", "thin", "wide", "crossing"),
-        pytest.param(
-            "textureless",
-            marks=pytest.mark.xfail(
-                strict=True, reason="covered, but a tenth of the points is outside the true range"
-            ),
-        ),
-        pytest.param(
-            "noisy",
-            marks=pytest.mark.xfail(
-                strict=True, reason="covers 0.84: noise fills the slots, candidates overflow"
-            ),
-        ),
-    ],
+    "name", ["demo", "slanted", "edges", "thin", "wide", "crossing", "textureless", "noisy"]
 )
 def test_depth_edges_have_points(name):
     """Must show 1: nearly all depth edges, with the range found from the data."""
@@ -284,6 +269,28 @@ def test_the_range_is_found_from_the_data():
     low, high = disparity_range(light_field)
     assert low < 3.0 < high
     assert high - low < 2.5
+
+
+def test_filters_that_respond_beside_an_edge_do_not_widen_the_range():
+    low, high = disparity_range(flat_rectangle(0.5))
+    assert 0.0 < low < 0.5 < high < 1.0
+
+
+def test_noise_makes_points_less_precise_but_does_not_remove_them():
+    clean = plane(0.37, size=(32, 40))
+    grain = 0.03 * jax.random.normal(jax.random.key(0), clean.views.shape, clean.views.dtype)
+    noisy = eqx.tree_at(lambda field: field.views, clean, jnp.clip(clean.views + grain, 0, 1))
+    exact, rough = (
+        multiview_edges(field, EdgeParams(), EdgeSizes.for_light_field(field)).points
+        for field in (clean, noisy)
+    )
+    keep = np.asarray(rough.valid)
+    assert keep.sum() > 0.5 * np.asarray(exact.valid).sum()
+    error = np.asarray(rough.error)[keep]
+    assert (error > 0.03).any()
+    # What the points claim about themselves is about right.
+    off = np.abs(np.asarray(rough.disparity)[keep] - 0.37)
+    assert 0.5 < np.median(off / (0.6745 * error)) < 2
 
 
 def test_a_scene_without_edges_says_so():
