@@ -1,13 +1,15 @@
 """What the commands share: progress, output that is never half-written, the compilation cache."""
 
 import contextlib
+import ctypes
 import os
 import shutil
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import jax
 from rich.console import Console
@@ -32,6 +34,31 @@ def note(text: str) -> None:
 def warn(text: str) -> None:
     """Prints a warning to the standard error."""
     _PROGRESS.print(f"[yellow]warning[/] {text}", highlight=False)
+
+
+def compiled(function: Any, *arguments: Any) -> Callable[..., Any]:
+    """Compiles an `equinox.filter_jit` function, and gives back the memory that it took.
+
+    Args:
+        function: to compile.
+        arguments: what it will be called with.
+
+    Returns:
+        The program, to be called with the same arguments.
+    """
+    program = function.lower(*arguments).compile()
+    release_memory()
+    return program
+
+
+def release_memory() -> None:
+    """Returns freed memory to the system, where the C library would keep it (glibc).
+
+    The compiler leaves almost a gigabyte behind after the whole chain, beside which the arrays of
+    the first run would otherwise be put.
+    """
+    with contextlib.suppress(OSError, AttributeError):
+        ctypes.CDLL("libc.so.6").malloc_trim(0)
 
 
 @contextlib.contextmanager

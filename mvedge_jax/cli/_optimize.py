@@ -64,7 +64,7 @@ from ..reconstruct import (
     with_capacity,
 )
 from ..splatting import SplatSizes
-from ._common import note, output_folder, stage, warn
+from ._common import compiled, note, output_folder, stage, warn
 
 # On cotton the true map explains the views 0.7 % worse than that of `mvedge depth`, and every
 # optimisation by plain reprojection that lowered the error by less than a tenth made the map
@@ -141,7 +141,8 @@ def optimize(
     params, key = ModelParams(), jax.random.key(seed)
     with output_folder(out, overwrite=overwrite) as folder:
         with stage("estimating depth from edges"):
-            result = edge_to_depth(Parameters(), blind, Sizes.for_light_field(blind))
+            call = Parameters(), blind, Sizes.for_light_field(blind)
+            result = compiled(edge_to_depth, *call)(*call)
             first = jax.block_until_ready(result.disparity)
         points = result.points
         start = start_from_points(
