@@ -32,8 +32,8 @@ def edges(
     """Finds edge points with their disparities in a light field's centre view.
 
     OUT gets points.npz, points.csv (one row per point, for a spreadsheet), points.png (over the
-    image, coloured by disparity), epi_horizontal.png and epi_vertical.png (the busiest EPI of
-    either arm with its lines) and report.json (the counts after each step).
+    image, coloured by disparity), epi_horizontal.png and epi_vertical.png (the EPI of
+    either arm whose disparities vary most, with its lines) and report.json (the counts after each step).
 
     Args:
         scene: folder or file of a light field; `mvedge info` tells what it is.
@@ -103,9 +103,7 @@ def _write(folder: Path, light_field: LightField, found: Edges) -> None:
     picture.savefig(folder / "points.png", dpi=200)
     for arm, name in enumerate(("horizontal", "vertical")):
         index = np.rint(points.xy[:, 1 - arm]).astype(int)
-        # Where many disparities meet there is most to see.
-        spread = np.abs(points.disparity - np.median(points.disparity))
-        busiest = int(np.bincount(np.maximum(index, 0), weights=spread).argmax())
+        busiest = _most_varied(np.maximum(index, 0), points.disparity)
         here = index == busiest
         figure = plotting.plot_epi(
             light_field,
@@ -115,3 +113,11 @@ def _write(folder: Path, light_field: LightField, found: Edges) -> None:
             disparities=points.disparity[here],
         )
         figure.savefig(folder / f"epi_{name}.png", dpi=200)
+
+
+def _most_varied(index: np.ndarray, disparity: np.ndarray) -> int:
+    """The EPI whose disparities differ most from each other: there is most to see in it."""
+    count, total, square = (
+        np.bincount(index, weights=disparity.astype(np.float64) ** power) for power in range(3)
+    )
+    return int((square - total**2 / np.maximum(count, 1)).argmax())

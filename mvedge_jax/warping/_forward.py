@@ -41,8 +41,9 @@ def landing(
     x = jnp.round(jnp.arange(width, dtype=disparity.dtype)[None] + step[0] * shift)
     y = jnp.round(jnp.arange(height, dtype=disparity.dtype)[:, None] + step[1] * shift)
     stays = finite & (x >= 0) & (x <= width - 1) & (y >= 0) & (y <= height - 1)
-    index = jnp.where(stays, y * width + x, height * width)
-    return index.astype(jnp.int32), stays
+    # As integers: float32 does not count the pixels of an image beyond 16 megapixels.
+    index = jnp.where(stays, y.astype(jnp.int32) * width + x.astype(jnp.int32), height * width)
+    return index, stays
 
 
 def z_buffer(key: Float[Array, "y x"], index: Int[Array, "y x"]) -> Float[Array, "_"]:

@@ -74,6 +74,6 @@ def test_nothing_is_left_behind_when_interrupted(scene, tmp_path, monkeypatch):
     def interrupt(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(_depth, "edge_to_depth", interrupt)
+    monkeypatch.setattr(_depth, "compiled", lambda *_: interrupt)
     assert _main.main(["depth", str(scene), str(tmp_path / "out"), "--range", "0", "1"]) == 130
     assert list(tmp_path.iterdir()) == []

@@ -7,7 +7,7 @@ import pytest
 from datasets.layouts import write_hci
 from scipy import ndimage
 
-from mvedge_jax.cli import _main
+from mvedge_jax.cli import _edges, _main
 
 
 @pytest.fixture(scope="module")
@@ -47,6 +47,13 @@ def test_edges_writes_everything_and_is_right(scene, tmp_path, capsys):
     text = capsys.readouterr()
     assert "written to" in text.out
     assert "choosing sizes" in text.err
+
+
+def test_the_epi_with_the_widest_spread_is_drawn():
+    # Row 0 is far from the rest, but all of it at one depth; row 2 has two depths.
+    index = np.array([0, 0, 0, 1, 1, 2, 2, 2])
+    disparity = np.array([-5.0, -5.0, -5.0, 0.1, 0.2, 1.0, -1.0, 1.0], np.float32)
+    assert _edges._most_varied(index, disparity) == 2
 
 
 def test_mistakes_are_one_line(scene, tmp_path, capsys):
