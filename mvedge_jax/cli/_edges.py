@@ -104,7 +104,7 @@ def _write(folder: Path, light_field: LightField, found: Edges) -> None:
     picture.savefig(folder / "points.png", dpi=200)
     for arm, name in enumerate(("horizontal", "vertical")):
         index = np.rint(points.xy[:, 1 - arm]).astype(int)
-        busiest = _most_varied(np.maximum(index, 0), points.disparity)
+        busiest = _most_varied(np.maximum(index, 0), np.asarray(points.disparity))
         here = index == busiest
         figure = plotting.plot_epi(
             light_field,
