@@ -92,13 +92,14 @@ def scenes(
 def score(
     name: str, method: Method, light_field: LightField, seconds: float, disparity: jax.Array
 ) -> dict[str, Any]:
-    """One row of a table, full frame."""
+    """One row of a table, full frame; says that it is done, as most of them are slow."""
     truth = light_field.truth
     if truth is None:
         raise ValueError(f"scene {name} has no ground truth to score against.")
     depth = depth_scores(disparity, truth.disparity, mask=truth.valid)
     inner = depth_scores(disparity, truth.disparity, mask=truth.valid, crop=15)
     boundary = boundary_scores(disparity, truth.disparity, mask=truth.valid)
+    print(f"{name}, {method.name}: MSE*100 {float(depth.mse):.4g}", flush=True)
     return {
         "scene": name,
         "method": method.name,
