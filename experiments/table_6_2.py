@@ -30,9 +30,12 @@ def main() -> None:
     parser.add_argument("--data", type=Path, default=shared_data())
     parser.add_argument("--scenes", nargs="*", default=[])
     parser.add_argument("--size", type=int, default=256, help="side of the rendered scenes, px")
+    parser.add_argument("--labels", choices=["edges", "dense", "both"], default="both")
     arguments = parser.parse_args()
     rows, table = [], []
     groups = {"edges only": SPARSE, "with dense labels": (OURS, *ABLATIONS[:3])}
+    if arguments.labels != "both":
+        groups.pop("with dense labels" if arguments.labels == "edges" else "edges only")
     for name, light_field in scenes(arguments.data, arguments.scenes, size=arguments.size):
         blind = light_field.without_truth()
         for group, methods in groups.items():
