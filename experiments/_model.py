@@ -62,11 +62,11 @@ def rendering(raster: int) -> tuple[ModelParams, ModelSizes]:
     return (NARROW if raster == 1 else ModelParams()), sizes
 
 
-def load_scene(name: str, data: Path | None) -> LightField:
-    """A scene of the development data (`hci/cotton`), or a synthetic one by name."""
+def load_scene(name: str, data: Path | None, *, size: int = 128) -> LightField:
+    """A scene of the development data (`hci/cotton`), or a synthetic one by name and size."""
     if name in synthetic.scene_names():
         return synthetic.render(
-            synthetic.scene(name), shape=(9, 9, 128, 128), key=jax.random.key(0)
+            synthetic.scene(name), shape=(9, 9, size, size), key=jax.random.key(0)
         )
     if data is None:
         raise FileNotFoundError(f"{name!r} needs the development data; pass --data FOLDER.")

@@ -1,6 +1,7 @@
 """Figure 7.10: supervised optimisation over iterations, and error against bytes.
 
-python experiments/figure_7_10.py --data ../shared/data --scenes hci/cotton --grow 18000
+python experiments/figure_7_10.py --data ../shared/data --scenes hci/cotton --grow 0.07
+python experiments/figure_7_10.py --scenes edges slanted --size 512 --only curves
 python experiments/figure_7_10.py --scenes hci/cotton --only bytes
 """
 
@@ -24,7 +25,8 @@ def curve(name: str, light_field: LightField, arguments: argparse.Namespace) -> 
     start, _ = first_map(light_field)
     model = plain_model(start, light_field.centre_view)
     rows: list[dict] = []
-    for added in dict.fromkeys((0, arguments.grow)):
+    pixels = light_field.views.shape[2] * light_field.views.shape[3]
+    for added in dict.fromkeys((0, int(arguments.grow * pixels))):
         label = f"{name}, {added} points added"
         run_supervised(
             model,
@@ -66,7 +68,8 @@ def main() -> None:
     parser.add_argument("--scenes", nargs="+", default=["hci/cotton"])
     parser.add_argument("--iterations", type=int, default=75)
     parser.add_argument("--pieces", type=int, default=5)
-    parser.add_argument("--grow", type=int, default=18000)
+    parser.add_argument("--grow", type=float, default=0.07, help="points to add per pixel")
+    parser.add_argument("--size", type=int, default=128, help="of synthetic views, px")
     parser.add_argument("--raster", type=int, default=1)
     parser.add_argument("--only", choices=["bytes", "curves"], help="half of the experiment")
     parser.add_argument("--points", type=int, nargs="+", default=[500, 2000, 8000, 20000, 50000])
@@ -74,7 +77,8 @@ def main() -> None:
     arguments = parser.parse_args()
     arguments.out.mkdir(parents=True, exist_ok=True)
     for name in arguments.scenes:
-        light_field, stem = load_scene(name, arguments.data), name.replace("/", "_")
+        light_field = load_scene(name, arguments.data, size=arguments.size)
+        stem = name.replace("/", "_")
         if arguments.only != "curves":
             coded = bytes_table(name, light_field, arguments.points)
             print_table(coded, title="error against bytes")
@@ -94,6 +98,7 @@ def main() -> None:
                 axes.semilogy([r["iteration"] for r in mine], [r[column] for r in mine], label=run)
             axes.set_title(column)
             axes.set_xlabel("iteration")
+            axes.legend(fontsize=6)
         figure.savefig(arguments.out / f"{stem}.png")
 
 
