@@ -68,6 +68,9 @@ def scenes(
 ) -> Iterator[tuple[str, LightField]]:
     """Benchmark scenes that are on disk and synthetic ones, rendered with 9x9 views.
 
+    Compiled programs are dropped after each: one of the whole chain takes 2400 memory maps, and the
+    compiler crashes when a process has as many as Linux allows (65530).
+
     Args:
         data: folder with HCI scenes under `hci/`; None for synthetic scenes only.
         names: which; empty for everything at hand.
@@ -87,6 +90,7 @@ def scenes(
                     key=jax.random.key(0),
                 ),
             )
+        jax.clear_caches()
 
 
 def score(

@@ -4,6 +4,7 @@ import warnings
 
 import jax
 import matplotlib as mpl
+import pytest
 
 mpl.use("Agg")
 jax.config.update("jax_enable_x64", True)
@@ -19,3 +20,15 @@ def pytest_configure(config):
     config.addinivalue_line("filterwarnings", "error")
     config.addinivalue_line("filterwarnings", "ignore::DeprecationWarning:tyro")
     warnings.simplefilter("default")
+
+
+@pytest.fixture(autouse=True)
+def _forget_large_programs(request):
+    """Drops compiled programs after a slow test.
+
+    Those of the whole chain take hundreds of memory maps each, and the compiler crashes when the
+    system's limit on maps is reached.
+    """
+    yield
+    if request.node.get_closest_marker("slow"):
+        jax.clear_caches()
