@@ -10,6 +10,7 @@ import pytest
 from helpers import count_traces, shared_data
 
 from mvedge_jax.datasets import load_light_field, synthetic
+from mvedge_jax.epi import disparity_range
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.metrics import boundary_scores, depth_scores
 from mvedge_jax.reconstruct import Parameters, Sizes, edge_to_depth, plane_sweep
@@ -187,7 +188,9 @@ def test_vmap_over_settings_equals_a_loop(edges_scene):
 def test_adam_lowers_the_loss_on_another_scene_too():
     import optax
 
-    train, test = small_scene("edges"), small_scene("slanted")
+    # "demo" has something of everything: what is learned on "edges", where all is flat, is not
+    # good for "slanted".
+    train, test = small_scene("demo"), small_scene("slanted")
     sizes = [Sizes.for_light_field(f, **SMALL) for f in (train, test)]
     moving, rest = eqx.partition(Parameters().centre, eqx.is_inexact_array)
     logs = jax.tree.map(jnp.log, moving)
@@ -197,17 +200,19 @@ def test_adam_lowers_the_loss_on_another_scene_too():
         params = eqx.tree_at(lambda p: p.centre, Parameters(), centre)
         return l1(params, field.without_truth(), size, field.truth.disparity)
 
-    optimiser = optax.adam(0.05)
+    optimiser = optax.adam(0.02)
     state = optimiser.init(logs)
     step = eqx.filter_jit(jax.value_and_grad(lambda p: loss(p, train, sizes[0])))
     before = [float(loss(logs, f, s)) for f, s in zip((train, test), sizes, strict=True)]
     for _ in range(30):
         _, gradient = step(logs)
-        updates, state = optimiser.update(gradient, state)
+        # Optax divides by an integer count.
+        with jax.numpy_dtype_promotion("standard"):
+            updates, state = optimiser.update(gradient, state)
         logs = optax.apply_updates(logs, updates)
     after = [float(loss(logs, f, s)) for f, s in zip((train, test), sizes, strict=True)]
-    assert after[0] < before[0]
-    assert after[1] < before[1]
+    assert after[0] < before[0], (before, after)
+    assert after[1] < before[1], (before, after)
 
 
 @pytest.mark.slow
@@ -225,7 +230,9 @@ def test_benchmark_scenes(name, bars):
     scores = depth_scores(result.disparity, truth.disparity, mask=truth.valid)
     found = (scores.mse, scores.q25, scores.bad_01, scores.bad_03, scores.bad_07)
     assert all(float(a) <= b for a, b in zip(found, bars, strict=True)), found
-    sweep = plane_sweep(light_field.without_truth()).disparity
+    blind = light_field.without_truth()
+    span = blind.disparity_range or disparity_range(blind)
+    sweep = plane_sweep(blind, disparity_range=span).disparity
     ours, theirs = (
         boundary_scores(d, truth.disparity, mask=truth.valid) for d in (result.disparity, sweep)
     )
