@@ -360,29 +360,33 @@ def isolated(arguments: argparse.Namespace, problem: str, solver: str) -> dict[s
 
 
 def plot(rows: list[dict[str, Any]], path: Path) -> None:
-    """Seconds against pixels on generated systems, log-log."""
+    """Seconds against pixels on generated systems, log-log; failures are left out."""
     import matplotlib as mpl
 
     mpl.use("Agg")
     import matplotlib.pyplot as plt
 
-    figure, axes = plt.subplots(figsize=(7, 5))
+    figure, axes = plt.subplots(figsize=(9, 5))
     contrasts = sorted({row["system"].split("_c")[1] for row in rows if "discs" in row["system"]})
     if not contrasts:
         return
-    for solver in dict.fromkeys(row["solver"] for row in rows):
+    names = list(dict.fromkeys(row["solver"] for row in rows))
+    for number, solver in enumerate(names):
         points = sorted(
             (int(row["system"].split("_")[1]) ** 2, row["total_s"])
             for row in rows
             if row["solver"] == solver
             and row["system"].endswith(f"_c{contrasts[0]}")
             and row.get("total_s")
+            and row["relative_residual"] < 1e-3
         )
         if points:
-            axes.loglog(*zip(*points, strict=True), "o-", label=solver)
+            width = 3 if solver.startswith("mvedge") else 1.2
+            line = {"color": plt.get_cmap("tab20")(number), "linewidth": width, "label": solver}
+            axes.loglog(*zip(*points, strict=True), "o-", **line)
     axes.set(xlabel="pixels", ylabel="seconds, setup included", title=f"contrast {contrasts[0]}")
     axes.grid(visible=True, which="both", alpha=0.3)
-    axes.legend(fontsize=7)
+    axes.legend(fontsize=8, loc="upper left", bbox_to_anchor=(1.01, 1))
     figure.savefig(path, dpi=150, bbox_inches="tight")
 
 
