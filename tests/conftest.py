@@ -26,7 +26,7 @@ def pytest_configure(config):
 def _forget_large_programs(request):
     """Drops compiled programs after a slow test.
 
-    Those of the whole chain take hundreds of memory maps each, and the compiler crashes when the
+    Those of the whole chain take thousands of memory maps each, and the compiler crashes when the
     system's limit on maps is reached.
     """
     yield

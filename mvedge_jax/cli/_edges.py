@@ -32,9 +32,8 @@ def edges(
     """Finds edge points with their disparities in a light field's centre view.
 
     OUT gets points.npz, points.csv (one row per point, for a spreadsheet), points.png (over the
-    image, coloured by disparity), epi_horizontal.png and epi_vertical.png (the EPI of
-    either arm whose disparities vary most, with its lines) and report.json (the counts after each
-    step).
+    image, coloured by disparity), epi_horizontal.png and epi_vertical.png (the EPI of either arm
+    whose disparities vary most, with its lines) and report.json (the counts after each step).
 
     Args:
         scene: folder or file of a light field; `mvedge info` tells what it is.

@@ -93,14 +93,14 @@ def edge_to_depth(params: Parameters, light_field: LightField, sizes: Sizes) -> 
        out. Smoothness ends where a colour step and a depth step of that map meet.
     5. A weighted median moves blurred depth steps onto colour steps; more solves follow.
 
+    Every light-field shape and every `sizes` is a program of its own, of some 2400 memory maps. A
+    process that compiles more than about 25 should call `jax.clear_caches()` now and then: Linux
+    allows 65530 maps, beyond which the compiler crashes.
+
     Args:
         params: see `Parameters`.
         light_field: the crosshair of views is read; ground truth is not.
         sizes: see `Sizes.for_light_field`.
-
-    Every light-field shape and every `sizes` is a program of its own, of some 2400 memory maps. A
-    process that compiles more than about 25 should call `jax.clear_caches()` now and then: Linux
-    allows 65530 maps, beyond which the compiler crashes.
 
     Returns:
         Disparity, confidence, points, statistics. Differentiable in the views and in every leaf

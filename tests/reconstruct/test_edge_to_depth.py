@@ -185,12 +185,22 @@ def test_vmap_over_settings_equals_a_loop(edges_scene):
 
 
 @pytest.mark.slow
-def test_adam_lowers_the_loss_on_another_scene_too():
+@pytest.mark.parametrize(
+    "name",
+    [
+        "demo",
+        pytest.param(
+            "edges",
+            marks=pytest.mark.xfail(
+                strict=True, reason="all is flat there: what is learned makes slopes worse"
+            ),
+        ),
+    ],
+)
+def test_adam_lowers_the_loss_on_another_scene_too(name):
     import optax
 
-    # "demo" has something of everything: what is learned on "edges", where all is flat, is not
-    # good for "slanted".
-    train, test = small_scene("demo"), small_scene("slanted")
+    train, test = small_scene(name), small_scene("slanted")
     sizes = [Sizes.for_light_field(f, **SMALL) for f in (train, test)]
     moving, rest = eqx.partition(Parameters().centre, eqx.is_inexact_array)
     logs = jax.tree.map(jnp.log, moving)
@@ -200,7 +210,7 @@ def test_adam_lowers_the_loss_on_another_scene_too():
         params = eqx.tree_at(lambda p: p.centre, Parameters(), centre)
         return l1(params, field.without_truth(), size, field.truth.disparity)
 
-    optimiser = optax.adam(0.02)
+    optimiser = optax.adam(0.05)
     state = optimiser.init(logs)
     step = eqx.filter_jit(jax.value_and_grad(lambda p: loss(p, train, sizes[0])))
     before = [float(loss(logs, f, s)) for f, s in zip((train, test), sizes, strict=True)]
