@@ -9,7 +9,7 @@ import jax
 import numpy as np
 
 from mvedge_jax.datasets import load_light_field, synthetic
-from mvedge_jax.epi import disparity_range
+from mvedge_jax.epi import scene_range
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.metrics import boundary_scores, depth_scores
 from mvedge_jax.reconstruct import Parameters, Sizes, edge_to_depth, plane_sweep
@@ -40,10 +40,7 @@ def chain(name: str, *, unit_weights: bool = False, **choices: Any) -> Method:
 
 def sweep(light_field: LightField) -> jax.Array:
     """The plane sweep of the crosshair, over a measured range where none is given."""
-    known = light_field.disparity_range
-    return plane_sweep(
-        light_field, disparity_range=disparity_range(light_field) if known is None else known
-    ).disparity
+    return plane_sweep(light_field, disparity_range=scene_range(light_field)).disparity
 
 
 OURS = chain("ours")

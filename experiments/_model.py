@@ -50,9 +50,11 @@ from mvedge_jax.reconstruct import (
 )
 from mvedge_jax.splatting import SplatParams, SplatSizes
 
-# At one raster pixel per pixel the profiles are half as wide in raster pixels.
+# At one raster pixel per pixel. The thesis' width, 0.65 px, lets a point hide the pixels beside
+# it, so that none can say something else: on "edges" at 512x512 with 18,000 points added, 75
+# supervised iterations end at MSE*100 = 0.12 with that width and 0.003 with this one.
 NARROW = ModelParams(
-    splat=SplatParams(sigma_label=jnp.asarray(0.65), sigma_weight=jnp.asarray(0.6))
+    splat=SplatParams(sigma_label=jnp.asarray(0.35), sigma_weight=jnp.asarray(0.45))
 )
 
 

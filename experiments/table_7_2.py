@@ -47,6 +47,7 @@ def main() -> None:
     rows, curve = [], []
     for name in arguments.scenes:
         light_field = load_scene(name, arguments.data)
+        blind = light_field.without_truth()
         start, first = first_map(light_field)
         options = {
             "raster": arguments.raster,
@@ -58,7 +59,7 @@ def main() -> None:
         else:
             _, after = run_self_supervised(start, light_field, first, **options)
         for kind, disparity in (("before (mvedge depth)", first), ("after", after)):
-            seen = reprojection_error(disparity, light_field.without_truth()).error
+            seen = reprojection_error(disparity, blind).error
             rows.append(
                 {
                     "scene": name,

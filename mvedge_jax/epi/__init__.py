@@ -25,7 +25,7 @@ from ._lines import (
 from ._noise import noise_variance as noise_variance
 from ._params import EdgeParams as EdgeParams, EdgeSizes as EdgeSizes
 from ._points import EdgePoints as EdgePoints, Edges as Edges, EdgeStats as EdgeStats
-from ._range import disparity_range as disparity_range
+from ._range import disparity_range as disparity_range, scene_range as scene_range
 from ._refine import Refined as Refined, refine_points as refine_points
 from ._response import bank_response as bank_response, sheared_response as sheared_response
 from ._support import neighbour_support as neighbour_support

@@ -9,7 +9,7 @@ from jaxtyping import Array, Float
 from .._params import number
 from ..lightfield import LightField
 from ._bank import FilterBank, bank_radius
-from ._range import disparity_range
+from ._range import scene_range
 from ._thesis import ThesisParams, ThesisSteps
 
 
@@ -129,16 +129,13 @@ class EdgeSizes:
         """Chooses sizes on the host, from the shape and the disparity range of a light field.
 
         Args:
-            light_field: its range is measured by `disparity_range` where it is not given.
+            light_field: its range is measured where it is not given, see `scene_range`.
             fill: points per pixel to reserve.
 
         Returns:
             Sizes; equal ones share a compiled program.
         """
-        known = light_field.disparity_range
-        if known is None:
-            known = disparity_range(light_field)
-        low, high = float(known[0]), float(known[1])
+        low, high = scene_range(light_field)
         first = math.floor(round(low / 0.1, 6)) - 1
         last = math.ceil(round(high / 0.1, 6)) + 1
         height, width = light_field.views.shape[2:4]

@@ -90,3 +90,26 @@ def disparity_range(light_field: LightField, *, start: float = 4.0) -> tuple[flo
         reach *= 2
     margin = 0.1 + 0.05 * (high - low)
     return float(low - margin), float(high + margin)
+
+
+def scene_range(light_field: LightField) -> tuple[float, float]:
+    """The disparity range of a light field: its own where it knows one, and a measured one else.
+
+    Args:
+        light_field: the views.
+
+    Returns:
+        Lowest and highest disparity, px per view step, as numbers of the host.
+
+    Raises:
+        ValueError: the range is unknown, and the views show no edges to measure it from.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> views = jnp.zeros((3, 3, 16, 16, 3))
+        >>> scene_range(LightField(views, disparity_range=(-1.5, 2.0)))
+        (-1.5, 2.0)
+    """
+    known = light_field.disparity_range
+    low, high = disparity_range(light_field) if known is None else known
+    return float(low), float(high)

@@ -11,14 +11,14 @@ from mvedge_jax._params import cast
 
 from ._model import DepthModel, ModelParams, ModelSizes, opacities, splat_model
 from ._objectives import SelfSupervised, Supervised
-from ._optimise import State
+from ._optimise import State, parts_of, settled_moments, with_parts
 
 
 class Grown(NamedTuple):
     """What adding points did.
 
     Attributes:
-        state: with the new points; their moments are forgotten.
+        state: with the new points; Adam's moments of each are those of its first gradient.
         objective: whose trust knows the new points.
         added: how many points are new.
         recycled: how many of them took the place of a point that did nothing.
@@ -168,23 +168,31 @@ def grow(
         )
 
     recycled = jnp.sum(fits & model.valid[place])
-    n = model.valid.size
-
-    def forget(moment: Array) -> Array:
-        is_point = moment.ndim >= 1 and moment.shape[0] == n and moment.shape != residual.shape
-        return put(moment, 0.0) if is_point else moment
-
-    state = eqx.tree_at(
-        lambda s: (s.model, s.moments, s.best_loss),
-        state,
-        (
-            renewed(model),
-            jax.tree.map(forget, state.moments),
-            jnp.full_like(state.best_loss, jnp.inf),
-        ),
-    )
     trust = objective.trust
     error = put(trust.error, jnp.asarray(jnp.inf).astype(trust.error.dtype))
     trust = eqx.tree_at(lambda t: (t.origin, t.error), trust, (renewed(trust.origin), error))
     objective = eqx.tree_at(lambda o: o.trust, objective, trust)
+    model = renewed(model)
+
+    def loss_of(parts: tuple[Array, Array, Array, Array]) -> Array:
+        return objective(with_parts(model, parts), state.disparity, key=state.key)[0]
+
+    gradient = jax.grad(loss_of)(parts_of(model))
+    gradient = jax.tree.map(lambda leaf: jnp.where(jnp.isfinite(leaf), leaf, 0), gradient)
+
+    def started(old: tuple[Array, ...], new: tuple[Array, ...]) -> tuple[Array, ...]:
+        points = (put(a, b[place]) for a, b in zip(old[1:], new[1:], strict=True))
+        return old[0], *points
+
+    first, second = settled_moments(state.moments, gradient)
+    state = eqx.tree_at(
+        lambda s: (s.model, s.moments.mu, s.moments.nu, s.best_loss),
+        state,
+        (
+            model,
+            started(state.moments.mu, first),
+            started(state.moments.nu, second),
+            jnp.full_like(state.best_loss, jnp.inf),
+        ),
+    )
     return Grown(state, objective, jnp.sum(fits), recycled, jnp.sum(wanted & ~open_place))

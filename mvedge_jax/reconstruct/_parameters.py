@@ -8,7 +8,7 @@ import equinox as eqx
 from jaxtyping import Array, Float
 
 from mvedge_jax._params import number
-from mvedge_jax.epi import EdgeParams, EdgeSizes, disparity_range
+from mvedge_jax.epi import EdgeParams, EdgeSizes, scene_range
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.occlusion import BidirectionalParams, Side, SurfaceParams
 
@@ -152,10 +152,8 @@ class Sizes:
             raise ValueError(
                 "`light_field` has a single view; depth needs at least three in a row or column."
             )
-        known = light_field.disparity_range
-        low, high = disparity_range(light_field) if known is None else known
-        low, high = float(low), float(high)
-        if known is None:
+        low, high = scene_range(light_field)
+        if light_field.disparity_range is None:
             light_field = LightField(
                 light_field.views,
                 available=light_field.available,

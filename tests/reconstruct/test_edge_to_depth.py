@@ -10,7 +10,7 @@ import pytest
 from helpers import count_traces, shared_data
 
 from mvedge_jax.datasets import load_light_field, synthetic
-from mvedge_jax.epi import disparity_range
+from mvedge_jax.epi import scene_range
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.metrics import boundary_scores, depth_scores
 from mvedge_jax.reconstruct import Parameters, Sizes, edge_to_depth, plane_sweep
@@ -241,8 +241,7 @@ def test_benchmark_scenes(name, bars):
     found = (scores.mse, scores.q25, scores.bad_01, scores.bad_03, scores.bad_07)
     assert all(float(a) <= b for a, b in zip(found, bars, strict=True)), found
     blind = light_field.without_truth()
-    span = blind.disparity_range or disparity_range(blind)
-    sweep = plane_sweep(blind, disparity_range=span).disparity
+    sweep = plane_sweep(blind, disparity_range=scene_range(blind)).disparity
     ours, theirs = (
         boundary_scores(d, truth.disparity, mask=truth.valid) for d in (result.disparity, sweep)
     )

@@ -156,6 +156,25 @@ def test_new_points_go_where_the_residual_is_largest():
     np.testing.assert_array_equal(grown.objective.trust.origin.xy, grown.state.model.xy)
 
 
+def test_new_points_take_steps_of_the_learning_rate_however_late_they_come():
+    model = start_model(10, capacity=14)
+    routine = all_at_once(RATES, iterations=60)
+    before, _ = advance(first_state(model), routine.part(0, 50), objective(model))
+    grown = grow(before, objective(model), jnp.abs(before.disparity - truth()), truth(), count=4)
+    assert int(grown.added) == 4
+    steps = []
+    state = grown.state
+    for at in range(50, 56):
+        after, _ = advance(state, routine.part(at, at + 1), grown.objective)
+        change = jnp.abs(after.model.xy - state.model.xy)[10:] / routine.rates[at, 3]
+        steps.append(np.asarray(change))
+        state = after
+    assert 0.9 < steps[0].max() < 1.1
+    assert np.max(steps) < 1.6
+    for old, new in zip(before.moments.mu[1:], grown.state.moments.mu[1:], strict=True):
+        np.testing.assert_array_equal(old[:10], new[:10])
+
+
 def test_hidden_points_are_recycled_and_open_ones_are_not():
     model = start_model(4)
     xy = jnp.array([[3.0, 3.0], [3.1, 3.0], [12.0, 8.0], [5.0, 11.0]])
