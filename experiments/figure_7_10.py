@@ -66,7 +66,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--data", type=Path, default=shared_data())
     parser.add_argument("--scenes", nargs="+", default=["hci/cotton"])
-    parser.add_argument("--iterations", type=int, default=75)
+    parser.add_argument("--iterations", type=int, default=150)
     parser.add_argument("--pieces", type=int, default=5)
     parser.add_argument("--grow", type=float, default=0.07, help="points to add per pixel")
     parser.add_argument("--size", type=int, default=128, help="of synthetic views, px")

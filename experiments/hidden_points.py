@@ -5,7 +5,8 @@
 A square stands in front of a plane. Some of the points on it and beside it are given a label that
 is too near, so that they hide the right ones around them, which get next to no gradient. The
 supervised optimisation is run with all points opaque as in the thesis, with opacities that fall
-with the weight (`ModelSizes.clears`), with hidden points recycled (`grow`), and with both.
+with the weight (`ModelSizes.clears`), with hidden points recycled (`grow`), with both, and with
+points that are too narrow to hide their neighbours (`ModelParams.for_scale`).
 """
 
 import argparse
@@ -65,18 +66,21 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("results/hidden_points"))
     arguments = parser.parse_args()
     truth = jnp.zeros(SHAPE, jnp.float32).at[8:24, 12:28].set(1.0)
-    known, params = jnp.ones(SHAPE, bool), ModelParams()
+    known = jnp.ones(SHAPE, bool)
+    wide, narrow = ModelParams(), ModelParams.for_scale(1)
     weights = SupervisedWeights(square=jnp.asarray(3.0))
     rates = Rates(rate=jnp.asarray([0.15, 0.01, 0.08, 0.05]))
     table = all_at_once(rates, iterations=arguments.iterations)
     piece = arguments.iterations // PIECES
     render = eqx.filter_jit(render_model)
     rows = []
-    for name, clears, recycles in (
-        ("nothing (thesis)", False, False),
-        ("opacity", True, False),
-        ("recycling", False, True),
-        ("both", True, True),
+    for name, clears, recycles, params in (
+        ("nothing (thesis)", False, False, wide),
+        ("opacity", True, False, wide),
+        ("recycling", False, True, wide),
+        ("both", True, True, wide),
+        ("narrow points", False, False, narrow),
+        ("narrow points and both", True, True, narrow),
     ):
         sizes = ModelSizes(splat=SplatSizes(scale=1, lanes=16), clears=clears)
         errors, hidden = np.zeros((arguments.seeds, 2)), np.zeros((arguments.seeds, 2))

@@ -92,7 +92,7 @@ def optimize(
     vgg16: Path | None = None,
     grow_points: int = 0,
     subset: int | None = None,
-    raster: Literal[1, 2] = 2,
+    raster: Literal[1, 2] = 1,
     views: int | None = None,
     scale: float = 1.0,
     state: Path | None = None,
@@ -120,7 +120,7 @@ def optimize(
         vgg16: an .npz file of VGG16's first two convolutions, for `--features vgg16`.
         grow_points: points to add where the map is worst, half-way; needs `--supervised`.
         subset: views drawn per iteration of `--loss reprojection`; all by default.
-        raster: raster pixels per pixel.
+        raster: raster pixels per pixel and axis; the thesis has 2, which takes four times as long.
         views: use the central VIEWS x VIEWS views only; odd.
         scale: shrink the views by this factor, at most 1.
         state: a state.eqx of an earlier run with the same options, to go on from.
@@ -138,7 +138,7 @@ def optimize(
         raise ValueError(f"{scene} has no ground truth, which --supervised needs.")
     blind = light_field.without_truth()
     sizes = ModelSizes(splat=SplatSizes(scale=raster))
-    params, key = ModelParams(), jax.random.key(seed)
+    params, key = ModelParams.for_scale(raster), jax.random.key(seed)
     with output_folder(out, overwrite=overwrite) as folder:
         with stage("estimating depth from edges"):
             call = Parameters(), blind, Sizes.for_light_field(blind)
@@ -156,7 +156,7 @@ def optimize(
         origin = first
         if supervised:
             objective, start = _supervised(light_field, start, grow_points, params, sizes)
-            rates = Rates(rate=jnp.asarray([0.15, 0.01, 0.08, 0.05]))
+            rates = Rates(rate=jnp.asarray([0.15, 0.01, 0.08, 0.1]))
         elif loss == "evidence":
             with stage("asking the views"):
                 everyone = gather_views(blind, choice=all_views(blind))
