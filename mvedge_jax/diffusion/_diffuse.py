@@ -36,6 +36,8 @@ def diffuse(
     smallest eigenvalue of the preconditioned matrix, so it is divided by what conjugate gradients
     have seen of that eigenvalue (never multiplied). Where edges differ by more than 1e5, what
     they have not seen yet is guessed from what repeated V-cycles leave of waves: a guess, no bound.
+    In float32 it holds for edges from 1 to 1e-4 under data weights of 1e5; edges of 1e4 that were
+    cut to 1e-5 ended at 0.7 % of the range off and passed for converged: use float64 beyond that.
 
     *Singular parts.* A part of the image without a path of positive edges to any data has no
     unique solution. It takes the weighted mean of all labels (0 if there is no data at all), has
