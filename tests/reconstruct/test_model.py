@@ -19,7 +19,7 @@ from mvedge_jax.reconstruct import (
     unlimited,
     upsample,
 )
-from mvedge_jax.splatting import SplatSizes
+from mvedge_jax.splatting import SplatParams, SplatSizes
 
 SHAPE = (13, 16)
 render = eqx.filter_jit(render_model)
@@ -109,6 +109,25 @@ def test_unnormalised_labels_fade_beside_points():
     faded = render(model, exact(), ModelSizes(normalised=False)).disparity
     np.testing.assert_allclose(full, 1, atol=1e-9)
     assert 1e-6 < float(1 - faded.mean()) < 1e-2
+
+
+@pytest.mark.parametrize("scale", [1, 2])
+def test_narrow_points_leave_the_pixel_beside_them_to_others(scale):
+    """Most of it, at any scale; a point of the thesis' width takes it over entirely."""
+    xy = jnp.array([[5.0, 6.0], [6.0, 6.0], [1.0, 1.0]])
+    model = DepthModel(
+        jnp.array([1.0, 0.0, 0.0]), xy, jnp.zeros(3), jnp.full(SHAPE, 8.0), jnp.ones(3, bool)
+    )
+    sizes = ModelSizes(splat=SplatSizes(scale=scale, lanes=16))
+    narrow = render(model, ModelParams.for_scale(scale), sizes).disparity
+    assert float(narrow[6, 5]) > 0.9
+    assert float(narrow[6, 6]) < 0.5
+    thesis = ModelParams(
+        splat=SplatParams(
+            sigma_label=jnp.asarray(0.65 * scale), sigma_weight=jnp.asarray(0.35 * scale)
+        )
+    )
+    assert float(render(model, thesis, sizes).disparity[6, 6]) > 0.9
 
 
 def test_no_points_at_all_render_to_zero_with_finite_gradients():
