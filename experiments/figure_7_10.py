@@ -19,6 +19,13 @@ from matplotlib.figure import Figure
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.reconstruct import decode, encode, save_encoding
 
+COLUMNS = {
+    "mse": "MSE $\\times$ 100",
+    "bad_01": "BadPix(0.01), %",
+    "bad_03": "BadPix(0.03), %",
+    "bad_07": "BadPix(0.07), %",
+}
+
 
 def curve(name: str, light_field: LightField, arguments: argparse.Namespace) -> list[dict]:
     """Scores over the iterations, without and with points added."""
@@ -90,15 +97,14 @@ def main() -> None:
         write_csv(arguments.out / f"{stem}.csv", rows)
         write_json(arguments.out / f"{stem}.json", rows)
         figure = Figure(figsize=(9, 3), layout="constrained")
-        for axes, column in zip(
-            figure.subplots(1, 4), ("mse", "bad_01", "bad_03", "bad_07"), strict=True
-        ):
+        panels = figure.subplots(1, 4)
+        for axes, (column, title) in zip(panels, COLUMNS.items(), strict=True):
             for run in dict.fromkeys(row["run"] for row in rows):
                 mine = [row for row in rows if row["run"] == run]
                 axes.semilogy([r["iteration"] for r in mine], [r[column] for r in mine], label=run)
-            axes.set_title(column)
+            axes.set_title(title)
             axes.set_xlabel("iteration")
-            axes.legend(fontsize=6)
+        figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=2)
         figure.savefig(arguments.out / f"{stem}.png")
 
 
