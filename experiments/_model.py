@@ -113,18 +113,25 @@ def run_supervised(
     raster: int,
     iterations: int,
     grow_points: int = 0,
+    recycle_only: bool = False,
     pieces: int = 5,
     look: Look | None = None,
 ) -> tuple[DepthModel, jax.Array]:
     """Fits a model to the ground truth, all parameters at once.
 
-    Points are added after each of the first three pieces, a third of `grow_points` each.
+    Points are added after each of the first three pieces, a third of `grow_points` each; with
+    `recycle_only` they take the places of points that do nothing, and none beyond.
     """
     truth = light_field.truth
     if truth is None:
         raise ValueError(f"{light_field.name} has no ground truth.")
     params, sizes = rendering(raster)
-    model = with_capacity(model, model.valid.size + grow_points)
+    there = np.flatnonzero(np.asarray(model.valid))
+    points = (model.disparity, model.xy, model.log_weight, model.valid)
+    disparity, xy, log_weight, valid = (values[there] for values in points)
+    model = DepthModel(disparity, xy, log_weight, model.roughness, valid)
+    if not recycle_only:
+        model = with_capacity(model, there.size + grow_points)
     known = truth.disparity.astype(model.disparity.dtype)
     weights = SupervisedWeights(square=jnp.asarray(3.0))
     goal = Supervised(known, truth.valid, unlimited(model), params, weights, sizes)

@@ -28,21 +28,26 @@ COLUMNS = {
 
 
 def curve(name: str, light_field: LightField, arguments: argparse.Namespace) -> list[dict]:
-    """Scores over the iterations, without and with points added."""
+    """Scores over the iterations: without new points, with useless ones recycled, with more."""
     start, _ = first_map(light_field)
     model = plain_model(start, light_field.centre_view)
     rows: list[dict] = []
     pixels = light_field.views.shape[2] * light_field.views.shape[3]
-    for added in dict.fromkeys((0, int(arguments.grow * pixels))):
-        label = f"{name}, {added} points added"
+    added = int(arguments.grow * pixels)
+    runs = {
+        "as detected": {},
+        "recycled": {"grow_points": added, "recycle_only": True},
+        f"{added} points added": {"grow_points": added},
+    }
+    for run, options in runs.items() if added else [("as detected", {})]:
         run_supervised(
             model,
             light_field,
             raster=arguments.raster,
             iterations=arguments.iterations,
-            grow_points=added,
             pieces=arguments.pieces,
-            look=printer(label, light_field, rows),
+            look=printer(f"{name}, {run}", light_field, rows),
+            **options,
         )
     return rows
 
@@ -104,7 +109,7 @@ def main() -> None:
                 axes.semilogy([r["iteration"] for r in mine], [r[column] for r in mine], label=run)
             axes.set_title(title)
             axes.set_xlabel("iteration")
-        figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=2)
+        figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
         figure.savefig(arguments.out / f"{stem}.png")
 
 

@@ -6,10 +6,12 @@ compared is the time from weights and labels to a map.
 
     python experiments/benchmarks/diffusion.py --out results/diffusion
     python experiments/benchmarks/diffusion.py --only ours --sizes 128 512 2048
+    python experiments/benchmarks/diffusion.py --only batches --devices 2
 """
 
 import argparse
 import importlib
+import itertools
 import json
 import statistics
 import subprocess
@@ -24,6 +26,7 @@ import jax.numpy as jnp
 import numpy as np
 import scipy.ndimage
 import scipy.sparse.linalg
+from jax.sharding import NamedSharding, PartitionSpec
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from _report import peak_memory, print_table, shared_data, write_csv, write_json  # noqa: E402
@@ -144,16 +147,25 @@ def batches_and_gradients(repeats: int) -> list[dict[str, Any]]:
         )
         for one in (jax.tree.map(lambda maps, i=i: maps[i], systems) for i in (0, 255))
     ]
-    for stop in ("residual", "error"):
+    # A device of the CPU is one core as far as loops are concerned.
+    mesh = jax.make_mesh((jax.device_count(),), ("batch",))
+    spread = jax.device_put(systems, NamedSharding(mesh, PartitionSpec("batch")))
+    counts = [1] if jax.device_count() == 1 else [1, jax.device_count()]
+    for stop, devices in itertools.product(("residual", "error"), counts):
         solver = Solver(tolerance=1e-5, stop=stop)
-        function = jax.jit(jax.vmap(lambda system, solver=solver: diffuse(system, solver=solver)))
-        found = jax.block_until_ready(function(systems))
-        seconds = repeat(lambda f=function: jax.block_until_ready(f(systems)), repeats)
+        each = jax.vmap(lambda system, solver=solver: diffuse(system, solver=solver))
+        split = PartitionSpec("batch")
+        several = jax.shard_map(each, mesh=mesh, in_specs=split, out_specs=split, check_vma=False)
+        function, batch = (each, systems) if devices == 1 else (several, spread)
+        function = jax.jit(function)
+        found = jax.block_until_ready(function(batch))
+        seconds = repeat(lambda f=function, b=batch: jax.block_until_ready(f(b)), repeats)
         errors = [
-            np.abs(found.value[i].ravel() - e).max() for i, e in zip((0, 255), exact, strict=True)
+            np.abs(np.asarray(found.value)[i].ravel() - e).max() for i, e in zip((0, 255), exact, strict=True)
         ]
         rows.append({
-            "task": f"512 images of 9x512, 1e-5 of the {stop}", "ms": 1e3 * seconds,
+            "task": f"512 images of 9x512, 1e-5 of the {stop}, {devices} device(s)",
+            "ms": 1e3 * seconds,
             "iterations": int(found.stats.iterations.max()), "max_error": float(max(errors)),
             "converged": bool(found.stats.converged.all()),
         })  # fmt: skip
@@ -398,12 +410,14 @@ def main() -> None:
     parser.add_argument("--contrasts", type=float, nargs="*", default=[1.0, 1e3, 1e6, 1e9])
     parser.add_argument("--tolerance", type=float, default=1e-5, help="relative residual")
     parser.add_argument("--repeats", type=int, default=9)
-    parser.add_argument("--only", choices=["all", "ours", "multigrid"], default="all")
+    parser.add_argument("--only", choices=["all", "ours", "multigrid", "batches"], default="all")
+    parser.add_argument("--devices", type=int, default=1, help="of the CPU, for the batch")
     parser.add_argument("--largest", type=int, default=512, help="largest size for direct solvers")
     parser.add_argument("--no-real", action="store_true", help="generated systems only")
     parser.add_argument("--in-process", action="store_true", help="quick: no memory per solver")
     parser.add_argument("--row", nargs=2, help=argparse.SUPPRESS)
     arguments = parser.parse_args()
+    jax.config.update("jax_num_cpu_devices", arguments.devices)
     if arguments.row:
         wanted, name = arguments.row
         every = problems(arguments.sizes, arguments.contrasts, True)
@@ -413,6 +427,11 @@ def main() -> None:
             reference(problem, arguments.largest),
         )  # fmt: skip
         print(json.dumps(row))
+        return
+    if arguments.only == "batches":
+        extra = batches_and_gradients(arguments.repeats)
+        print_table(extra, title="batches and gradients")
+        write_json(arguments.out / "batches.json", extra)
         return
     rows = []
     for problem in problems(arguments.sizes, arguments.contrasts, not arguments.no_real):

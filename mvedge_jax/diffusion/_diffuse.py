@@ -10,9 +10,9 @@ from jaxtyping import Array, Float
 
 from mvedge_jax._params import cast
 
-from ._core import Options, Prepared, choose, prepare, solve
+from ._core import Options, Prepared, choose, mapped, prepare_group, solve, solve_group
 from ._solver import Diffused, Solver, SolveStats
-from ._stencil import Coefficients, differences, inner, largest, product
+from ._stencil import Coefficients, differences, inner, largest, product, spread
 from ._system import System, check
 
 
@@ -44,7 +44,13 @@ def diffuse(
     no gradient, and is counted in `stats.isolated`.
 
     *Batches.* Under `vmap`, large images are solved one after the other and small ones, such as
-    epipolar-plane images, together; each stops on its own.
+    epipolar-plane images, together; each stops on its own. A batch keeps one core of a CPU busy:
+    for more, `jax.config.update("jax_num_cpu_devices", cores)` and `jax.shard_map` over the batch
+    (`experiments/benchmarks/diffusion.py --only batches --devices 2`).
+
+    *Thin images* (a side of at most 16 pixels, see `Solver`) are eliminated exactly. With
+    `stop="error"` that is all: one iteration, and the estimate is a bound on the rounding that was
+    measured, not computed. A negative weight makes it iterate like the others.
 
     Args:
         system: weights and labels; `weight`, `tx`, `ty` finite and ≥ 0, labels finite where
@@ -105,34 +111,53 @@ def _diffuse(options: Options, system: System, start: Array | None, tolerance: A
 def forward(
     options: Options, system: System, start: Array | None, tolerance: Array
 ) -> tuple[Diffused, Prepared]:
-    """Solves for a correction of the start, so that a large common offset costs no digits."""
+    """The solution, and what its adjoint needs besides."""
+    value, stats, hierarchy, keep = mapped(_forward_group, options)(system, start, tolerance)
+    return Diffused(value, SolveStats(**stats)), Prepared(system.coefficients, hierarchy, keep)
+
+
+def _forward_group(
+    options: Options, system: System, start: Array | None, tolerance: Array
+) -> tuple[Array, dict[str, Array], Any, Array]:
+    """Solves for a correction of the start, so that a large common offset costs no digits.
+
+    For one system, or for some on a leading axis: nothing but the solution is ever held for a
+    whole batch.
+    """
     coefficients = system.coefficients
-    prepared = prepare(options, coefficients)
+    prepared = prepare_group(options, coefficients)
     data = system.weight != 0
     label = jnp.where(data, system.label, 0)
-    total = jnp.sum(system.weight)
-    mean = jnp.sum(system.weight * label) / jnp.where(total > 0, total, 1)
-    right = system.weight * (label - mean)
+    total = _total(system.weight)
+    mean = inner(system.weight, label) / jnp.where(total > 0, total, 1)
+    middle = spread(mean)
+    right = system.weight * (label - middle)
     if start is None:
-        base = jnp.full_like(label, mean)
+        base = jnp.broadcast_to(middle, label.shape)
     else:
-        base = jnp.where(prepared.keep, start, mean)
-        right = right - product(coefficients, base - mean)
-    found = solve(options, prepared, right, *_threshold(options, system, label, mean, tolerance))
-    value = jnp.where(prepared.keep, base + found.value, mean)
-    sound = jnp.isfinite(total + sum(jnp.sum(maps) for maps in system.edges) + jnp.sum(right))
-    value = jnp.where(sound, value, jnp.nan)
+        base = jnp.where(prepared.keep, start, middle)
+        right = right - product(coefficients, base - middle)
+    threshold = _threshold(options, system, label, mean, tolerance)
+    found = solve_group(options, prepared, right, *threshold)
+    value = jnp.where(prepared.keep, base + found.value, middle)
+    sound = jnp.isfinite(total + sum(_total(maps) for maps in system.edges) + _total(right))
+    value = jnp.where(spread(sound), value, jnp.nan)
     scale = jnp.sqrt(inner(system.weight * label, system.weight * label))
-    rest = system.weight * (label - mean) - product(coefficients, value - mean)
+    rest = system.weight * (label - middle) - product(coefficients, value - middle)
     norm = jnp.sqrt(inner(rest, rest))
-    stats = SolveStats(
-        iterations=found.iterations,
-        residual=norm / jnp.where(scale > 0, scale, 1),
-        estimate=found.estimate,
-        converged=found.converged,
-        isolated=jnp.sum(~prepared.keep, dtype=jnp.int32),
-    )
-    return Diffused(value, stats), prepared
+    stats = {
+        "iterations": found.iterations,
+        "residual": norm / jnp.where(scale > 0, scale, 1),
+        "estimate": found.estimate,
+        "converged": found.converged,
+        "isolated": jnp.sum(~prepared.keep, axis=(-2, -1), dtype=jnp.int32),
+    }
+    return value, stats, prepared.hierarchy, prepared.keep
+
+
+def _total(values: Array) -> Array:
+    """Sum over the image."""
+    return jnp.sum(values, axis=(-2, -1))
 
 
 def _threshold(
@@ -143,11 +168,11 @@ def _threshold(
     if options.stop == "residual":
         data = system.weight * label
         size = jnp.sqrt(inner(data, data))
+        floor = precision * size
     else:
-        data = system.weight > 0
-        low = jnp.min(jnp.where(data, label, mean))
-        size = jnp.max(jnp.where(data, label, mean)) - low
-    floor = precision * largest(label) if options.stop == "error" else precision * size
+        known = jnp.where(system.weight > 0, label, spread(mean))
+        size = jnp.max(known, axis=(-2, -1)) - jnp.min(known, axis=(-2, -1))
+        floor = precision * largest(label)
     return tolerance * size + floor, jnp.zeros_like(tolerance)
 
 
