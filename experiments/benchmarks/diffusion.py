@@ -161,7 +161,8 @@ def batches_and_gradients(repeats: int) -> list[dict[str, Any]]:
         found = jax.block_until_ready(function(batch))
         seconds = repeat(lambda f=function, b=batch: jax.block_until_ready(f(b)), repeats)
         errors = [
-            np.abs(np.asarray(found.value)[i].ravel() - e).max() for i, e in zip((0, 255), exact, strict=True)
+            np.abs(np.asarray(found.value)[i].ravel() - e).max()
+            for i, e in zip((0, 255), exact, strict=True)
         ]
         rows.append({
             "task": f"512 images of 9x512, 1e-5 of the {stop}, {devices} device(s)",

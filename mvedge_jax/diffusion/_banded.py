@@ -18,8 +18,12 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array
 
-from ._stencil import Coefficients, pad
+from ._pcg import Iterate
+from ._stencil import Coefficients, inner, largest, pad, product, spread
 
+# Error of the elimination, in roundings of the largest entry: twice the largest that was seen, on
+# sides from 1 to 16, up to 2000 pixels long, data at 1 to 90 % of them, and any contrast.
+_ROUNDING = 32
 # Columns of an upper triangular U, `h` times `[h, b]`; what is below the diagonal has no meaning.
 Factors = tuple[Array, ...]
 
@@ -30,6 +34,80 @@ class _Front(NamedTuple):
     factors: Factors  # of the inverse of its matrix, U U^T
     sums: Array  # its row sums and its right-hand side, `[h, 2, b]`
     tie: Array  # to the next column, `[h, b]`
+
+
+class _State(NamedTuple):
+    value: Array
+    residual: Array
+    iterations: Array
+    estimate: Array
+    converged: Array
+    active: Array
+
+
+def refine(
+    coefficients: Coefficients,
+    right: Array,
+    keep: Array,
+    absolute: Array,
+    relative: Array,
+    *,
+    stop: str,
+    max_iterations: int,
+) -> Iterate:
+    """Eliminates, and does so again with what is left while that is asked for and helps.
+
+    Once is enough for an error above the rounding. With a negative weight digits may be lost, so
+    that the first estimate is the solution itself; each later one is the last correction.
+
+    Args:
+        coefficients: the matrix, with any leading batch axes.
+        right: right-hand side.
+        keep: pixels that take part; elsewhere the solution stays 0.
+        absolute: part of the threshold for the measure of error.
+        relative: part of the threshold, as a share of the largest entry of the solution.
+        stop: `"error"` or `"residual"`, the root of the sum of squares of the residual.
+        max_iterations: eliminations at most.
+
+    Returns:
+        The solution and its statistics.
+    """
+    rounding = _ROUNDING * jnp.finfo(right.dtype).eps
+    positive = jnp.all(coefficients.weight >= 0, axis=(-2, -1))
+
+    def step(state: _State) -> _State:
+        change = jnp.where(keep & spread(state.active), solve(coefficients, state.residual), 0)
+        value = state.value + change
+        residual = state.residual - product(coefficients, change)
+        size = largest(value)
+        if stop == "error":
+            first = positive & (state.iterations == 0)
+            estimate = jnp.where(first, rounding * size, largest(change))
+        else:
+            estimate = jnp.sqrt(inner(residual, residual))
+        converged = estimate <= absolute + relative * size
+        helps = estimate < 0.5 * state.estimate
+        more = helps & ~converged & (state.iterations + 1 < max_iterations)
+        return _State(
+            value,
+            residual,
+            state.iterations + state.active.astype(jnp.int32),
+            jnp.where(state.active, estimate, state.estimate),
+            jnp.where(state.active, converged, state.converged),
+            state.active & more,
+        )
+
+    nothing = jnp.zeros(right.shape[:-2], right.dtype)
+    state = _State(
+        jnp.zeros_like(right),
+        right,
+        jnp.zeros(nothing.shape, jnp.int32),
+        jnp.full_like(nothing, jnp.inf),
+        jnp.zeros(nothing.shape, bool),
+        jnp.ones(nothing.shape, bool),
+    )
+    state = lax.while_loop(lambda state: jnp.any(state.active), step, state)
+    return Iterate(state.value, state.iterations, state.estimate, state.converged)
 
 
 def solve(coefficients: Coefficients, right: Array) -> Array:

@@ -29,9 +29,6 @@ _WINDOW = 64 * 9 * 9
 _THIN, _SHORT = 16, 1 << 14
 # Multigrid was not seen to miss a region where edges are less uneven than this.
 _EVEN, _PROBES = 1e5, 4
-# Error of the elimination, in roundings of the largest entry: twice the largest that was seen, on
-# sides from 1 to 16, up to 2000 pixels long, data at 1 to 90 % of them, and any contrast.
-_ROUNDING = 32
 
 
 class Options(NamedTuple):
@@ -118,37 +115,20 @@ def solve_group(
 ) -> Iterate:
     """`solve` for one system, or for some on a leading axis."""
     right = jnp.where(prepared.keep, right, 0)
-
-    def iterate() -> Iterate:
-        return pcg(
-            prepared.coefficients,
-            preconditioner(options, prepared),
-            right,
-            prepared.keep,
-            absolute,
-            relative,
-            probes=_probes(options, prepared.coefficients),
-            stop=options.stop,
-            max_iterations=options.max_iterations,
+    limits = {"stop": options.stop, "max_iterations": options.max_iterations}
+    if options.preconditioner == "banded":
+        return _banded.refine(
+            prepared.coefficients, right, prepared.keep, absolute, relative, **limits
         )
-
-    if options.preconditioner == "banded" and options.stop == "error":
-        # With a negative weight, digits may be lost.
-        sound = jnp.all(prepared.coefficients.weight >= 0)
-        return lax.cond(sound, lambda: _eliminate(prepared, right, absolute, relative), iterate)
-    return iterate()
-
-
-def _eliminate(prepared: Prepared, right: Array, absolute: Array, relative: Array) -> Iterate:
-    """Elimination alone: what it leaves is rounding, and not worth a second look."""
-    value = jnp.where(prepared.keep, _banded.solve(prepared.coefficients, right), 0)
-    size = largest(value)
-    estimate = _ROUNDING * jnp.finfo(value.dtype).eps * size
-    return Iterate(
-        value,
-        jnp.ones(size.shape, jnp.int32),
-        estimate,
-        estimate <= absolute + relative * size,
+    return pcg(
+        prepared.coefficients,
+        preconditioner(options, prepared),
+        right,
+        prepared.keep,
+        absolute,
+        relative,
+        probes=_probes(options, prepared.coefficients),
+        **limits,
     )
 
 

@@ -50,7 +50,8 @@ def diffuse(
 
     *Thin images* (a side of at most 16 pixels, see `Solver`) are eliminated exactly. With
     `stop="error"` that is all: one iteration, and the estimate is a bound on the rounding that was
-    measured, not computed. A negative weight makes it iterate like the others.
+    measured, not computed. With a negative weight, or a tolerance below that bound (4e-6 in
+    float32), what is left is eliminated again.
 
     Args:
         system: weights and labels; `weight`, `tx`, `ty` finite and ≥ 0, labels finite where

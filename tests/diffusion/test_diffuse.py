@@ -184,6 +184,13 @@ def test_what_elimination_leaves_is_rounding(shape, contrast):
         assert float(found.stats.estimate) < 1e-5 * float(np.ptp(np.asarray(system.label)))
 
 
+def test_a_tolerance_finer_than_rounding_is_iterated_for():
+    system = random_system(9, 60, dtype=jnp.float32, key=jax.random.key(5))
+    found = diffuse(system, solver=Solver(tolerance=1e-6))
+    assert bool(found.stats.converged)
+    assert int(found.stats.iterations) > 1
+
+
 def test_thin_images_with_a_negative_weight_are_iterated():
     system = random_system(5, 30, data=0.8, key=jax.random.key(4))
     system = eqx.tree_at(lambda s: s.weight, system, system.weight.at[2, 7].set(-0.01))
