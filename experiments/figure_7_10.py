@@ -10,6 +10,7 @@ import tempfile
 from pathlib import Path
 
 import cv2
+import jax
 import jax.numpy as jnp
 import numpy as np
 from _model import first_map, load_scene, plain_model, printer, run_supervised, scores
@@ -111,6 +112,8 @@ def main() -> None:
             axes.set_xlabel("iteration")
         figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
         figure.savefig(arguments.out / f"{stem}.png")
+        # Programs of the whole chain take 2400 memory maps each; Linux allows 65530.
+        jax.clear_caches()
 
 
 if __name__ == "__main__":
