@@ -78,23 +78,30 @@ def refine(
     def step(state: _State) -> _State:
         change = jnp.where(keep & spread(state.active), solve(coefficients, state.residual), 0)
         value = state.value + change
-        residual = state.residual - product(coefficients, change)
         size = largest(value)
+
+        def left() -> Array:
+            return state.residual - product(coefficients, change)
+
         if stop == "error":
             first = positive & (state.iterations == 0)
             estimate = jnp.where(first, rounding * size, largest(change))
+            residual = None
         else:
+            residual = left()
             estimate = jnp.sqrt(inner(residual, residual))
         converged = estimate <= absolute + relative * size
         helps = estimate < 0.5 * state.estimate
-        more = helps & ~converged & (state.iterations + 1 < max_iterations)
+        more = state.active & helps & ~converged & (state.iterations + 1 < max_iterations)
+        if residual is None:
+            residual = lax.cond(jnp.any(more), left, lambda: state.residual)
         return _State(
             value,
             residual,
             state.iterations + state.active.astype(jnp.int32),
             jnp.where(state.active, estimate, state.estimate),
             jnp.where(state.active, converged, state.converged),
-            state.active & more,
+            more,
         )
 
     nothing = jnp.zeros(right.shape[:-2], right.dtype)
