@@ -25,7 +25,7 @@ _TOGETHER = 1 << 14
 # cache (512 images of 9x512, on two devices: 79 ms in groups of 64, 111 of 32, 158 of 128).
 _WINDOW = 64 * 9 * 9
 # Thin images that are worth eliminating: the cost per pixel grows with the square of the short
-# side, and pixels come one after the other.
+# side, the size of the program with its cube, and columns come one after the other.
 _THIN, _SHORT = 16, 1 << 14
 # Multigrid was not seen to miss a region where edges are less uneven than this.
 _EVEN, _PROBES = 1e5, 4
@@ -57,17 +57,11 @@ def choose(preconditioner: str, shape: tuple[int, int]) -> str:
 
 def prepare(options: Options, coefficients: Coefficients) -> Prepared:
     """Computes everything about a matrix that a solve and its adjoint share."""
-    hierarchy, keep = mapped(_prepare_alone, options)(coefficients)
-    return Prepared(coefficients, hierarchy, keep)
+    return Prepared(coefficients, *mapped(prepare_group, options)(coefficients))
 
 
-def _prepare_alone(options: Options, coefficients: Coefficients) -> tuple[Any, Array]:
-    prepared = prepare_group(options, coefficients)
-    return prepared.hierarchy, prepared.keep
-
-
-def prepare_group(options: Options, coefficients: Coefficients) -> Prepared:
-    """`prepare` for one matrix, or for some on a leading axis."""
+def prepare_group(options: Options, coefficients: Coefficients) -> tuple[Any, Array]:
+    """Hierarchy and tied pixels of one matrix, or of some on a leading axis."""
     if options.preconditioner == "multigrid":
         hierarchy = _multigrid.build(coefficients)
     elif options.preconditioner == "lahbpcg":
@@ -77,7 +71,7 @@ def prepare_group(options: Options, coefficients: Coefficients) -> Prepared:
     else:
         # Factors take `h` times the memory of an image: every solve makes them anew.
         hierarchy = ()
-    return Prepared(coefficients, hierarchy, reachable(coefficients))
+    return hierarchy, reachable(coefficients)
 
 
 def preconditioner(options: Options, prepared: Prepared) -> Callable[[Array], Array]:

@@ -126,7 +126,7 @@ def _forward_group(
     whole batch.
     """
     coefficients = system.coefficients
-    prepared = prepare_group(options, coefficients)
+    prepared = Prepared(coefficients, *prepare_group(options, coefficients))
     data = system.weight != 0
     label = jnp.where(data, system.label, 0)
     total = _total(system.weight)
