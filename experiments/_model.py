@@ -53,7 +53,7 @@ from mvedge_jax.splatting import SplatSizes
 
 def rendering(raster: int) -> tuple[ModelParams, ModelSizes]:
     """Parameters and sizes for 1 or 2 raster pixels per pixel."""
-    return ModelParams.for_scale(raster), ModelSizes(splat=SplatSizes(scale=raster))
+    return ModelParams.narrow(raster), ModelSizes(splat=SplatSizes(scale=raster))
 
 
 def load_scene(name: str, data: Path | None, *, size: int = 128) -> LightField:

@@ -6,7 +6,7 @@ A square stands in front of a plane. Some of the points on it and beside it are 
 is too near, so that they hide the right ones around them, which get next to no gradient. The
 supervised optimisation is run with all points opaque as in the thesis, with opacities that fall
 with the weight (`ModelSizes.clears`), with hidden points recycled (`grow`), with both, and with
-points that are too narrow to hide their neighbours (`ModelParams.for_scale`).
+points that are too narrow to hide their neighbours (`ModelParams.narrow`).
 """
 
 import argparse
@@ -67,7 +67,7 @@ def main() -> None:
     arguments = parser.parse_args()
     truth = jnp.zeros(SHAPE, jnp.float32).at[8:24, 12:28].set(1.0)
     known = jnp.ones(SHAPE, bool)
-    wide, narrow = ModelParams(), ModelParams.for_scale(1)
+    wide, narrow = ModelParams(), ModelParams.narrow(1)
     weights = SupervisedWeights(square=jnp.asarray(3.0))
     rates = Rates(rate=jnp.asarray([0.15, 0.01, 0.08, 0.05]))
     table = all_at_once(rates, iterations=arguments.iterations)

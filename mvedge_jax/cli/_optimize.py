@@ -138,7 +138,7 @@ def optimize(
         raise ValueError(f"{scene} has no ground truth, which --supervised needs.")
     blind = light_field.without_truth()
     sizes = ModelSizes(splat=SplatSizes(scale=raster))
-    params, key = ModelParams.for_scale(raster), jax.random.key(seed)
+    params, key = ModelParams.narrow(raster), jax.random.key(seed)
     with output_folder(out, overwrite=overwrite) as folder:
         with stage("estimating depth from edges"):
             call = Parameters(), blind, Sizes.for_light_field(blind)

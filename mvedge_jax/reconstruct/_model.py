@@ -46,7 +46,7 @@ class ModelParams(eqx.Module):
     clearing: Float[Array, ""] = number(4.0)
 
     @staticmethod
-    def for_scale(scale: int) -> "ModelParams":
+    def narrow(scale: int) -> "ModelParams":
         """Points that are narrower than the thesis', for a raster of any scale.
 
         The defaults are the thesis' widths, on its raster of 2: labels of 0.65 px. Such a point
@@ -62,7 +62,7 @@ class ModelParams(eqx.Module):
             Parameters with labels of 0.35 px and weights of 0.45 px.
 
         Example:
-            >>> round(float(ModelParams.for_scale(2).splat.sigma_label), 2)
+            >>> round(float(ModelParams.narrow(2).splat.sigma_label), 2)
             0.7
         """
         label, weight = jnp.asarray(0.35 * scale), jnp.asarray(0.45 * scale)
@@ -81,7 +81,7 @@ class ModelSizes:
             `experiments/hidden_points.py`, where 70 % of the points are hidden, many by wrong
             ones, this alone lowers the error after the optimisation by 1 %, recycling hidden
             points (`grow`) by 5 %, both together by 14 %. Narrower points
-            (`ModelParams.for_scale`) hide 5 % of the points from the start: they lower it by
+            (`ModelParams.narrow`) hide 5 % of the points from the start: they lower it by
             66 %, and all three together by 91 %.
         pairing: how two pixels' smoothness makes an edge's, see `edge_weights`.
     """

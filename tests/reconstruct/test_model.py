@@ -119,7 +119,7 @@ def test_narrow_points_leave_the_pixel_beside_them_to_others(scale):
         jnp.array([1.0, 0.0, 0.0]), xy, jnp.zeros(3), jnp.full(SHAPE, 8.0), jnp.ones(3, bool)
     )
     sizes = ModelSizes(splat=SplatSizes(scale=scale, lanes=16))
-    narrow = render(model, ModelParams.for_scale(scale), sizes).disparity
+    narrow = render(model, ModelParams.narrow(scale), sizes).disparity
     assert float(narrow[6, 5]) > 0.9
     assert float(narrow[6, 6]) < 0.5
     thesis = ModelParams(
