@@ -2,15 +2,18 @@
 
 The short side is eliminated as a whole, column after column. Multigrid coarsens the short side of
 such an image away after a few levels and needs two to five times the iterations that it needs on a
-square; this costs as much as about two of them, at any contrast.
+square; this costs as much as one of them, at any contrast.
 
-Three habits of XLA on the CPU shape the code, each worth a factor of two to ten here. It computes
-a product anew for every reader, but never a division, so that what is read often is the result of
-one. A sum along a short axis is a call to a library; the same sum, written out, is not. A slice of
-many rows of a large array is copied element by element, so that the factors are many small arrays.
+Four habits of XLA on the CPU shape the code, each worth a factor of 1.2 to ten here. A product is
+computed anew for every reader: a pixel is eliminated behind a fence, and what is read often is the
+result of a division, which is not repeated. A sum along a short axis is a call to a library; the
+same sum, written out, is not. A slice of a large array is copied element by element unless it is a
+row. Every array that a scan puts together starts as a copy of zeros: one large one is better than
+many.
 """
 
 from collections.abc import Iterable
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
@@ -18,22 +21,27 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array
 
+from ._fence import fenced
 from ._pcg import Iterate
 from ._stencil import Coefficients, inner, largest, pad, product, spread
 
 # Error of the elimination, in roundings of the largest entry: twice the largest that was seen, on
 # sides from 1 to 16, up to 2000 pixels long, data at 1 to 90 % of them, and any contrast.
 _ROUNDING = 32
-# Columns of an upper triangular U, `h` times `[h, b]`; what is below the diagonal has no meaning.
-Factors = tuple[Array, ...]
 
 
 class _Front(NamedTuple):
     """The last column that was eliminated."""
 
-    factors: Factors  # of the inverse of its matrix, U U^T
-    sums: Array  # its row sums and its right-hand side, `[h, 2, b]`
+    tableau: Array  # swept: its inverse, and that times its row sums and right-hand side
     tie: Array  # to the next column, `[h, b]`
+
+
+class _Eliminated(NamedTuple):
+    """A matrix as a chain of columns, `w` of them."""
+
+    inverses: Array  # of each column's matrix after the elimination of those before, `[w, h, h, b]`
+    ahead: Array  # ties to the next column, `[w, h, b]`
 
 
 class _State(NamedTuple):
@@ -55,7 +63,7 @@ def refine(
     stop: str,
     max_iterations: int,
 ) -> Iterate:
-    """Eliminates, and does so again with what is left while that is asked for and helps.
+    """Eliminates, and substitutes again with what is left while that is asked for and helps.
 
     Once is enough for an error above the rounding. With a negative weight digits may be lost, so
     that the first estimate is the solution itself; each later one is the last correction.
@@ -67,7 +75,7 @@ def refine(
         absolute: part of the threshold for the measure of error.
         relative: part of the threshold, as a share of the largest entry of the solution.
         stop: `"error"` or `"residual"`, the root of the sum of squares of the residual.
-        max_iterations: eliminations at most.
+        max_iterations: substitutions at most.
 
     Returns:
         The solution and its statistics.
@@ -75,8 +83,8 @@ def refine(
     rounding = _ROUNDING * jnp.finfo(right.dtype).eps
     positive = jnp.all(coefficients.weight >= 0, axis=(-2, -1))
 
-    def step(state: _State) -> _State:
-        change = jnp.where(keep & spread(state.active), solve(coefficients, state.residual), 0)
+    def add(state: _State, change: Array) -> _State:
+        change = jnp.where(keep & spread(state.active), change, 0)
         value = state.value + change
         size = largest(value)
 
@@ -113,12 +121,19 @@ def refine(
         jnp.zeros(nothing.shape, bool),
         jnp.ones(nothing.shape, bool),
     )
-    state = lax.while_loop(lambda state: jnp.any(state.active), step, state)
+    eliminated, carried = _eliminate(coefficients, right)
+    state = add(state, _as_images(_backwards(eliminated, carried), right.shape))
+
+    def again(state: _State) -> _State:
+        carried = _forwards(eliminated, _in_order(state.residual))
+        return add(state, _as_images(_backwards(eliminated, carried), right.shape))
+
+    state = lax.while_loop(lambda state: jnp.any(state.active), again, state)
     return Iterate(state.value, state.iterations, state.estimate, state.converged)
 
 
-def solve(coefficients: Coefficients, right: Array) -> Array:
-    r"""Eliminates column after column, and substitutes backwards.
+def _eliminate(coefficients: Coefficients, right: Array) -> tuple[_Eliminated, Array]:
+    r"""Eliminates column after column.
 
     With G the inverse of the last column's matrix and t its ties to the next column, that one has
     the ties :math:`t_i G_{ij} t_j` in addition, the row sums :math:`w + t\,G e`, where e are the
@@ -131,7 +146,7 @@ def solve(coefficients: Coefficients, right: Array) -> Array:
         right: right-hand side.
 
     Returns:
-        The solution; zero where nothing is tied to data.
+        What `_forwards` and `_backwards` need, and what `_forwards` makes of `right`.
     """
     y, x = right.shape[-2:]
     tx, ty = pad(coefficients.tx, (0, 0), (0, 1)), pad(coefficients.ty, (0, 1), (0, 0))
@@ -142,72 +157,97 @@ def solve(coefficients: Coefficients, right: Array) -> Array:
 
     def forward(front: _Front, column: tuple[Array, Array, Array, Array]) -> tuple[_Front, Any]:
         weight, ahead, within, data = column
-        passed = _inverse(front.factors, front.sums)
-        sums = jnp.stack([weight, data], 1) + front.tie[:, None] * passed
-        factors = _invert(front.factors, front.tie, within, sums[:, 0] + ahead)
-        return _Front(factors, sums, ahead), (factors, sums[:, 1])
+        tableau = fenced(_next_column, front, weight, ahead, within, data)
+        data = tableau[:, -1]
+        for pivot in range(tableau.shape[0]):
+            tableau = fenced(partial(_sweep, pivot=pivot), tableau)
+        return _Front(tableau, ahead), (tableau[:, : tableau.shape[0]], data)
 
-    def backward(later: Array, column: tuple[Factors, Array, Array]) -> tuple[Array, Array]:
-        factors, data, ahead = column
-        value = _inverse(factors, _kept(data + ahead * later)[:, None])[:, 0]
+    height, batch = data.shape[1:]
+    front = _Front(jnp.zeros((height, height + 3, batch), right.dtype), jnp.zeros_like(data[0]))
+    inverses, carried = lax.scan(forward, front, (weight, ahead, within, data))[1]
+    return _Eliminated(inverses, ahead), carried
+
+
+def _forwards(eliminated: _Eliminated, data: Array) -> Array:
+    """Right-hand sides of the columns after the elimination of those before, `[w, h, b]`."""
+
+    def step(before: Array, column: tuple[Array, Array, Array]) -> tuple[Array, Array]:
+        at, data, ahead = column
+        carried = _kept(data + before)
+        return ahead * _times(eliminated.inverses, at, carried), carried
+
+    columns = (jnp.arange(len(data)), data, eliminated.ahead)
+    return lax.scan(step, jnp.zeros_like(data[0]), columns)[1]
+
+
+def _backwards(eliminated: _Eliminated, carried: Array) -> Array:
+    """The solution from what `_forwards` returns; zero where nothing is tied to data."""
+
+    def step(later: Array, column: tuple[Array, Array, Array]) -> tuple[Array, Array]:
+        at, carried, ahead = column
+        value = _times(eliminated.inverses, at, _kept(carried + ahead * later))
         return value, value
 
-    nothing = jnp.zeros_like(data[0])
-    front = _Front((nothing,) * min(y, x), jnp.stack([nothing, nothing], 1), nothing)
-    factors, own = lax.scan(forward, front, (weight, ahead, within, data))[1]
-    value = lax.scan(backward, nothing, (factors, own, ahead), reverse=True)[1]
-    return _as_images(value, right.shape)
+    columns = (jnp.arange(len(carried)), carried, eliminated.ahead)
+    return lax.scan(step, jnp.zeros_like(carried[0]), columns, reverse=True)[1]
 
 
-def _invert(before: Factors, tie: Array, within: Array, mass: Array) -> Factors:
-    """Factors of the inverse of a column's matrix: a symmetric Gauss-Jordan elimination.
+def _times(inverses: Array, at: Array, right: Array) -> Array:
+    """The inverse of a column's matrix, times `right`."""
+    return _sum(inverses[at, j] * right[j][None] for j in range(len(right)))
+
+
+def _next_column(front: _Front, weight: Array, ahead: Array, within: Array, data: Array) -> Array:
+    """The tableau of the next column, from the one that was eliminated.
 
     Args:
-        before: factors of the column before.
-        tie: to that column.
-        within: ties between neighbours in the column.
-        mass: row sums.
+        front: the last column.
+        weight: data weights of this one.
+        ahead: its ties to the column after it.
+        within: ties between its neighbours.
+        data: its right-hand side.
 
     Returns:
-        The columns of U; zero where a pixel is tied to nothing.
+        Ties between its pixels, `[h, h, b]`, and three columns more: row sums with and without the
+        ties ahead, and the right-hand side.
     """
-    h = len(before)
-    at = np.arange(h)
-    found: list[Array] = []
-    excess: list[Array] = []
-    for k in range(h):
-        later = range(k + 1, h)
-        ties = [
-            _sum(before[j][i] * before[j][k] for j in range(i, h)) * (tie[i] * tie[k])
-            + _sum(done[i] * done[k] for done in found)
-            for i in later
-        ]
-        own = mass[k] + _sum(done[k] * part for done, part in zip(found, excess, strict=True))
-        pivot = own + _sum(ties) + (within[k] if later else 0)
-        alive = pivot > 0
-        root = jnp.sqrt(jnp.where(alive, pivot, 1))
-        row = _sum(_rows((at > k) & (at <= j), tie) * before[j] * before[j][k][None] for j in later)
-        row = row * tie * tie[k][None] + _rows(at == k + 1, tie) * within[k][None]
-        row = row + _sum(
-            _rows((at <= j) | (at > k), tie) * done * done[k][None] for j, done in enumerate(found)
-        )
-        diagonal = _rows(at == k, tie)
-        # Two halves on the diagonal: by a divisor that is the same in all rows, XLA would multiply.
-        found.append(
-            (row + jnp.where(alive[None], 2 * diagonal, 0)) / (root[None] * (1 + diagonal))
-        )
-        excess.append(own / root)
-    return tuple(found)
+    solved, tie = front
+    height = tie.shape[0]
+    above = jnp.concatenate([jnp.zeros_like(tie[:1]), within[:-1]])
+    next_to = np.eye(height, k=1)
+    ties = _as(next_to, tie) * within[:, None] + _as(next_to.T, tie) * above[:, None]
+    ties = solved[:, :height] * tie[:, None] * tie[None] + ties
+    sums = solved[:, -2] * tie + weight
+    right = solved[:, -1] * tie + data
+    return jnp.concatenate([ties, jnp.stack([sums + ahead, sums, right], 1)], 1)
 
 
-def _inverse(factors: Factors, values: Array) -> Array:
-    """`U U^T values` of a column, `[h, k, b]`."""
-    at = np.arange(len(factors))
-    parts = [_sum(one[i][None] * values[i] for i in range(j + 1)) for j, one in enumerate(factors)]
-    return _sum(
-        (_rows(at <= j, values) * one)[:, None] * _kept(part)[None]
-        for j, (one, part) in enumerate(zip(factors, parts, strict=True))
-    )
+def _sweep(tableau: Array, *, pivot: int) -> Array:
+    """Eliminates one pixel (sweep operator, by additions only).
+
+    Where both pixels were swept, the ties have become entries of the inverse; where one was, the
+    chance of a random walk from it to leave by the other. The diagonal is not used before its
+    pixel is swept.
+
+    Args:
+        tableau: as `_next_column` makes it, swept for the pixels before.
+        pivot: the pixel.
+
+    Returns:
+        The same for one pixel more; nothing passes through a pixel that is tied to nothing.
+    """
+    height, width = tableau.shape[:2]
+    # They hold the same ties, but the product of both is faster than that of the row with itself.
+    row, column = tableau[pivot], tableau[:, pivot]
+    total = row[height] + _sum(row[j] for j in range(pivot + 1, height))
+    alive = total > 0
+    share = jnp.where(alive, 1 / jnp.where(alive, total, 1), 0)
+    here = np.arange(width) == pivot
+    there = here[:height]
+    row = _as(~here, row) * row + _as(here, row)
+    column = (_as(~there, row) * column + _as(there, row)) * share[None]
+    return _as(~there[:, None] & ~here, row) * tableau + column[:, None] * row[None]
 
 
 def _sum(terms: Iterable[Array]) -> Any:
@@ -223,9 +263,9 @@ def _kept(values: Array) -> Array:
     return values / jnp.where(jnp.isinf(values), values, 1)
 
 
-def _rows(chosen: np.ndarray, like: Array) -> Array:
-    """One in the chosen rows, zero elsewhere, `[h, 1]`."""
-    return jnp.asarray(chosen[:, None], like.dtype)
+def _as(mask: np.ndarray, like: Array) -> Array:
+    """A mask of the leading axes, as numbers."""
+    return jnp.asarray(mask[..., None], like.dtype)
 
 
 def _in_order(images: Array) -> Array:

@@ -1,7 +1,7 @@
 """One linear solve with a prepared preconditioner, and what `vmap` makes of it."""
 
 from collections.abc import Callable
-from functools import lru_cache, partial
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import jax
@@ -22,10 +22,10 @@ from ._stencil import Coefficients, diagonal, largest, reachable
 # slowest member.
 _TOGETHER = 1 << 14
 # Entries of the factors of a column that are worked on together: as many as fit in the fastest
-# cache (512 images of 9x512, on two devices: 79 ms in groups of 64, 111 of 32, 158 of 128).
+# cache (512 images of 9x512, on one device: 74 ms in groups of 64, 79 of 32, 109 of 16).
 _WINDOW = 64 * 9 * 9
 # Thin images that are worth eliminating: the cost per pixel grows with the square of the short
-# side, the size of the program with its cube, and columns come one after the other.
+# side, and columns come one after the other.
 _THIN, _SHORT = 16, 1 << 14
 # Multigrid was not seen to miss a region where edges are less uneven than this.
 _EVEN, _PROBES = 1e5, 4
@@ -75,14 +75,12 @@ def prepare_group(options: Options, coefficients: Coefficients) -> tuple[Any, Ar
 
 
 def preconditioner(options: Options, prepared: Prepared) -> Callable[[Array], Array]:
-    """The approximate inverse as a function."""
+    """The approximate inverse as a function; the elimination of thin images needs none."""
     hierarchy = prepared.hierarchy
     if options.preconditioner == "multigrid":
         return _multigrid.cycle(hierarchy)
     if options.preconditioner == "lahbpcg":
         return _lahbpcg.solver(hierarchy)
-    if options.preconditioner == "banded":
-        return partial(_banded.solve, prepared.coefficients)
     return lambda residual: ratio(residual, hierarchy)
 
 

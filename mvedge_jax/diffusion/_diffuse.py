@@ -51,7 +51,7 @@ def diffuse(
     *Thin images* (a side of at most 16 pixels, see `Solver`) are eliminated exactly. With
     `stop="error"` that is all: one iteration, and the estimate is a bound on the rounding that was
     measured, not computed. With a negative weight, or a tolerance below that bound (4e-6 in
-    float32), what is left is eliminated again.
+    float32), what is left is substituted again.
 
     Args:
         system: weights and labels; `weight`, `tx`, `ty` finite and ≥ 0, labels finite where
