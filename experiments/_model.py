@@ -135,8 +135,7 @@ def run_supervised(
     known = truth.disparity.astype(model.disparity.dtype)
     weights = SupervisedWeights(square=jnp.asarray(3.0))
     goal = Supervised(known, truth.valid, unlimited(model), params, weights, sizes)
-    rates = Rates(rate=jnp.asarray([0.15, 0.01, 0.08, 0.1]))
-    table = all_at_once(rates, iterations=iterations)
+    table = all_at_once(Rates.supervised(), iterations=iterations)
     state = begin(model, jnp.zeros_like(known), key=jax.random.key(0))
     piece = max(iterations // pieces, 1)
     for number, at in enumerate(range(0, iterations, piece)):
@@ -168,8 +167,7 @@ def run_refined(
     views = gather_views(blind, choice=all_views(blind))
     refine = RefineParams()
     refinement = prepare_refinement(start, first, views, refine, params, sizes)
-    rates = Rates(rate=jnp.asarray([0.05, 0.002, 0.05, 0.02]))
-    table = all_at_once(rates, iterations=iterations)
+    table = all_at_once(Rates.evidence(), iterations=iterations)
     state = begin(refinement.start.model, refinement.rendered, key=jax.random.key(0))
     piece = max(iterations // 4, 1)
     for at in range(0, iterations, piece):
@@ -202,7 +200,9 @@ def run_self_supervised(
         start = fit_to_map(start, first, StartParams(), params, sizes, extra=extra)
     trust = trust_labels(start, weight=prior, label=label)
     goal = SelfSupervised(training, trust, params, LossWeights(), sizes=sizes)
-    rates = Rates(rate=jnp.asarray([0.02, 0.0005 if fit else 0.01, 0.02, 0.01]))
+    rates = Rates.self_supervised()
+    if not fit:
+        rates = Rates(rates.rate.at[1].set(0.01))
     table = all_at_once(rates, iterations=iterations)
     state = begin(start.model, first, key=jax.random.key(0))
     piece = max(iterations // 4, 1)

@@ -152,11 +152,11 @@ def optimize(
         objective: Supervised | SelfSupervised
         training, held_out = _split(gather_views(blind))
         refine, refinement = RefineParams(), None
-        rates = Rates(rate=jnp.asarray([0.05, 0.002, 0.05, 0.02]))
+        rates = Rates.evidence()
         origin = first
         if supervised:
             objective, start = _supervised(light_field, start, grow_points, params, sizes)
-            rates = Rates(rate=jnp.asarray([0.15, 0.01, 0.08, 0.1]))
+            rates = Rates.supervised()
         elif loss == "evidence":
             with stage("asking the views"):
                 everyone = gather_views(blind, choice=all_views(blind))
@@ -169,7 +169,7 @@ def optimize(
             objective = SelfSupervised(
                 training, trust_labels(start), params, LossWeights(), extractor, sizes, subset
             )
-            rates = Rates(rate=jnp.asarray([0.02, 0.0005, 0.02, 0.01]))
+            rates = Rates.self_supervised()
         table = (
             all_at_once(rates, iterations=iterations)
             if routine == "joint"

@@ -11,6 +11,9 @@ from mvedge_jax._params import number
 class Rates(eqx.Module):
     """Learning rates of Adam and their decay per pass, of Q, Z, R and xy in this order.
 
+    The defaults are those of the thesis' routine; the methods have rates for all parameters at
+    once, chosen on scenes that `mvedge render` makes and on cotton.
+
     Attributes:
         rate: steps of Q, Z (px of disparity), R, xy (px).
         decay: factors per pass.
@@ -21,6 +24,21 @@ class Rates(eqx.Module):
 
     rate: Float[Array, "4"] = number((0.015, 0.015, 0.015, 0.1))
     decay: Float[Array, "4"] = number((0.9, 0.9, 0.8, 0.75))
+
+    @classmethod
+    def supervised(cls) -> "Rates":
+        """For `Supervised`: far from the answer, with nothing to distrust."""
+        return cls(jnp.asarray([0.15, 0.01, 0.08, 0.1]))
+
+    @classmethod
+    def evidence(cls) -> "Rates":
+        """For the evidence of the views, linearised (`prepare_refinement`)."""
+        return cls(jnp.asarray([0.05, 0.002, 0.05, 0.02]))
+
+    @classmethod
+    def self_supervised(cls) -> "Rates":
+        """For `SelfSupervised` from a model that was fitted to a depth map: little is left."""
+        return cls(jnp.asarray([0.02, 0.0005, 0.02, 0.01]))
 
 
 class Routine(eqx.Module):
