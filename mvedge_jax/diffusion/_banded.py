@@ -2,7 +2,8 @@
 
 The short side is eliminated as a whole, column after column. Multigrid coarsens the short side of
 such an image away after a few levels and needs two to five times the iterations that it needs on a
-square; this costs as much as one of them, at any contrast.
+square. For 64 images 512 long, elimination takes a ninth of its time with 9 rows, a third with 16
+and as long with 24, at any contrast.
 
 Four habits of XLA on the CPU shape the code, each worth a factor of 1.2 to ten here. A product is
 computed anew for every reader: a pixel is eliminated behind a fence, and what is read often is the
