@@ -8,7 +8,7 @@ import pytest
 from diffusion.problems import cut_discs, direct, random_system
 from helpers import count_traces, shared_data
 
-from mvedge_jax.diffusion import Solver, System, diffuse, edge_weights
+from mvedge_jax.diffusion import Solver, System, _banded, diffuse, edge_weights
 
 TIGHT = Solver(tolerance=1e-12)
 SHAPE = (17, 18)
@@ -189,6 +189,23 @@ def test_a_tolerance_finer_than_rounding_is_iterated_for():
     found = diffuse(system, solver=Solver(tolerance=1e-6))
     assert bool(found.stats.converged)
     assert int(found.stats.iterations) > 1
+
+
+@pytest.mark.parametrize("shape", [(3, 9, 30), (2, 30, 4), (1, 1, 50), (1, 1, 1)], ids=str)
+def test_an_elimination_serves_other_right_hand_sides(shape):
+    keys = jax.random.split(jax.random.key(6), shape[0])
+    batch = jax.vmap(lambda key: random_system(*shape[1:], key=key))(keys)
+    right = jax.vmap(lambda system: system.right_hand_side())(batch)
+    eliminated, carried = _banded._eliminate(batch.coefficients, jnp.zeros_like(right))
+    np.testing.assert_array_equal(carried, 0)
+    carried = _banded._forwards(eliminated, _banded._in_order(right))
+    np.testing.assert_allclose(
+        carried, _banded._eliminate(batch.coefficients, right)[1], rtol=1e-12, atol=1e-12
+    )
+    found = _banded._as_images(_banded._backwards(eliminated, carried), right.shape)
+    for i in range(shape[0]):
+        exact = direct(jax.tree.map(lambda maps, i=i: maps[i], batch))
+        np.testing.assert_allclose(found[i], exact, rtol=0, atol=1e-10)
 
 
 def test_thin_images_with_a_negative_weight_are_iterated():
