@@ -159,13 +159,14 @@ def run_refined(
     *,
     raster: int,
     iterations: int,
+    refine: RefineParams | None = None,
     look: Look | None = None,
 ) -> jax.Array:
     """What `mvedge optimize` does: the evidence of all views, confirmed by halves of them."""
     params, sizes = rendering(raster)
     blind = light_field.without_truth()
     views = gather_views(blind, choice=all_views(blind))
-    refine = RefineParams()
+    refine = RefineParams() if refine is None else refine
     refinement = prepare_refinement(start, first, views, refine, params, sizes)
     table = all_at_once(Rates.evidence(), iterations=iterations)
     state = begin(refinement.start.model, refinement.rendered, key=jax.random.key(0))

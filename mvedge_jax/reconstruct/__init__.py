@@ -74,6 +74,10 @@ from ._refine import (
     finish_refinement as finish_refinement,
     prepare_refinement as prepare_refinement,
 )
+from ._relocate import (
+    RelocateParams as RelocateParams,
+    relocate_steps as relocate_steps,
+)
 from ._routine import (
     Rates as Rates,
     Routine as Routine,

@@ -12,6 +12,7 @@ from ._evidence import Correction, EvidenceParams, agreed_correction
 from ._model import DepthModel, ModelParams, ModelSizes, render_model
 from ._objectives import Supervised
 from ._polish import PolishParams, polish
+from ._relocate import RelocateParams, relocate_steps
 from ._start import Start, StartParams, fit_to_map, trust_labels
 
 
@@ -22,11 +23,14 @@ class RefineParams(eqx.Module):
         start: of the fit to the first map.
         evidence: of what the views say.
         polish: of the map, before and after.
+        relocate: of the first map's depth steps, if the points' positions are in doubt; those of
+            `edge_to_depth` are not.
     """
 
     start: StartParams = eqx.field(default_factory=StartParams)
     evidence: EvidenceParams = eqx.field(default_factory=EvidenceParams)
     polish: PolishParams = eqx.field(default_factory=PolishParams)
+    relocate: RelocateParams | None = None
 
 
 class Refinement(NamedTuple):
@@ -78,6 +82,8 @@ def prepare_refinement(
     Returns:
         Model and objective for `optimise`; `finish_refinement` makes the map.
     """
+    if params.relocate is not None:
+        first = relocate_steps(first, views.centre, params.relocate)
     base = polish(first, params.polish)
     extra = int(jnp.sum(start.model.valid)) // 10
     start = fit_to_map(
