@@ -55,6 +55,9 @@ def relocate_steps(
     Returns:
         The map; differentiable but for where its steps are.
 
+    Raises:
+        ValueError: the image has another size than the map, or `reach` is not positive.
+
     Example:
         >>> import jax.numpy as jnp
         >>> image = jnp.zeros((3, 5, 12)).at[:, :, 6:].set(1.0)
@@ -63,6 +66,10 @@ def relocate_steps(
         >>> found[2, 4:9].round(2).tolist()
         [0.0, 0.0, 1.0, 1.0, 1.0]
     """
+    if image.shape[1:] != disparity.shape:
+        raise ValueError(f"`image` has the shape {image.shape}; the map has {disparity.shape}.")
+    if reach < 1:
+        raise ValueError(f"`reach` must be at least 1 pixel, got {reach}.")
     params = cast(params, disparity.dtype)
     lab = jnp.moveaxis(srgb_to_lab(jnp.moveaxis(image, 0, -1)), -1, 0)
     clear = _clear(disparity, params.step) & _clear(disparity.T, params.step).T

@@ -13,13 +13,16 @@ from mvedge_jax.reconstruct import (
     ModelSizes,
     Rates,
     RefineParams,
+    RelocateParams,
     StartParams,
     advance,
     agreed_correction,
     all_at_once,
     begin,
     finish_refinement,
+    polish,
     prepare_refinement,
+    relocate_steps,
     start_from_points,
     view_evidence,
 )
@@ -164,3 +167,21 @@ def test_refinement_corrects_a_map_as_far_as_the_views_say():
     # No pixel leaves what the views support.
     change, twice = np.asarray(refined - refinement.base), 2 * refinement.correction.change
     assert np.all(np.abs(change) <= np.abs(twice) + 2e-3)
+
+
+@pytest.mark.slow
+def test_refinement_relocates_steps_in_doubt_first():
+    views = scene()
+    step = jnp.arange(SHAPE[1]) > SHAPE[1] // 2
+    first = jnp.broadcast_to(jnp.where(step, 0.8, 0.3), SHAPE).astype(jnp.float32)
+    xy = jnp.asarray(np.random.default_rng(1).uniform(0, 19, (60, 2)), jnp.float32)
+    start = start_from_points(
+        xy, jnp.full(60, 0.3, jnp.float32), jnp.full(60, 0.01, jnp.float32), jnp.ones(60, bool),
+        jnp.moveaxis(views.centre, 0, -1), first, StartParams(),
+    )  # fmt: skip
+    sizes = ModelSizes(splat=SplatSizes(scale=1, lanes=16))
+    params = RefineParams(relocate=RelocateParams())
+    found = prepare_refinement(start, first, views, params, ModelParams(), sizes, iterations=2)
+    relocated = relocate_steps(first, views.centre, RelocateParams())
+    assert jnp.abs(relocated - first).max() > 0.1
+    np.testing.assert_allclose(found.base, polish(relocated, params.polish), rtol=0, atol=1e-5)

@@ -77,3 +77,12 @@ def test_one_trace_for_many_values():
     for step in (0.1, 0.3):
         traced(disparity, RelocateParams(step=jnp.asarray(step)))
     assert traces() == 1
+
+
+def test_errors():
+    image, disparity, _ = scene(1)
+    # A type error where shapes are checked at run time, as in these tests.
+    with pytest.raises((ValueError, TypeError), match="image"):
+        relocate_steps(disparity, image[:, :, :-1], RelocateParams())
+    with pytest.raises(ValueError, match="`reach` must be at least 1 pixel, got 0"):
+        relocate_steps(disparity, image, RelocateParams(), reach=0)
