@@ -21,7 +21,7 @@ from ._stencil import Coefficients, diagonal, largest, reachable
 # that these are long enough to be worth starting; larger groups leave the cache and wait for the
 # slowest member.
 _TOGETHER = 1 << 14
-# Entries of the factors of a column that are worked on together: as many as fit in the fastest
+# Entries of the inverses of a column that are worked on together: as many as fit in the fastest
 # cache (512 images of 9x512, on one device: 74 ms in groups of 64, 79 of 32, 109 of 16).
 _WINDOW = 64 * 9 * 9
 # Thin images that are worth eliminating: the cost per pixel grows with the square of the short
@@ -69,7 +69,7 @@ def prepare_group(options: Options, coefficients: Coefficients) -> tuple[Any, Ar
     elif options.preconditioner == "jacobi":
         hierarchy = diagonal(coefficients)
     else:
-        # Factors take `h` times the memory of an image: every solve makes them anew.
+        # Inverses take `h` times the memory of an image: every solve makes them anew.
         hierarchy = ()
     return hierarchy, reachable(coefficients)
 
