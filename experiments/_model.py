@@ -21,6 +21,8 @@ from mvedge_jax.losses import (
 from mvedge_jax.metrics import depth_scores
 from mvedge_jax.reconstruct import (
     DepthModel,
+    GrowParams,
+    History,
     ModelParams,
     ModelSizes,
     Parameters,
@@ -31,6 +33,7 @@ from mvedge_jax.reconstruct import (
     Sizes,
     Start,
     StartParams,
+    State,
     Supervised,
     advance,
     all_at_once,
@@ -38,8 +41,9 @@ from mvedge_jax.reconstruct import (
     edge_to_depth,
     finish_refinement,
     fit_to_map,
-    grow,
     image_roughness,
+    optimise,
+    optimise_growing,
     polish,
     prepare_refinement,
     render_model,
@@ -47,6 +51,7 @@ from mvedge_jax.reconstruct import (
     trust_labels,
     unlimited,
     with_capacity,
+    without_free_places,
 )
 from mvedge_jax.splatting import SplatSizes
 
@@ -112,42 +117,36 @@ def run_supervised(
     *,
     raster: int,
     iterations: int,
-    grow_points: int = 0,
-    recycle_only: bool = False,
-    pieces: int = 5,
+    recycle: bool = False,
+    extra: int = 0,
     look: Look | None = None,
 ) -> tuple[DepthModel, jax.Array]:
     """Fits a model to the ground truth, all parameters at once.
 
-    Points are added after each of the first three pieces, a third of `grow_points` each; with
-    `recycle_only` they take the places of points that do nothing, and none beyond.
+    With `recycle`, points that do nothing move to where the map is wrong; `extra` points are
+    added there.
     """
     truth = light_field.truth
     if truth is None:
         raise ValueError(f"{light_field.name} has no ground truth.")
     params, sizes = rendering(raster)
-    there = np.flatnonzero(np.asarray(model.valid))
-    points = (model.disparity, model.xy, model.log_weight, model.valid)
-    disparity, xy, log_weight, valid = (values[there] for values in points)
-    model = DepthModel(disparity, xy, log_weight, model.roughness, valid)
-    if not recycle_only:
-        model = with_capacity(model, there.size + grow_points)
+    model = without_free_places(model)
+    model = with_capacity(model, model.valid.size + extra)
     known = truth.disparity.astype(model.disparity.dtype)
     weights = SupervisedWeights(square=jnp.asarray(3.0))
     goal = Supervised(known, truth.valid, unlimited(model), params, weights, sizes)
     table = all_at_once(Rates.supervised(), iterations=iterations)
     state = begin(model, jnp.zeros_like(known), key=jax.random.key(0))
-    piece = max(iterations // pieces, 1)
-    for number, at in enumerate(range(0, iterations, piece)):
-        state, history = advance(state, table.part(at, at + piece), goal)
+
+    def after_chunk(state: State, history: History) -> None:
         if look is not None:
             look(int(state.iteration), state.disparity, float(history.loss[-1]))
-        if grow_points and number < 3:
-            wrong = jnp.where(truth.valid, jnp.abs(state.disparity - known), 0)
-            grown = grow(state, goal, wrong, known, count=grow_points // 3)
-            state = grown.state
-            assert isinstance(grown.objective, Supervised)
-            goal = grown.objective
+
+    if recycle or extra:
+        growth = GrowParams() if recycle else GrowParams(least=jnp.asarray(0.0))
+        state, _ = optimise_growing(state, table, goal, growth, after_chunk=after_chunk)
+    else:
+        state, _ = optimise(state, table, goal, chunk=10, after_chunk=after_chunk)
     best = eqx.filter_jit(render_model)(state.best, params, sizes, start=state.disparity)
     return state.best, best.disparity
 

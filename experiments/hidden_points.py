@@ -21,6 +21,7 @@ from _report import print_table, write_csv
 from mvedge_jax.losses import SupervisedWeights
 from mvedge_jax.reconstruct import (
     DepthModel,
+    GrowParams,
     ModelParams,
     ModelSizes,
     Rates,
@@ -92,7 +93,8 @@ def main() -> None:
                 state, _ = advance(state, table.part(at, at + piece), goal)
                 if recycles and at < (PIECES - 1) * piece:
                     wrong = jnp.abs(state.disparity - truth)
-                    grown = grow(state, goal, wrong, truth, count=arguments.points // 10)
+                    tenth = arguments.points // 10
+                    grown = grow(state, goal, wrong, truth, GrowParams(), count=tenth)
                     state = grown.state
                     assert isinstance(grown.objective, Supervised)
                     goal = grown.objective

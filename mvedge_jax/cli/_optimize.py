@@ -30,6 +30,9 @@ from ..losses import (
 )
 from ..metrics import depth_scores
 from ..reconstruct import (
+    DepthModel,
+    Grown,
+    GrowParams,
     History,
     ModelParams,
     ModelSizes,
@@ -49,11 +52,11 @@ from ..reconstruct import (
     edge_to_depth,
     finish_refinement,
     fit_to_map,
-    grow,
     image_roughness,
     load_state,
     one_at_a_time,
     optimise,
+    optimise_growing,
     polish,
     prepare_refinement,
     render_model,
@@ -62,6 +65,7 @@ from ..reconstruct import (
     trust_labels,
     unlimited,
     with_capacity,
+    without_free_places,
 )
 from ..splatting import SplatSizes
 from ._common import compiled, note, output_folder, stage, warn
@@ -90,6 +94,7 @@ def optimize(
     iterations: int = 40,
     features: Literal["colours", "filters", "vgg16"] = "colours",
     vgg16: Path | None = None,
+    recycle: bool = True,
     grow_points: int = 0,
     subset: int | None = None,
     raster: Literal[1, 2] = 1,
@@ -118,7 +123,9 @@ def optimize(
         iterations: in all for `joint`; per parameter and pass for `thesis` (13 there).
         features: what images are compared by, for `--loss reprojection`.
         vgg16: an .npz file of VGG16's first two convolutions, for `--features vgg16`.
-        grow_points: points to add where the map is worst, half-way; needs `--supervised`.
+        recycle: with `--supervised`, move points that contribute nothing to where the map is
+            wrong, in rounds; their number stays the same.
+        grow_points: points to add there besides; needs `--supervised`.
         subset: views drawn per iteration of `--loss reprojection`; all by default.
         raster: raster pixels per pixel and axis; the thesis has 2, which takes four times as long.
         views: use the central VIEWS x VIEWS views only; odd.
@@ -130,6 +137,8 @@ def optimize(
     extractor = _extractor(features, vgg16)
     if iterations < 1:
         raise ValueError(f"--iterations must be at least 1, got {iterations}.")
+    if grow_points < 0:
+        raise ValueError(f"--grow-points must not be negative, got {grow_points}.")
     if grow_points and not supervised:
         raise ValueError("--grow-points needs --supervised: without truth no residual is known.")
     with stage(f"reading {scene}"):
@@ -155,7 +164,8 @@ def optimize(
         rates = Rates.evidence()
         origin = first
         if supervised:
-            objective, start = _supervised(light_field, start, grow_points, params, sizes)
+            objective = _supervised(light_field, start.model, grow_points, params, sizes)
+            start = Start(objective.trust.origin, objective.trust.error)
             rates = Rates.supervised()
         elif loss == "evidence":
             with stage("asking the views"):
@@ -179,7 +189,7 @@ def optimize(
         if state is not None:
             began = load_state(state, began)
         clock = time.perf_counter()
-        final, history = _run(began, table, objective, grow_points)
+        final, history = _run(began, table, objective, recycle=recycle, extra=grow_points)
         seconds = time.perf_counter() - clock
         render = eqx.filter_jit(render_model)
         before, errors, kept = first, [], True
@@ -242,39 +252,40 @@ def _explains(disparity: jax.Array, views: Views, features: Features) -> float:
 
 
 def _supervised(
-    light_field: LightField, start: Start, extra: int, params: ModelParams, sizes: ModelSizes
-) -> tuple[Supervised, Start]:
+    light_field: LightField, model: DepthModel, extra: int, params: ModelParams, sizes: ModelSizes
+) -> Supervised:
     truth = light_field.truth
     assert truth is not None
-    dtype = light_field.views.dtype
     rough = image_roughness(light_field.centre_view, jnp.asarray(0.3))
-    model = eqx.tree_at(lambda m: m.roughness, start.model, rough)
+    model = without_free_places(eqx.tree_at(lambda m: m.roughness, model, rough))
     model = with_capacity(model, model.valid.size + extra)
-    start = Start(model, jnp.pad(start.error, (0, extra), constant_values=1.0))
     weights = SupervisedWeights(square=jnp.asarray(3.0))
-    known = truth.disparity.astype(dtype)
-    return Supervised(known, truth.valid, unlimited(model), params, weights, sizes), start
+    known = truth.disparity.astype(light_field.views.dtype)
+    return Supervised(known, truth.valid, unlimited(model), params, weights, sizes)
 
 
 def _run(
-    state: State, table: Routine, objective: Supervised | SelfSupervised, extra: int
+    state: State,
+    table: Routine,
+    objective: Supervised | SelfSupervised,
+    *,
+    recycle: bool,
+    extra: int,
 ) -> tuple[State, History]:
-    """The loop, with a line of progress per piece and new points half-way."""
+    """The loop, with a line of progress per piece."""
     total = table.length
-    chunk = max(total // 4, 1)
-    if not extra:
 
-        def look(state: State, history: History) -> None:
-            note(f"  {int(state.iteration)}/{total} loss {float(history.loss[-1]):.6f}")
+    def look(state: State, history: History) -> None:
+        note(f"  {int(state.iteration)}/{total} loss {float(history.loss[-1]):.6f}")
 
-        return optimise(state, table, objective, chunk=chunk, after_chunk=look)
-    assert isinstance(objective, Supervised)
-    state, early = optimise(state, table.part(0, total // 2), objective, chunk=chunk)
-    wrong = jnp.where(objective.known, jnp.abs(state.disparity - objective.truth), 0)
-    grown = grow(state, objective, wrong, objective.truth, count=extra)
-    note(f"  added {int(grown.added)} points, {int(grown.refused)} found no place")
-    state, late = optimise(grown.state, table, grown.objective, chunk=chunk)
-    return state, jax.tree.map(lambda a, b: jnp.concatenate([a, b]), early, late)
+    def tell(grown: Grown) -> None:
+        moved, added = int(grown.recycled), int(grown.added) - int(grown.recycled)
+        note(f"  {moved} points moved to where the map was wrong, {added} added")
+
+    if not isinstance(objective, Supervised) or not (recycle or extra):
+        return optimise(state, table, objective, chunk=max(total // 4, 1), after_chunk=look)
+    growth = GrowParams() if recycle else GrowParams(least=jnp.asarray(0.0))
+    return optimise_growing(state, table, objective, growth, after_chunk=look, after_growth=tell)
 
 
 def _write(

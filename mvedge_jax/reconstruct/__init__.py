@@ -21,9 +21,12 @@ from ._evidence import (
 )
 from ._grow import (
     Grown as Grown,
+    GrowParams as GrowParams,
     grow as grow,
+    optimise_growing as optimise_growing,
     usefulness as usefulness,
     with_capacity as with_capacity,
+    without_free_places as without_free_places,
     worst_pixels as worst_pixels,
 )
 from ._lbfgs import Minimised as Minimised, minimise_lbfgs as minimise_lbfgs

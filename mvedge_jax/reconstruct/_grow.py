@@ -1,17 +1,33 @@
 """Adding points where the map is wrong, in the place of points that do nothing."""
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, Int
 
-from mvedge_jax._params import cast
+from mvedge_jax._params import cast, number
 
 from ._model import DepthModel, ModelParams, ModelSizes, opacities, splat_model
 from ._objectives import SelfSupervised, Supervised
-from ._optimise import State, parts_of, settled_moments, with_parts
+from ._optimise import History, Objective, State, optimise, parts_of, settled_moments, with_parts
+from ._routine import Routine
+
+
+class GrowParams(eqx.Module):
+    """When a point gives up its place, and what for.
+
+    Attributes:
+        least: points that contribute less than this may be replaced, see `usefulness`; 0 keeps
+            all points, so that only free places are filled.
+        threshold: pixels that are wrong by no more than this need no point, px per view step.
+    """
+
+    least: Float[Array, ""] = number(0.2)
+    threshold: Float[Array, ""] = number(0.01)
 
 
 class Grown(NamedTuple):
@@ -30,6 +46,25 @@ class Grown(NamedTuple):
     added: Int[Array, ""]
     recycled: Int[Array, ""]
     refused: Int[Array, ""]
+
+
+def without_free_places(model: DepthModel) -> DepthModel:
+    """Drops the places of a model that hold no point.
+
+    Args:
+        model: the model, not traced: how many points there are sets the shape.
+
+    Returns:
+        The model with as many places as points, in their order.
+    """
+    there = np.flatnonzero(np.asarray(model.valid))
+    return DepthModel(
+        model.disparity[there],
+        model.xy[there],
+        model.log_weight[there],
+        model.roughness,
+        model.valid[there],
+    )
 
 
 def with_capacity(model: DepthModel, capacity: int) -> DepthModel:
@@ -117,10 +152,9 @@ def grow(
     objective: Supervised | SelfSupervised,
     residual: Float[Array, "y x"],
     label: Float[Array, "y x"],
+    params: GrowParams,
     *,
     count: int,
-    least: Float[Array, ""] | float = 0.05,
-    threshold: Float[Array, ""] | float = 0.0,
 ) -> Grown:
     """Puts new points where the residual is largest.
 
@@ -133,9 +167,8 @@ def grow(
         objective: what is minimised; its trust takes the new points in.
         residual: how wrong the map is, per pixel.
         label: what new points say at each pixel.
+        params: see `GrowParams`.
         count: most points to add.
-        least: points that contribute less than this may be replaced, see `usefulness`.
-        threshold: residuals at or below this need no point.
 
     Returns:
         The new state and objective, and counts.
@@ -145,11 +178,12 @@ def grow(
     """
     model = state.model
     dtype = model.disparity.dtype
+    params = cast(params, dtype)
     use = usefulness(model, cast(objective.params, dtype), objective.sizes)
     xy, value = worst_pixels(residual, min(count, model.valid.size))
     place = jnp.argsort(jnp.where(model.valid, use, -1))[: xy.shape[0]]
-    open_place = ~model.valid[place] | (use[place] < jnp.asarray(least).astype(dtype))
-    wanted = value > jnp.asarray(threshold).astype(dtype)
+    open_place = ~model.valid[place] | (use[place] < params.least)
+    wanted = value > params.threshold
     # Places run from the least useful one, pixels from the worst one.
     fits = open_place & wanted
     new_label = label[xy[:, 1], xy[:, 0]].astype(dtype)
@@ -196,3 +230,70 @@ def grow(
         ),
     )
     return Grown(state, objective, jnp.sum(fits), recycled, jnp.sum(wanted & ~open_place))
+
+
+def optimise_growing(
+    state: State,
+    routine: Routine,
+    objective: Supervised,
+    params: GrowParams,
+    *,
+    rounds: int = 9,
+    until: float = 0.6,
+    count: int | None = None,
+    after_chunk: Callable[[State, History], State | None] | None = None,
+    after_growth: Callable[[Grown], None] | None = None,
+) -> tuple[State, History]:
+    """`optimise` towards a known map, with points moved or added where it is wrong, in rounds.
+
+    A gradient moves a point by a few pixels, as far as its label is seen. Where no point was
+    detected at all (flat surfaces, slivers between objects, the holes of a perforated panel) none
+    arrives, while points that nearer ones hide do nothing elsewhere. Every round moves such points
+    to the worst pixels; their number stays the same unless the model has free places
+    (`with_capacity`), which are filled first.
+
+    Args:
+        state: from `begin` or from a file; iterations that it has done are skipped.
+        routine: what every iteration does.
+        objective: the known map, its rendering, and limits.
+        params: see `GrowParams`; the defaults were chosen on the synthetic scenes "textureless"
+            and "thin".
+        rounds: about how many, evenly spaced.
+        until: share of the iterations after which points stay, so that all can settle, in [0, 1].
+        count: most points per round; by default a fiftieth of the pixels, or what fills the free
+            places in time.
+        after_chunk: as of `optimise`, before the points of a round.
+        after_growth: called with what a round did.
+
+    Returns:
+        The last state and the history of the iterations that were done.
+
+    Raises:
+        ValueError: `rounds` or `count` is below 1, or `until` is outside [0, 1].
+
+    Source:
+        Named as future work in thesis 8.1.1; `experiments/figure_7_10.py` measures it.
+    """
+    if rounds < 1 or (count is not None and count < 1):
+        raise ValueError(f"`rounds` and `count` must be at least 1, got {rounds} and {count}.")
+    if not 0 <= until <= 1:
+        raise ValueError(f"`until` must be a share from 0 to 1, got {until}.")
+    last = round(until * routine.length)
+    if count is None:
+        free = state.model.valid.size - int(jnp.sum(state.model.valid))
+        count = max(objective.truth.size // 50, -(-free // rounds), 1)
+
+    def look(state: State, history: History) -> tuple[State, Objective]:
+        nonlocal objective
+        if after_chunk is not None:
+            state = after_chunk(state, history) or state
+        if int(state.iteration) <= last:
+            wrong = jnp.where(objective.known, jnp.abs(state.disparity - objective.truth), 0)
+            grown = grow(state, objective, wrong, objective.truth, params, count=count)
+            if after_growth is not None:
+                after_growth(grown)
+            assert isinstance(grown.objective, Supervised)
+            state, objective = grown.state, grown.objective
+        return state, objective
+
+    return optimise(state, routine, objective, chunk=max(-(-last // rounds), 1), after_chunk=look)

@@ -184,7 +184,7 @@ def optimise(
     objective: Objective,
     *,
     chunk: int = 13,
-    after_chunk: Callable[[State, History], State | None] | None = None,
+    after_chunk: Callable[[State, History], State | tuple[State, Objective] | None] | None = None,
 ) -> tuple[State, History]:
     """Runs a routine in compiled pieces, with the host looking in between.
 
@@ -194,7 +194,7 @@ def optimise(
         objective: what is minimised.
         chunk: iterations per piece; a whole number of pieces compiles only once.
         after_chunk: called after every piece, for progress, saving, or adding points; may return
-            a state to go on with.
+            a state to go on with, or a state and an objective.
 
     Returns:
         The last state and the history of the iterations that were done.
@@ -209,7 +209,11 @@ def optimise(
         state, history = advance(state, routine.part(begin_at, begin_at + chunk), objective)
         pieces.append(history)
         if after_chunk is not None:
-            state = after_chunk(state, history) or state
+            changed = after_chunk(state, history)
+            if isinstance(changed, State):
+                state = changed
+            elif changed is not None:
+                state, objective = changed
     if not pieces:
         dtype = state.best_loss.dtype
         return state, History(jnp.zeros(0, dtype), jnp.zeros((0, 4), dtype))

@@ -10,7 +10,7 @@ from jaxtyping import Array, Bool, Float
 from mvedge_jax._params import cast, number
 from mvedge_jax.losses import SupervisedWeights
 
-from ._grow import grow, with_capacity
+from ._grow import GrowParams, grow, with_capacity
 from ._model import DepthModel, ModelParams, ModelSizes, map_roughness
 from ._objectives import Supervised, Trust, unlimited
 from ._optimise import advance, begin
@@ -121,7 +121,8 @@ def fit_to_map(
     half = iterations // 2
     state, _ = advance(state, routine.part(0, half), goal)
     if extra:
-        grown = grow(state, goal, jnp.abs(state.disparity - first), first, count=extra)
+        wrong = jnp.abs(state.disparity - first)
+        grown = grow(state, goal, wrong, first, GrowParams(), count=extra)
         replaced = grown.state.model.xy != state.model.xy
         error = jnp.where(jnp.any(replaced, axis=1), jnp.inf, error)
         state, goal = grown.state, grown.objective

@@ -29,7 +29,13 @@ def scene(tmp_path_factory):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "options", [["--supervised", "--grow-points", "6"], ["--loss", "reprojection"], []]
+    "options",
+    [
+        ["--supervised"],
+        ["--supervised", "--no-recycle", "--grow-points", "6"],
+        ["--loss", "reprojection"],
+        [],
+    ],
 )
 def test_optimize_writes_everything_and_ends_no_worse(scene, tmp_path, capsys, options):
     out = tmp_path / "out"
@@ -58,6 +64,7 @@ def test_optimize_writes_everything_and_ends_no_worse(scene, tmp_path, capsys, o
         (["--features", "vgg16", "--vgg16", "none.npz"], "no file of VGG16 weights"),
         (["--iterations", "0"], "--iterations must be at least 1, got 0"),
         (["--grow-points", "5"], "--grow-points needs --supervised"),
+        (["--grow-points", "-1"], "--grow-points must not be negative, got -1"),
     ],
 )
 def test_mistakes_are_one_line(scene, tmp_path, capsys, options, message):

@@ -7,6 +7,7 @@ import pytest
 from mvedge_jax.losses import SupervisedWeights
 from mvedge_jax.reconstruct import (
     DepthModel,
+    GrowParams,
     ModelParams,
     ModelSizes,
     Rates,
@@ -20,11 +21,13 @@ from mvedge_jax.reconstruct import (
     minimise_lbfgs,
     one_at_a_time,
     optimise,
+    optimise_growing,
     render_model,
     save_state,
     unlimited,
     usefulness,
     with_capacity,
+    without_free_places,
     worst_pixels,
 )
 from mvedge_jax.splatting import SplatSizes
@@ -143,7 +146,7 @@ def test_new_points_go_where_the_residual_is_largest():
     disparity = render_model(model, goal.params, SIZES).disparity
     # Only on the nearer surface: a new point of the farther one, beside it, would be hidden.
     residual = jnp.where(truth() == 1, jnp.abs(disparity - truth()), 0)
-    grown = grow(state, goal, residual, truth(), count=3)
+    grown = grow(state, goal, residual, truth(), GrowParams(), count=3)
     assert (int(grown.added), int(grown.recycled), int(grown.refused)) == (3, 0, 0)
     new = np.flatnonzero(grown.state.model.valid & ~model.valid)
     xy, _ = worst_pixels(residual, 3)
@@ -160,7 +163,8 @@ def test_new_points_take_steps_of_the_learning_rate_however_late_they_come():
     model = start_model(10, capacity=14)
     routine = all_at_once(RATES, iterations=60)
     before, _ = advance(first_state(model), routine.part(0, 50), objective(model))
-    grown = grow(before, objective(model), jnp.abs(before.disparity - truth()), truth(), count=4)
+    wrong = jnp.abs(before.disparity - truth())
+    grown = grow(before, objective(model), wrong, truth(), GrowParams(), count=4)
     assert int(grown.added) == 4
     steps = []
     state = grown.state
@@ -183,7 +187,7 @@ def test_hidden_points_are_recycled_and_open_ones_are_not():
     use = usefulness(model, ModelParams(), SIZES)
     assert float(use[1]) < 1e-3
     assert float(use[0]) > 0.5
-    grown = grow(first_state(model), objective(model), truth(), truth(), count=3)
+    grown = grow(first_state(model), objective(model), truth(), truth(), GrowParams(), count=3)
     assert (int(grown.added), int(grown.recycled), int(grown.refused)) == (1, 1, 2)
     changed = np.flatnonzero(jnp.any(grown.state.model.xy != xy, axis=1))
     np.testing.assert_array_equal(changed, [1])
@@ -199,6 +203,84 @@ def test_worst_pixels_are_one_per_block_in_order():
 def test_capacity_never_shrinks():
     with pytest.raises(ValueError, match="`capacity` is 3, but the model has 30 places"):
         with_capacity(start_model(30), 3)
+
+
+def test_free_places_leave_and_points_keep_their_order():
+    model = start_model(6, capacity=9)
+    model = eqx.tree_at(lambda m: m.valid, model, model.valid.at[2].set(False))
+    dense = without_free_places(model)
+    np.testing.assert_array_equal(dense.xy, model.xy[jnp.array([0, 1, 3, 4, 5])])
+    assert bool(dense.valid.all())
+    maps = [render_model(m, ModelParams(), SIZES).disparity for m in (model, dense)]
+    np.testing.assert_allclose(maps[0], maps[1], atol=1e-6)
+
+
+def one_sided_model():
+    """Points on the far plane alone, each with a hidden twin: none tells of the near square."""
+    model = start_model(40)
+    behind = jnp.asarray(np.asarray(truth())[tuple(np.round(model.xy).astype(int).T[::-1])] == 0)
+    model = eqx.tree_at(lambda m: (m.valid, m.disparity), model, (behind, 0 * model.disparity))
+    model = without_free_places(model)
+    twins = DepthModel(
+        jnp.concatenate([model.disparity, model.disparity - 0.5]),
+        jnp.concatenate([model.xy, model.xy]),
+        jnp.concatenate([model.log_weight, model.log_weight]),
+        model.roughness,
+        jnp.concatenate([model.valid, model.valid]),
+    )
+    return twins
+
+
+def test_growing_moves_points_to_what_no_gradient_reaches():
+    model = one_sided_model()
+    goal = eqx.tree_at(lambda g: g.params, objective(model), ModelParams.narrow(1))
+    routine = all_at_once(RATES, iterations=30)
+    rounds, chunks = [], []
+    grown, history = optimise_growing(
+        first_state(model),
+        routine,
+        goal,
+        GrowParams(),
+        rounds=3,
+        after_chunk=lambda state, history: chunks.append(int(state.iteration)),
+        after_growth=rounds.append,
+    )
+    alone, _ = optimise(first_state(model), routine, goal, chunk=6)
+    assert chunks == [6, 12, 18, 24, 30]
+    assert history.loss.shape == (30,)
+    assert len(rounds) == 3
+    assert int(rounds[0].recycled) > 0
+    assert int(grown.best.valid.sum()) == model.valid.size
+    assert float(grown.best_loss) < 0.5 * float(alone.best_loss)
+
+
+def test_growing_without_recycling_fills_free_places_only():
+    model = with_capacity(one_sided_model(), 90)
+    free = 90 - int(model.valid.sum())
+    rounds = []
+    keep = GrowParams(least=jnp.asarray(0.0))
+    routine = all_at_once(RATES, iterations=10)
+    state, _ = optimise_growing(
+        first_state(model), routine, objective(model), keep, after_growth=rounds.append
+    )
+    assert sum(int(grown.added) for grown in rounds) == free
+    assert all(int(grown.recycled) == 0 for grown in rounds)
+    assert bool(state.model.valid.all())
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"rounds": 0}, "`rounds` and `count` must be at least 1, got 0 and None"),
+        ({"count": 0}, "`rounds` and `count` must be at least 1, got 9 and 0"),
+        ({"until": 1.5}, "`until` must be a share from 0 to 1, got 1.5"),
+    ],
+)
+def test_growing_rejects_what_is_no_schedule(options, message):
+    model = start_model()
+    routine = all_at_once(RATES, iterations=2)
+    with pytest.raises(ValueError, match=message):
+        optimise_growing(first_state(model), routine, objective(model), GrowParams(), **options)
 
 
 @pytest.mark.slow
