@@ -278,7 +278,9 @@ def optimise_growing(
         raise ValueError(f"`rounds` and `count` must be at least 1, got {rounds} and {count}.")
     if not 0 <= until <= 1:
         raise ValueError(f"`until` must be a share from 0 to 1, got {until}.")
-    last = round(until * routine.length)
+    # After the last iteration nothing would say whether new points are any good.
+    last = min(round(until * routine.length), routine.length - 1)
+    chunk = max(-(-last // rounds), 1) if last > 0 else max(routine.length, 1)
     if count is None:
         free = state.model.valid.size - int(jnp.sum(state.model.valid))
         count = max(objective.truth.size // 50, -(-free // rounds), 1)
@@ -296,4 +298,4 @@ def optimise_growing(
             state, objective = grown.state, grown.objective
         return state, objective
 
-    return optimise(state, routine, objective, chunk=max(-(-last // rounds), 1), after_chunk=look)
+    return optimise(state, routine, objective, chunk=chunk, after_chunk=look)

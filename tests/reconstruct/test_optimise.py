@@ -268,6 +268,22 @@ def test_growing_without_recycling_fills_free_places_only():
     assert bool(state.model.valid.all())
 
 
+@pytest.mark.parametrize(("until", "expected"), [(0.0, 0), (1.0, 3)])
+def test_no_points_grow_after_the_last_iteration(until, expected):
+    model = one_sided_model()
+    rounds = []
+    state, history = optimise_growing(
+        first_state(model),
+        all_at_once(RATES, iterations=4),
+        objective(model),
+        GrowParams(),
+        until=until,
+        after_growth=rounds.append,
+    )
+    assert len(rounds) == expected
+    assert float(state.best_loss) <= float(history.loss[-1])
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [
