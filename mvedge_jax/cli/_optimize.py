@@ -3,6 +3,7 @@
 import csv
 import json
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -189,7 +190,13 @@ def optimize(
         if state is not None:
             began = load_state(state, began)
         clock = time.perf_counter()
-        final, history = _run(began, table, objective, recycle=recycle, extra=grow_points)
+        if supervised and (recycle or grow_points):
+            assert isinstance(objective, Supervised)
+            final, history = _run_growing(began, table, objective, recycle=recycle)
+        else:
+            chunk = max(table.length // 4, 1)
+            look = _progress(table)
+            final, history = optimise(began, table, objective, chunk=chunk, after_chunk=look)
         seconds = time.perf_counter() - clock
         render = eqx.filter_jit(render_model)
         before, errors, kept = first, [], True
@@ -264,28 +271,24 @@ def _supervised(
     return Supervised(known, truth.valid, unlimited(model), params, weights, sizes)
 
 
-def _run(
-    state: State,
-    table: Routine,
-    objective: Supervised | SelfSupervised,
-    *,
-    recycle: bool,
-    extra: int,
-) -> tuple[State, History]:
-    """The loop, with a line of progress per piece."""
-    total = table.length
-
+def _progress(table: Routine) -> Callable[[State, History], None]:
     def look(state: State, history: History) -> None:
-        note(f"  {int(state.iteration)}/{total} loss {float(history.loss[-1]):.6f}")
+        note(f"  {int(state.iteration)}/{table.length} loss {float(history.loss[-1]):.6f}")
 
+    return look
+
+
+def _run_growing(
+    state: State, table: Routine, objective: Supervised, *, recycle: bool
+) -> tuple[State, History]:
     def tell(grown: Grown) -> None:
         moved, added = int(grown.recycled), int(grown.added) - int(grown.recycled)
         note(f"  {moved} points moved to where the map was wrong, {added} added")
 
-    if not isinstance(objective, Supervised) or not (recycle or extra):
-        return optimise(state, table, objective, chunk=max(total // 4, 1), after_chunk=look)
     growth = GrowParams() if recycle else GrowParams(least=jnp.asarray(0.0))
-    return optimise_growing(state, table, objective, growth, after_chunk=look, after_growth=tell)
+    return optimise_growing(
+        state, table, objective, growth, after_chunk=_progress(table), after_growth=tell
+    )
 
 
 def _write(
