@@ -175,9 +175,15 @@ class LightField(eqx.Module):
                 "`available` must include the crosshair, the centre row and column of views; "
                 f"view (v, u) = {missing[0]} is missing ({len(missing)} in all)."
             )
+        # Minimum and maximum do not tell: XLA drops NaN from them in large arrays on some CPUs.
+        finite = jnp.isfinite(self.views)
+        if not bool(finite.all()):
+            v, u, y, x, _ = (int(i) for i in np.argwhere(~np.asarray(finite))[0])
+            raise ValueError(
+                f"`views` must be finite, got NaN or infinity in {int((~finite).sum())} values, "
+                f"the first of them in view (v, u) = ({v}, {u}) at (x, y) = ({x}, {y})."
+            )
         low, high = float(self.views.min()), float(self.views.max())
-        if not (np.isfinite(low) and np.isfinite(high)):
-            raise ValueError("`views` must be finite, got NaN or infinity.")
         if low < -1e-3 or high > 1 + 1e-3:
             raise ValueError(
                 f"`views` must be sRGB in [0, 1], got values from {low:.4g} to {high:.4g}."

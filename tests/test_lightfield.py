@@ -136,6 +136,21 @@ def test_bad_input_is_refused(views, options, message):
         LightField(views, **options)
 
 
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_a_single_bad_value_in_many_is_found(value, dtype):
+    """Large arrays lose NaN in minima and maxima on some CPUs; each draw puts it elsewhere."""
+    rng = np.random.default_rng(0)
+    clean = rng.uniform(size=(5, 5, 48, 48, 3)).astype(dtype)
+    for _ in range(20):
+        v, u, y, x, c = (int(rng.integers(side)) for side in clean.shape)
+        views = clean.copy()
+        views[v, u, y, x, c] = value
+        place = rf"1 values.*view \(v, u\) = \({v}, {u}\) at \(x, y\) = \({x}, {y}\)"
+        with pytest.raises(ValueError, match=place):
+            LightField(views)
+
+
 def test_corner_views_may_be_missing():
     available = jnp.ones((3, 3)).at[0, 0].set(0)
     assert not LightField(jnp.zeros((3, 3, 4, 4, 3)), available=available).available[0, 0]

@@ -1,11 +1,9 @@
-"""What the commands share: progress, output that is never half-written, the compilation cache."""
+"""What the commands share: progress, messages, memory and the compilation cache."""
 
 import contextlib
 import ctypes
 import os
-import shutil
 import sys
-import tempfile
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -59,62 +57,6 @@ def release_memory() -> None:
     """
     with contextlib.suppress(OSError, AttributeError):
         ctypes.CDLL("libc.so.6").malloc_trim(0)
-
-
-@contextlib.contextmanager
-def output_folder(path: Path, *, overwrite: bool = False) -> Iterator[Path]:
-    """A folder that appears whole or not at all.
-
-    The body writes into a temporary sibling, which is renamed to `path` on success and removed on
-    any failure, Ctrl-C included.
-
-    Args:
-        path: the folder to make.
-        overwrite: replace what an earlier run left there, instead of refusing.
-
-    Yields:
-        The temporary folder to write into.
-
-    Raises:
-        FileExistsError: if `path` is there, not empty, and `overwrite` is off.
-    """
-    path = Path(path)
-    if path.exists() and not path.is_dir():
-        raise FileExistsError(f"{path} is a file, expected a folder to write into.")
-    if path.is_dir() and any(path.iterdir()) and not overwrite:
-        raise FileExistsError(
-            f"{path} is there already and is not empty; choose another folder or pass --overwrite."
-        )
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = Path(tempfile.mkdtemp(prefix=f".{path.name}-", dir=path.parent))
-    temporary.chmod(0o755)
-    try:
-        yield temporary
-        if path.is_dir():
-            shutil.rmtree(path)
-        temporary.rename(path)
-    finally:
-        shutil.rmtree(temporary, ignore_errors=True)
-
-
-@contextlib.contextmanager
-def atomic_file(path: Path) -> Iterator[Path]:
-    """A file that appears whole or not at all.
-
-    Args:
-        path: the file to make or replace; its folder is made too.
-
-    Yields:
-        A temporary path with the same suffix to write to.
-    """
-    path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.stem}-{os.getpid()}{path.suffix}")
-    try:
-        yield temporary
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 def enable_compilation_cache() -> Path | None:

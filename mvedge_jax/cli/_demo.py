@@ -20,7 +20,8 @@ from ..epi import EdgePoints
 from ..lightfield import GroundTruth, LightField
 from ..metrics import BoundaryScores, DepthScores, boundary_scores, depth_scores, reprojection_error
 from ..reconstruct import Parameters, Sizes, edge_to_depth, plane_sweep
-from ._common import note, output_folder, stage
+from ._common import note, stage
+from ._output import output_folder
 
 
 class _Estimate(NamedTuple):
@@ -94,7 +95,7 @@ def demo(
         views: VIEWS x VIEWS views, an odd number of at least 3.
         size: height and width in px.
         seed: of the sensor's noise.
-        overwrite: replace OUT if it is there.
+        overwrite: replace OUT if it is an earlier result of mvedge, with nothing else in it.
     """
     if views < 3:
         raise ValueError(f"--views must be odd and at least 3, got {views}.")

@@ -17,7 +17,8 @@ from ..datasets import load_light_field, write_pfm
 from ..lightfield import LightField
 from ..metrics import boundary_scores, depth_scores
 from ..reconstruct import DepthResult, Parameters, Sizes, edge_to_depth
-from ._common import compiled, note, output_folder, stage, warn
+from ._common import compiled, note, stage, warn
+from ._output import output_folder
 from ._points import valid_points, write_points
 
 _COLUMNS = {
@@ -60,7 +61,7 @@ def depth(
         range: lowest and highest disparity, px per view step; measured if not given or known.
         side: how surface vectors are chosen; all but the first are baselines of the thesis.
         dense: measure disparity at every pixel, beside the edges; off, only edges are diffused.
-        overwrite: replace OUT if it is there.
+        overwrite: replace OUT if it is an earlier result of mvedge, with nothing else in it.
     """
     with stage(f"reading {scene}"):
         light_field = load_light_field(
@@ -76,7 +77,7 @@ def depth(
             name=light_field.name,
         )
     params = Parameters()
-    with output_folder(out, overwrite=overwrite) as folder:
+    with output_folder(out, inputs=[scene], overwrite=overwrite) as folder:
         blind = light_field.without_truth()
         with stage("choosing sizes"):
             sizes = Sizes.for_light_field(blind, side=side, dense=dense)

@@ -13,7 +13,8 @@ from .. import plotting
 from ..datasets import load_light_field
 from ..epi import EdgeParams, Edges, EdgeSizes, multiview_edges
 from ..lightfield import LightField
-from ._common import compiled, note, output_folder, stage, warn
+from ._common import compiled, note, stage, warn
+from ._output import output_folder
 from ._points import valid_points, write_points
 
 
@@ -43,7 +44,7 @@ def edges(
         flip_u: reverse the columns of views.
         flip_v: reverse the rows of views.
         range: lowest and highest disparity, px per view step; measured if not given or known.
-        overwrite: replace OUT if it is there.
+        overwrite: replace OUT if it is an earlier result of mvedge, with nothing else in it.
     """
     with stage(f"reading {scene}"):
         light_field = load_light_field(
@@ -57,7 +58,7 @@ def edges(
             camera=light_field.camera,
             name=light_field.name,
         )
-    with output_folder(out, overwrite=overwrite) as folder:
+    with output_folder(out, inputs=[scene], overwrite=overwrite) as folder:
         with stage("choosing sizes"):
             sizes = EdgeSizes.for_light_field(light_field)
         before, params = time.perf_counter(), EdgeParams()

@@ -11,7 +11,8 @@ import tyro
 
 from ..datasets import load_ground_truth, read_pfm
 from ..metrics import DepthScores, depth_scores
-from ._common import note, output_folder, stage, warn
+from ._common import note, stage, warn
+from ._output import output_folder
 
 _COLUMNS = {
     "mse": "MSE*100",
@@ -44,7 +45,7 @@ def evaluate(
         scene: folder or file of a light field with ground truth.
         crop: pixels to leave out on each side of the ground truth, beside the whole frame.
         out: folder for scores.json, scores.csv, the error maps and the disparity map.
-        overwrite: replace what is in that folder.
+        overwrite: replace FOLDER if it is an earlier result of mvedge, with nothing else in it.
     """
     disparity = read_pfm(result)
     with stage(f"reading the ground truth of {scene}"):
@@ -71,7 +72,7 @@ def evaluate(
     if bad:
         warn(f"{bad} disparities of {result} are NaN or infinite; they count as wrong.")
     if out is not None:
-        with output_folder(out, overwrite=overwrite) as folder:
+        with output_folder(out, inputs=[result, scene], overwrite=overwrite) as folder:
             _write_scores(folder, result, scene, scores)
             _draw(folder, result.stem, disparity, truth[window], scores[0])
         note(f"written to {out}")

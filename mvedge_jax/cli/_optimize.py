@@ -69,7 +69,8 @@ from ..reconstruct import (
     without_free_places,
 )
 from ..splatting import SplatSizes
-from ._common import compiled, note, output_folder, stage, warn
+from ._common import compiled, note, stage, warn
+from ._output import output_folder
 
 # On cotton the true map explains the views 0.7 % worse than that of `mvedge depth`, and every
 # optimisation by plain reprojection that lowered the error by less than a tenth made the map
@@ -133,7 +134,7 @@ def optimize(
         scale: shrink the views by this factor, at most 1.
         state: a state.eqx of an earlier run with the same options, to go on from.
         seed: of random views.
-        overwrite: replace OUT if it is there.
+        overwrite: replace OUT if it is an earlier result of mvedge, with nothing else in it.
     """
     extractor = _extractor(features, vgg16)
     if iterations < 1:
@@ -149,7 +150,8 @@ def optimize(
     blind = light_field.without_truth()
     sizes = ModelSizes(splat=SplatSizes(scale=raster))
     params, key = ModelParams.narrow(raster), jax.random.key(seed)
-    with output_folder(out, overwrite=overwrite) as folder:
+    inputs = [path for path in (scene, vgg16, state) if path is not None]
+    with output_folder(out, inputs=inputs, overwrite=overwrite) as folder:
         with stage("estimating depth from edges"):
             call = Parameters(), blind, Sizes.for_light_field(blind)
             result = compiled(edge_to_depth, *call)(*call)

@@ -10,7 +10,8 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
 from ..datasets import synthetic, write_hci
-from ._common import note, output_folder
+from ._common import note
+from ._output import output_folder
 
 
 def render(
@@ -42,7 +43,7 @@ def render(
         seed: of the sensor's noise.
         textures: seed of another set of textures; the usual ones without it.
         occlusions: write visible_CamNNN.png.
-        overwrite: replace OUT if it is there.
+        overwrite: replace OUT if it is an earlier result of mvedge, with nothing else in it.
     """
     key = None if textures is None else jax.random.key(textures)
     scene = synthetic.scene(name, key=key)

@@ -1,4 +1,4 @@
-"""What a user of the command line meets: help, exit codes, whole files, the cache."""
+"""What a user of the command line meets: help, exit codes, the cache."""
 
 import os
 import subprocess
@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from mvedge_jax.cli import _common, _main
+from mvedge_jax.cli import _main
 
 
 def _fail_with(error):
@@ -53,45 +53,6 @@ def test_help_names_every_command():
     )
     for command in _main._COMMANDS:
         assert command in run.stdout
-
-
-def test_folder_appears_whole_or_not_at_all(tmp_path):
-    target = tmp_path / "deep" / "out"
-
-    def interrupted():
-        with _common.output_folder(target) as folder:
-            (folder / "half.txt").write_text("half")
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        interrupted()
-    assert not target.exists()
-    assert not list((tmp_path / "deep").iterdir())
-    with _common.output_folder(target) as folder:
-        (folder / "whole.txt").write_text("whole")
-    assert [path.name for path in target.iterdir()] == ["whole.txt"]
-    with pytest.raises(FileExistsError, match="not empty"), _common.output_folder(target):
-        pass
-    with _common.output_folder(target, overwrite=True) as folder:
-        (folder / "new.txt").write_text("new")
-    assert [path.name for path in target.iterdir()] == ["new.txt"]
-
-
-def test_file_appears_whole_or_not_at_all(tmp_path):
-    target = tmp_path / "result.txt"
-
-    def failing():
-        with _common.atomic_file(target) as path:
-            path.write_text("half")
-            raise RuntimeError
-
-    with pytest.raises(RuntimeError):
-        failing()
-    assert not list(tmp_path.iterdir())
-    with _common.atomic_file(target) as path:
-        path.write_text("whole")
-    assert target.read_text() == "whole"
-    assert len(list(tmp_path.iterdir())) == 1
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,196 @@
+"""Result folders: written whole or not at all, and never in place of anything that is not ours."""
+
+import contextlib
+import json
+import os
+import shutil
+import tempfile
+from collections.abc import Iterator, Sequence
+from importlib.metadata import version
+from pathlib import Path
+
+from filelock import FileLock, Timeout
+
+from ._common import warn
+
+# Lists what a run wrote. A folder is replaced only if it has this and holds nothing else.
+MARKER = ".mvedge.json"
+
+
+@contextlib.contextmanager
+def output_folder(
+    path: Path, *, inputs: Sequence[Path] = (), overwrite: bool = False
+) -> Iterator[Path]:
+    """A folder that appears whole or not at all, and that costs the user nothing of theirs.
+
+    The body writes into a temporary sibling, which is renamed to `path` on success and removed on
+    any failure, Ctrl-C included. An earlier result is renamed aside first and removed last, file by
+    file from its own list. A lock beside the folder keeps other processes out; the system releases
+    it when the process ends, however it ends.
+
+    Args:
+        path: the folder to make.
+        inputs: files and folders that the command reads.
+        overwrite: replace what an earlier run left there, instead of refusing.
+
+    Yields:
+        The temporary folder to write into.
+
+    Raises:
+        ValueError: if `path` is, holds or lies in an input; if it is the working directory or
+            holds it; if it is a link or a mount point; if another process writes it.
+        FileExistsError: if `path` is a file; if it is not empty and `overwrite` is off or it is not
+            (only) an earlier result; if something came into it while the body ran. In the last
+            case the new result is kept beside it, and the message says where.
+    """
+    if Path(path).is_symlink():
+        raise ValueError(f"{path} is a link; name the folder itself as OUT.")
+    path = Path(path).resolve()
+    _refuse(path, inputs, overwrite)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with _alone(path):
+        _refuse(path, inputs, overwrite)
+        temporary = Path(tempfile.mkdtemp(prefix=f".{path.name}-", dir=path.parent))
+        try:
+            temporary.chmod(0o755)
+            yield temporary
+            _mark(temporary)
+            _move_in(temporary, path, inputs, overwrite)
+        finally:
+            shutil.rmtree(temporary, ignore_errors=True)
+
+
+def _refuse(path: Path, inputs: Sequence[Path], overwrite: bool) -> None:
+    """Raises where writing to `path` could touch what is not an earlier result of ours."""
+    if path.is_symlink():
+        raise ValueError(f"{path} is a link; name the folder itself as OUT.")
+    if path.exists() and not path.is_dir():
+        raise FileExistsError(f"{path} is a file, expected a folder to write into.")
+    if os.path.ismount(path):
+        raise ValueError(f"{path} is a mount point; choose a folder inside of it as OUT.")
+    if Path.cwd().resolve().is_relative_to(path):
+        raise ValueError(f"{path} is or holds the working directory; choose another folder as OUT.")
+    for given in inputs:
+        # Both where the input's name is and, if that is a link, where what it stands for is.
+        for source in (Path(os.path.abspath(given)), Path(given).resolve()):
+            if source == path:
+                raise ValueError(f"OUT, {path}, is the input {given}; choose another folder.")
+            if source.is_relative_to(path):
+                raise ValueError(f"OUT, {path}, holds the input {given}; choose another folder.")
+            if path.is_relative_to(source):
+                raise ValueError(f"OUT, {path}, lies in the input {given}; choose another folder.")
+    if path.is_dir() and any(path.iterdir()):
+        if not overwrite:
+            raise FileExistsError(
+                f"{path} is there already and is not empty; choose another folder or pass "
+                "--overwrite."
+            )
+        written = _earlier_result(path)
+        if written is None:
+            raise FileExistsError(
+                f"{path} is not a result of mvedge (it has no readable {MARKER}), so --overwrite "
+                "does not replace it; choose another folder."
+            )
+        foreign = sorted(_contents(path) - written)
+        if foreign:
+            more = f" and {len(foreign) - 1} more" if len(foreign) > 1 else ""
+            raise FileExistsError(
+                f"{path} holds {foreign[0]}{more}, which mvedge did not write, so --overwrite does "
+                "not replace it; move that elsewhere or choose another folder."
+            )
+
+
+@contextlib.contextmanager
+def _alone(path: Path) -> Iterator[None]:
+    """Holds the lock of `path`.
+
+    The file is removed while the lock is held; whoever waits for it notices and makes a new one.
+    """
+    file = path.with_name(f".{path.name}.lock")
+    lock = FileLock(file)
+    try:
+        lock.acquire(timeout=0)
+    except Timeout:
+        raise ValueError(f"{path} is being written by another process; choose another OUT.") from (
+            None
+        )
+    try:
+        yield
+    finally:
+        file.unlink(missing_ok=True)
+        lock.release()
+
+
+def _contents(folder: Path) -> set[str]:
+    """Everything below a folder, itself not included; links are not followed."""
+    return {
+        (Path(parent) / name).relative_to(folder).as_posix()
+        for parent, folders, files in os.walk(folder)
+        for name in (*folders, *files)
+    }
+
+
+def _mark(folder: Path) -> None:
+    record = {
+        "program": "mvedge_jax",
+        "version": version("mvedge_jax"),
+        "written": sorted(_contents(folder) | {MARKER}),
+    }
+    (folder / MARKER).write_text(json.dumps(record, indent=1), encoding="utf-8")
+
+
+def _earlier_result(folder: Path) -> set[str] | None:
+    """What an earlier run wrote into `folder`, by its marker; None without a readable one."""
+    try:
+        record = json.loads((folder / MARKER).read_text(encoding="utf-8"))
+        if record["program"] != "mvedge_jax":
+            return None
+        return {str(name) for name in record["written"]}
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+
+
+def _move_in(new: Path, path: Path, inputs: Sequence[Path], overwrite: bool) -> None:
+    """Puts a finished result in its place, or beside it if that has become somebody else's."""
+    aside = None
+    try:
+        _refuse(path, inputs, overwrite)
+        if overwrite and path.is_dir():
+            aside = Path(tempfile.mkdtemp(prefix=f".{path.name}-old-", dir=path.parent))
+            path.rename(aside)  # in place of the empty folder
+        new.rename(path)  # an empty folder is replaced; one with anything in it stops this
+    except BaseException as reason:
+        if aside is not None and not path.exists():
+            aside.rename(path)
+        elif aside is not None:
+            with contextlib.suppress(OSError):  # holds the earlier result if `path` is taken again
+                aside.rmdir()
+        if not isinstance(reason, OSError | ValueError):
+            raise
+        kept = _free_name(path)
+        new.rename(kept)
+        raise FileExistsError(
+            f"The result could not be put in its place ({reason}) and is in {kept} instead."
+        ) from reason
+    if aside is not None:
+        _remove(aside)
+
+
+def _free_name(path: Path) -> Path:
+    count = 2
+    while os.path.lexists(candidate := path.with_name(f"{path.name}-{count}")):
+        count += 1
+    return candidate
+
+
+def _remove(result: Path) -> None:
+    """Removes an earlier result that was renamed aside: what it lists, and nothing else."""
+    written = _earlier_result(result) or set()
+    for name in sorted(written, key=lambda n: n.count("/"), reverse=True):
+        item = result / name
+        with contextlib.suppress(OSError):
+            item.rmdir() if item.is_dir() and not item.is_symlink() else item.unlink()
+    try:
+        result.rmdir()
+    except OSError:
+        warn(f"the earlier result was not removed altogether: {result} holds other files.")
