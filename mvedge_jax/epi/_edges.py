@@ -66,6 +66,30 @@ class _Attempts(NamedTuple):
     start: Float[Array, " n"]
 
 
+def _frontmost(
+    slot: Int[Array, "y x"], values: Float[Array, " n"]
+) -> tuple[Int[Array, "y x"], Float[Array, "y x"]]:
+    """The slot of the largest value within 5x5 pixels, and that value; -inf where there is none.
+
+    Comparing slots keeps the value differentiable; a maximum over windows is not, twice.
+    """
+    nobody = values.shape[0]
+    known = jnp.append(lax.stop_gradient(values), -jnp.inf)
+    best = known[slot]
+    for axis in (0, 1):
+        margin = [(0, 0), (0, 0)]
+        margin[axis] = (2, 2)
+        slots = jnp.pad(slot, margin, constant_values=nobody)
+        values_there = jnp.pad(best, margin, constant_values=-jnp.inf)
+        size = slot.shape[axis]
+        for offset in (0, 1, 3, 4):
+            other = lax.slice_in_dim(values_there, offset, offset + size, axis=axis)
+            index = lax.slice_in_dim(slots, offset, offset + size, axis=axis)
+            wins = other > best
+            slot, best = jnp.where(wins, index, slot), jnp.where(wins, other, best)
+    return slot, best
+
+
 def _highest(values: Float[Array, "y x"]) -> Float[Array, "y x"]:
     """Maximum over 5x5 pixels."""
     return lax.reduce_window(values, -jnp.inf, lax.max, (5, 5), (1, 1), "SAME")
@@ -141,11 +165,16 @@ def measure_candidates(light_field: LightField, params: EdgeParams, sizes: EdgeS
 
         def nearer() -> tuple[Array, Array]:
             place = jnp.where(passes, row * shape[1] + column, shape[0] * shape[1])
-            flat = jnp.full(shape[0] * shape[1], -jnp.inf, start.dtype)
-            image = flat.at[place].set(lax.stop_gradient(refined.disparity), mode="drop")
-            front = _highest(image.reshape(shape))[row, column]
+            nobody = jnp.full(shape[0] * shape[1], sizes.capacity, jnp.int32)
+            own = jnp.arange(sizes.capacity, dtype=jnp.int32)
+            slot, _ = _frontmost(
+                nobody.at[place].set(own, mode="drop").reshape(shape), refined.disparity
+            )
+            slot = slot[row, column]
+            known = slot < sizes.capacity
+            front = refined.disparity[jnp.where(known, slot, 0)]
             between = front - refined.disparity > reach
-            return jnp.isfinite(front) & candidates.valid & ridge & (between | ~passes), front
+            return known & candidates.valid & ridge & (between | ~passes), front
 
         wanted, start = lax.cond(
             index == 1, nearer, lambda: (candidates.valid & ~passes, maps.disparity[row, column])

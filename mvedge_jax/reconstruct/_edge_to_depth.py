@@ -146,8 +146,7 @@ def edge_to_depth(params: Parameters, light_field: LightField, sizes: Sizes) -> 
         tried = low + (high - low) * jnp.linspace(0, 1, sizes.hypotheses, dtype=dtype)
         floor = params.photometric.noise
         arms = horizontal, vertical
-        measured = noise_variance(*lax.stop_gradient((arms, tried, jnp.zeros_like(floor))))
-        noise = jnp.maximum(jnp.sqrt(measured), floor)
+        noise = jnp.sqrt(noise_variance(arms, tried, floor))
         params = eqx.tree_at(lambda p: p.photometric.noise, params, noise)
         first = hypotheses(horizontal, vertical, lab, tried, params.volume, window=sizes.window)
     surface = _sides(points, passes, first, horizontal, vertical, params, sizes, shape)

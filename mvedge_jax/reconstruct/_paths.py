@@ -52,7 +52,7 @@ def _both_ways(cost: Array, lab: Array, slant: Array, jump: Array, colour: Array
     square = jnp.zeros_like(lab[1:, 0])
     for channel in range(lab.shape[1]):
         square = square + jnp.diff(lab[:, channel], axis=0) ** 2
-    price = jump / (1 + jnp.sqrt(square) / colour)
+    price = jump / (1 + length(square) / colour)
     free = jnp.zeros_like(lab[:1, 0])
     wall = jnp.full_like(cost[0, :1], jnp.inf)
 
@@ -70,6 +70,11 @@ def _both_ways(cost: Array, lab: Array, slant: Array, jump: Array, colour: Array
     forward = lax.scan(visit, start, (cost, jnp.concatenate([free, price])))[1]
     backward = lax.scan(visit, start, (cost, jnp.concatenate([price, free])), reverse=True)[1]
     return forward + backward
+
+
+def length(square: Array) -> Array:
+    """Square root with the slope 0 at 0, where there is none: equal colours have no direction."""
+    return jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1)), 0)
 
 
 def _least(values: Array) -> Array:

@@ -3,6 +3,7 @@
 from typing import Literal, NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
@@ -46,7 +47,7 @@ def sharpen(
             itself, as the thesis does; `"none"` changes nothing.
 
     Returns:
-        The sharpened map. Differentiable where the map is kept; the median is a selection.
+        The sharpened map. Differentiable; which level crosses one half is a selection.
 
     Raises:
         ValueError: `mode` is unknown.
@@ -104,13 +105,13 @@ def weighted_median(
         quantised: return the first level past one half.
 
     Returns:
-        The median, `[y, x]`; no gradient passes.
+        The median, `[y, x]`. Differentiable at the levels chosen.
     """
-    values, guide, epsilon = lax.stop_gradient((values, guide, epsilon))
     model = _local_model(guide, epsilon, radius)
     low, high = jnp.min(values), jnp.max(values)
     spacing = jnp.maximum((high - low) / (levels - 1), jnp.finfo(values.dtype).tiny)
 
+    @jax.checkpoint
     def cross(
         state: tuple[Array, Array, Array], index: Array
     ) -> tuple[tuple[Array, Array, Array], None]:

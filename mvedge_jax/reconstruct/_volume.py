@@ -1,6 +1,7 @@
 """Hypotheses: per pixel, the disparity whose views agree best, whatever hides some of them."""
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
@@ -9,7 +10,7 @@ from jaxtyping import Array, Float
 from mvedge_jax._crosshair import Arm
 from mvedge_jax._params import cast, number
 
-from ._paths import aggregate
+from ._paths import aggregate, length
 
 
 class VolumeParams(eqx.Module):
@@ -62,16 +63,15 @@ def hypotheses(
         window: half the width of the window, px.
 
     Returns:
-        Disparity per pixel, between the hypotheses by a parabola. A selection: no gradient passes.
+        Disparity per pixel, between the hypotheses by a parabola. Differentiable in all but
+        `disparities`' number, at the hypothesis chosen.
     """
     params = cast(params, lab.dtype)
-    horizontal, vertical, lab, disparities, params = lax.stop_gradient(
-        (horizontal, vertical, lab, disparities, params)
-    )
     noise = noise_variance((horizontal, vertical), disparities, params.noise_floor)
     truncation = params.truncation * horizontal.planes.shape[1] * noise
     support = _colour_weights(lab, params.colour, window)
 
+    @jax.checkpoint
     def cost(disparity: Array) -> Array:
         left, right, above, below = agreement(horizontal, vertical, disparity, truncation)
         left, right, above, below = (
@@ -142,7 +142,7 @@ def _colour_weights(lab: Array, scale: Array, window: int) -> Array:
         square = jnp.zeros_like(lab[0])
         for c in range(lab.shape[0]):
             square = square + (other[c] - lab[c]) ** 2
-        return jnp.exp(-jnp.sqrt(square) / scale)
+        return jnp.exp(-length(square) / scale)
 
     weights = lax.map(weight, jnp.arange(size * size))
     total, _ = lax.scan(lambda t, w: (t + w, None), jnp.zeros_like(lab[0]), weights)
