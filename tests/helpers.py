@@ -95,3 +95,56 @@ def count_traces(function: Callable) -> tuple[Callable, Callable[[], int]]:
         return function(*args, **kwargs)
 
     return eqx.filter_jit(counted), lambda: len(traces)
+
+
+def dot(a: Any, b: Any) -> float:
+    """Inner product of two trees of one structure."""
+    pairs = zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True)
+    return float(sum(jnp.vdot(x, y) for x, y in pairs))
+
+
+def check_modes(
+    function: Callable[[Any], Array],
+    tree: Any,
+    *,
+    rtol: float,
+    step: float = 1e-6,
+    key: PRNGKeyArray,
+) -> None:
+    """Compares grad, jvp, linearize and jvp of grad with central differences, in float64.
+
+    Args:
+        function: maps a pytree to a scalar.
+        tree: where to compare; only its floating leaves vary, along a random direction.
+        rtol: relative error that is allowed; of the derivative of the gradient, relative to its
+            largest entry per leaf.
+        step: of the differences.
+        key: draws the direction.
+    """
+    moving, rest = eqx.partition(tree, eqx.is_inexact_array)
+    direction = random_like(moving, key=key)
+
+    def value(m: Any) -> Array:
+        return function(eqx.combine(m, rest))
+
+    def moved(t: Any) -> Any:
+        return jax.tree.map(lambda a, b: a + t * b, moving, direction)
+
+    along, gradient_at = jax.jit(lambda t: value(moved(t))), jax.jit(lambda m: jax.grad(value)(m))
+    numeric = float(along(step) - along(-step)) / (2 * step)
+    forward = float(jax.jit(lambda m, d: jax.jvp(value, (m,), (d,))[1])(moving, direction))
+    linear = float(jax.linearize(jax.jit(value), moving)[1](direction))
+    gradient = gradient_at(moving)
+    for name, found in (("jvp", forward), ("grad", dot(gradient, direction)), ("linear", linear)):
+        error = abs(found - numeric) / max(abs(numeric), abs(found), 1e-300)
+        assert error <= rtol, f"{name} {found:.12g}, differences {numeric:.12g}: {error:.2e}"
+    turned = jax.jit(lambda m, d: jax.jvp(jax.grad(value), (m,), (d,))[1])(moving, direction)
+    expected = jax.tree.map(
+        lambda a, b: (a - b) / (2 * step), gradient_at(moved(step)), gradient_at(moved(-step))
+    )
+    for (path, found), wanted in zip(
+        jax.tree_util.tree_leaves_with_path(turned), jax.tree.leaves(expected), strict=True
+    ):
+        error = float(jnp.abs(found - wanted).max()) / max(float(jnp.abs(wanted).max()), 1e-300)
+        # A NaN compares as false, too.
+        assert error <= rtol, f"jvp of grad, {jax.tree_util.keystr(path)}: {error:.2e}"

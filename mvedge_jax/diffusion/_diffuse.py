@@ -5,14 +5,16 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 from jaxtyping import Array, Float
 
 from mvedge_jax._params import cast
 
-from ._core import Options, Prepared, choose, mapped, prepare_group, solve, solve_group
+from ._core import Options, Prepared, choose, mapped, prepare, prepare_group, solve, solve_group
+from ._pcg import Iterate
 from ._solver import Diffused, Solver, SolveStats
-from ._stencil import Coefficients, differences, inner, largest, product, spread
+from ._stencil import Coefficients, inner, largest, product, spread
 from ._system import System, check
 
 
@@ -23,10 +25,12 @@ def diffuse(
 
     The preconditioner is a multigrid V-cycle, or exact elimination where the image is thin.
 
-    The gradient comes from one adjoint solve $A a = \partial L / \partial D$ that reuses the
-    hierarchy: $\partial L/\partial s = w a$, $\partial L/\partial w = a (s - D)$,
-    $\partial L/\partial t_{pq} = -(a_p - a_q)(D_p - D_q)$. It is the derivative of the exact
-    solution: `start`, the tolerance and the statistics have none.
+    *Derivatives.* Forward mode solves $A \dot D = \dot w (s - D) + w \dot s - L_{\dot t} D$; its
+    transpose is the adjoint solve $A a = \partial L / \partial D$, with
+    $\partial L/\partial s = w a$, $\partial L/\partial w = a (s - D)$,
+    $\partial L/\partial t_{pq} = -(a_p - a_q)(D_p - D_q)$. Both use the hierarchy again, and both
+    may be differentiated once more. They are those of the exact solution: `start`, the tolerance
+    and the statistics have none. How such a solve goes, `adjoint_solve` tells.
 
     *Stopping.* The residual is a poor measure where weights differ by orders of magnitude: it
     weighs an error by the stiffness of the place. One V-cycle on the residual is an estimate of
@@ -40,8 +44,8 @@ def diffuse(
     cut to 1e-5 ended at 0.7 % of the range off and passed for converged: use float64 beyond that.
 
     *Singular parts.* A part of the image without a path of positive edges to any data has no
-    unique solution. It takes the weighted mean of all labels (0 if there is no data at all), has
-    no gradient, and is counted in `stats.isolated`.
+    unique solution. It takes the weighted mean of all labels (0 if there is no data at all), and
+    is counted in `stats.isolated`.
 
     *Batches.* Under `vmap`, large images are solved one after the other and small ones, such as
     epipolar-plane images, together; each stops on its own. A batch keeps one core of a CPU busy:
@@ -101,20 +105,16 @@ def arranged(
 
 @partial(jax.jit, static_argnums=0)
 def _jitted(options: Options, system: System, start: Array | None, tolerance: Array) -> Diffused:
-    return _diffuse(options, system, start, tolerance)
+    return _diffuse(options, system, start, tolerance)[0]
 
 
-@partial(jax.custom_vjp, nondiff_argnums=(0,))
-def _diffuse(options: Options, system: System, start: Array | None, tolerance: Array) -> Diffused:
-    return forward(options, system, start, tolerance)[0]
-
-
-def forward(
+@partial(jax.custom_jvp, nondiff_argnums=(0,))
+def _diffuse(
     options: Options, system: System, start: Array | None, tolerance: Array
-) -> tuple[Diffused, Prepared]:
-    """The solution, and what its adjoint needs besides."""
+) -> tuple[Diffused, Any, Array]:
+    """The solution, and the hierarchy and the tied pixels, which its derivatives use again."""
     value, stats, hierarchy, keep = mapped(_forward_group, options)(system, start, tolerance)
-    return Diffused(value, SolveStats(**stats)), Prepared(system.coefficients, hierarchy, keep)
+    return Diffused(value, SolveStats(**stats)), hierarchy, keep
 
 
 def _forward_group(
@@ -177,43 +177,113 @@ def _threshold(
     return tolerance * size + floor, jnp.zeros_like(tolerance)
 
 
-def _forward(
-    options: Options, system: System, start: Array | None, tolerance: Array
-) -> tuple[Diffused, Any]:
-    diffused, prepared = forward(options, system, start, tolerance)
-    return diffused, (prepared, system.label, diffused.value, start, tolerance)
+def _no_tangent(value: Array) -> Any:
+    if jnp.issubdtype(value.dtype, jnp.inexact):
+        return jnp.zeros_like(value)
+    return np.zeros(value.shape, jax.dtypes.float0)
 
 
-def _backward(options: Options, residuals: Any, cotangent: Diffused) -> tuple[Any, Any, Any]:
-    prepared, label, value, start, tolerance = residuals
-    adjoint = solve_adjoint(options, prepared, cotangent.value, tolerance)
-    gradient = system_gradient(prepared.coefficients, label, value, adjoint)
-    nothing = None if start is None else jnp.zeros_like(start)
-    return gradient, nothing, jnp.zeros_like(tolerance)
+@_diffuse.defjvp
+def _tangent(options: Options, primals: Any, tangents: Any) -> Any:
+    system, _, tolerance = primals
+    moving: System = tangents[0]
+    diffused, hierarchy, keep = out = _diffuse(options, *primals)
+    value = diffused.value
+    label = jnp.where(jnp.isfinite(system.label), system.label, value)
+    edges = Coefficients(jnp.zeros_like(value), moving.tx, moving.ty)
+    right = moving.weight * (label - value) + system.weight * moving.label - product(edges, value)
+    # The solver is no function of the weights to be differentiated: the solution is.
+    fixed, tolerance = lax.stop_gradient((system.coefficients, tolerance))
+    prepared = Prepared(fixed, hierarchy, keep)
+    solution = lax.custom_linear_solve(
+        lambda image: product(system.coefficients, image),
+        jnp.where(keep, right, 0),
+        lambda _, image: _linear_solve(options, prepared, image, tolerance).value,
+        symmetric=True,
+    )
+    # Pixels without a path to data show the mean of all labels.
+    total = _total(system.weight)
+    total = jnp.where(total > 0, total, 1)
+    data = jnp.where(system.weight != 0, system.label, 0)
+    mean = inner(system.weight, data) / total
+    away = jnp.where(system.weight != 0, moving.weight * (data - spread(mean)), 0)
+    mean = _total(away + system.weight * moving.label) / total
+    solution = jnp.where(keep, solution, spread(mean))
+    still = jax.tree.map(_no_tangent, (diffused.stats, hierarchy, keep))
+    return out, (Diffused(solution, still[0]), *still[1:])
 
 
-def solve_adjoint(options: Options, prepared: Prepared, right: Array, tolerance: Array) -> Array:
-    """Solves with the symmetric matrix for any right-hand side, relative to the solution."""
+def adjoint_solve(
+    system: System, cotangent: Float[Array, "y x"], *, solver: Solver | None = None
+) -> Diffused:
+    r"""The solve behind the derivatives of `diffuse`, with its statistics.
+
+    Reverse mode solves $A a = \partial L / \partial D$, forward mode the same matrix for the
+    tangent. Neither can say how it went; this does, for a cotangent at hand.
+
+    Args:
+        system: as in `diffuse`; labels are not used.
+        cotangent: right-hand side, `[y, x]`, of any size and unit.
+        solver: as in `diffuse`. With `stop="error"` the tolerance is a share of the largest entry
+            of the solution.
+
+    Returns:
+        The solution, 0 where nothing ties a pixel to data and NaN if the cotangent is not finite,
+        and statistics: `residual` is relative to the cotangent, `estimate` to its largest entry.
+
+    Raises:
+        ValueError: as `diffuse`, or `cotangent` has another shape.
+
+    Source: Thesis 6.1; the implicit function theorem.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> system = System(jnp.ones((1, 2)), jnp.zeros((1, 2)), jnp.ones((1, 1)), jnp.ones((0, 2)))
+        >>> adjoint_solve(system, jnp.array([[3e-30, 0.0]])).value.tolist()
+        [[2e-30, 1e-30]]
+    """
+    options, system, _, tolerance = arranged(system, None, solver)
+    if cotangent.shape != system.shape:
+        raise ValueError(
+            f"`cotangent` has the shape {cotangent.shape}; the system has {system.shape}."
+        )
+    return _jitted_adjoint(options, system, cotangent.astype(system.weight.dtype), tolerance)
+
+
+@partial(jax.jit, static_argnums=0)
+def _jitted_adjoint(options: Options, system: System, right: Array, tolerance: Array) -> Diffused:
+    prepared = prepare(options, system.coefficients)
+    found = _linear_solve(options, prepared, right, tolerance)
+    right = jnp.where(prepared.keep, right, 0)
+    size = _size(right)
+    rest = right / size - product(system.coefficients, found.value / size)
+    norms = [jnp.sqrt(inner(image, image)) for image in (rest, right / size)]
+    stats = SolveStats(
+        iterations=found.iterations,
+        residual=norms[0] / jnp.where(norms[1] > 0, norms[1], 1),
+        estimate=found.estimate,
+        converged=found.converged,
+        isolated=jnp.sum(~prepared.keep, dtype=jnp.int32),
+    )
+    return Diffused(found.value, stats)
+
+
+def _size(right: Array) -> Array:
+    """Largest entry per image, 1 where there is none, with axes to divide by."""
+    size = spread(largest(right))
+    return jnp.where(size > 0, size, 1)
+
+
+def _linear_solve(options: Options, prepared: Prepared, right: Array, tolerance: Array) -> Iterate:
+    """Solves for a right-hand side of any size: squares of 1e-20 are lost in float32."""
+    right = jnp.where(prepared.keep, right, 0)
+    size = _size(right)
+    unit = right / size
     if options.stop == "residual":
-        masked = jnp.where(prepared.keep, right, 0)
-        absolute, relative = tolerance * jnp.sqrt(inner(masked, masked)), jnp.zeros_like(tolerance)
+        absolute, relative = tolerance * jnp.sqrt(inner(unit, unit)), jnp.zeros_like(tolerance)
     else:
         absolute, relative = jnp.zeros_like(tolerance), tolerance
-    return solve(options, prepared, right, absolute, relative).value
-
-
-def system_gradient(
-    coefficients: Coefficients, label: Array, value: Array, adjoint: Array
-) -> System:
-    """Gradient with respect to the four maps, given the adjoint solution."""
-    adjoint_x, adjoint_y = differences(adjoint)
-    value_x, value_y = differences(value)
-    return System(
-        weight=adjoint * jnp.where(jnp.isfinite(label), label - value, 0),
-        label=coefficients.weight * adjoint,
-        tx=-adjoint_x * value_x,
-        ty=-adjoint_y * value_y,
-    )
-
-
-_diffuse.defvjp(_forward, _backward)
+    found = solve(options, prepared, unit, absolute, relative)
+    # A sum, because maxima lose NaN on some CPUs.
+    sound = spread(jnp.isfinite(_total(right)))
+    return found._replace(value=jnp.where(sound, found.value * size, jnp.nan))

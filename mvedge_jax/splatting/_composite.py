@@ -1,12 +1,14 @@
 """Front-to-back compositing of depth-sorted points, tile by tile, with a closed-form gradient."""
 
+import typing
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
+from .._linear_map import linear_map
 from ._params import SplatSizes
 from ._profile import absorption
 
@@ -61,16 +63,17 @@ def _optical(square: Array, point: Array, physics: Physics) -> Array:
     return physics.thickness * point[:, 4:5] * jnp.exp(-square * physics.inverse_label)
 
 
-@partial(jax.custom_vjp, nondiff_argnums=(3,))
+@partial(jax.custom_jvp, nondiff_argnums=(3,))
 def composite(
     table: Float[Array, "n 5"], physics: Physics, lists: Lists, sizes: SplatSizes
 ) -> Rays:
     """Composites the points of every tile front to back.
 
     One loop step adds the next point of every tile of a group, as a vector over tiles and
-    pixels; a group's loop ends with its longest list, so nothing is padded to a capacity. The
-    gradient walks the lists once more in the same order: what lies behind a point is the total
-    minus what lies in front, so nothing is stored per candidate.
+    pixels; a group's loop ends with its longest list, so nothing is padded to a capacity. Reverse
+    mode walks the lists once more in the same order: what lies behind a point is the total minus
+    what lies in front, so nothing is stored per candidate. Forward mode goes through the loop, and
+    through the gradient's; reverse mode cannot go through either twice.
 
     Args:
         table: rows (x, y, label, weight, opacity); the last row is far outside and empty.
@@ -82,10 +85,10 @@ def composite(
         Σ Z a T, Σ λ T and the transmittance behind all points, per tile (in group order) and
         pixel.
     """
-    return _forward(table, physics, lists, sizes)[0]
+    return _forward(table, physics, lists, sizes)
 
 
-def _forward(table: Array, physics: Physics, lists: Lists, sizes: SplatSizes):
+def _forward(table: Array, physics: Physics, lists: Lists, sizes: SplatSizes) -> Rays:
     last = table.shape[0] - 1
     offsets = _offsets(sizes.tile, table.dtype)
     lanes, pixels = lists.start.shape[1], offsets.shape[0]
@@ -110,12 +113,35 @@ def _forward(table: Array, physics: Physics, lists: Lists, sizes: SplatSizes):
         return jax.lax.fori_loop(0, jnp.max(count, initial=0), step, first)
 
     grouped = jax.lax.map(group, (lists.start, lists.length, lists.origin))
-    rays = Rays(*(part.reshape(-1, pixels) for part in grouped))
-    return rays, (table, physics, lists, rays)
+    return Rays(*(part.reshape(-1, pixels) for part in grouped))
 
 
-def _backward(sizes: SplatSizes, saved, cotangent: Rays):
-    table, physics, lists, rays = saved
+class _At(NamedTuple):
+    """Where the compositing is differentiated."""
+
+    table: Array
+    physics: Physics
+    lists: Lists
+    rays: Rays
+
+
+@composite.defjvp
+def _tangent(sizes: SplatSizes, primals: Any, tangents: Any) -> tuple[Rays, Rays]:
+    table, physics, lists = primals
+    rays = typing.cast(Rays, composite(table, physics, lists, sizes))
+    at = _At(table, physics, lists, rays)
+    return rays, linear_map(partial(_push, sizes), partial(_pull, sizes), at, tangents[:2])
+
+
+def _push(sizes: SplatSizes, at: _At, moving: tuple[Array, Physics]) -> Rays:
+    def run(table: Array, physics: Physics) -> Rays:
+        return _forward(table, physics, at.lists, sizes)
+
+    return jax.jvp(run, (at.table, at.physics), moving)[1]
+
+
+def _pull(sizes: SplatSizes, at: _At, cotangent: Rays) -> tuple[Array, Physics]:
+    table, physics, lists, rays = at
     last = table.shape[0] - 1
     offsets = _offsets(sizes.tile, table.dtype)
     groups, lanes = lists.start.shape
@@ -195,8 +221,4 @@ def _backward(sizes: SplatSizes, saved, cotangent: Rays):
     inputs += (split(total), split(cotangent.label), split(cotangent.weight))
     (gradient, scalars), _ = jax.lax.scan(group, initial, inputs)
     gradient = gradient.at[-1].set(0)
-    d_physics = Physics(scalars[0], scalars[1], scalars[2] / physics.thickness)
-    return gradient, d_physics, None
-
-
-composite.defvjp(_forward, _backward)
+    return gradient, Physics(scalars[0], scalars[1], scalars[2] / physics.thickness)

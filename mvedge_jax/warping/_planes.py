@@ -1,7 +1,11 @@
 """The backward warp of the optimisation: channel planes, value and slope in one pass."""
 
+from functools import partial
+from typing import Any
+
 import jax
 import jax.numpy as jnp
+from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Array, Float
 
 
@@ -40,7 +44,7 @@ def _interpolate(planes: Array, disparity: Array, step: Array) -> tuple[Array, A
     return top + fy * (bottom - top), slope
 
 
-@jax.custom_vjp
+@jax.custom_jvp
 def warp_planes(
     planes: Float[Array, "c y x"], disparity: Float[Array, "y x"], step: Float[Array, "2"]
 ) -> Float[Array, "c y x"]:
@@ -64,16 +68,14 @@ def warp_planes(
     return _interpolate(planes, disparity, step)[0]
 
 
-def _forward(planes: Array, disparity: Array, step: Array):
+@partial(warp_planes.defjvp, symbolic_zeros=True)
+def _tangent(primals: Any, tangents: Any) -> tuple[Array, Array]:
+    planes, disparity, step = primals
     warped, slope = _interpolate(planes, disparity, step)
-    return warped, (planes, disparity, step, slope)
-
-
-def _backward(saved, cotangent: Array):
-    planes, disparity, step, slope = saved
-    # Dropped by the compiler where the views are constants, as they usually are.
-    transpose = jax.linear_transpose(lambda p: _interpolate(p, disparity, step)[0], planes)
-    return transpose(cotangent)[0], jnp.sum(slope * cotangent, axis=0), jnp.zeros_like(step)
-
-
-warp_planes.defvjp(_forward, _backward)
+    total = jnp.zeros_like(warped)
+    # The views are constants as a rule: warping their zero tangents would cost as much again.
+    if not isinstance(tangents[0], SymbolicZero):
+        total = _interpolate(tangents[0], disparity, step)[0]
+    if not isinstance(tangents[1], SymbolicZero):
+        total = total + slope * tangents[1][None]
+    return warped, total

@@ -8,7 +8,7 @@ import pytest
 from diffusion.problems import random_system
 from helpers import check_gradient, random_like
 
-from mvedge_jax.diffusion import Solver, System, diffuse, diffuse_forward_mode
+from mvedge_jax.diffusion import Solver, System, adjoint_solve, diffuse
 
 TIGHT = Solver(tolerance=1e-13)
 SHAPE = (9, 11)
@@ -37,10 +37,6 @@ def implicit(system):
     return diffuse(system, solver=TIGHT).value
 
 
-def dual(system):
-    return diffuse_forward_mode(system, solver=TIGHT).value
-
-
 @pytest.mark.parametrize("name", ["weight", "label", "tx", "ty"])
 def test_gradient_equals_differences(name):
     system = positive_system(jax.random.key(1))
@@ -62,16 +58,12 @@ def test_gradient_equals_dense_solve():
 def test_forward_mode_agrees():
     system = random_system(*SHAPE, contrast=1.0, key=jax.random.key(5))
     direction = random_like(system, key=jax.random.key(6))
-    value, tangent = jax.jvp(dual, (system,), (direction,))
+    value, tangent = jax.jvp(implicit, (system,), (direction,))
     np.testing.assert_array_equal(value, implicit(system))
     _, expected = jax.jvp(dense, (system,), (direction,))
     np.testing.assert_allclose(
         tangent, expected, rtol=0, atol=1e-9 * float(jnp.abs(expected).max())
     )
-    gradient = jax.grad(loss_of(dual))(system)
-    expected = jax.grad(loss_of(implicit))(system)
-    for a, b in zip(jax.tree.leaves(gradient), jax.tree.leaves(expected), strict=True):
-        np.testing.assert_allclose(a, b, rtol=0, atol=1e-9 * float(jnp.abs(b).max()))
 
 
 def test_second_derivative():
@@ -84,14 +76,168 @@ def test_second_derivative():
 
         return float(jax.jvp(lambda t: jax.jvp(line, (t,), (1.0,))[1], (0.0,), (1.0,))[1])
 
-    assert along(dual) == pytest.approx(along(dense), rel=1e-8)
+    assert along(implicit) == pytest.approx(along(dense), rel=1e-8)
+
+
+# Multigrid, exact elimination, and both of them with parts that nothing ties to data.
+CASES = {
+    "multigrid": ((40, 44), "multigrid", False),
+    "thin": ((6, 50), "banded", False),
+    "isolated": ((20, 24), "multigrid", True),
+    "thin, isolated": ((5, 24), "banded", True),
+}
+
+
+def _case(name):
+    shape, preconditioner, isolated = CASES[name]
+    system = random_system(*shape, contrast=1.0, key=jax.random.key(11))
+    system = System(system.weight + 0.1, system.label, system.tx + 0.1, system.ty + 0.1)
+    if isolated:  # a block of 3x3 pixels without data or ties
+        weight, tx, ty = (a.at[1:4, 1:4].set(0) for a in (system.weight, system.tx, system.ty))
+        tx, ty = tx.at[1:4, 0].set(0), ty.at[0, 1:4].set(0)
+        system = System(weight, system.label, tx, ty)
+    solver = Solver(tolerance=1e-13, preconditioner=preconditioner)
+    target = jax.random.normal(jax.random.key(12), shape)
+    # Zero weights stay zero: a step would make the matrix indefinite or tie what was not.
+    direction = jax.tree.map(
+        lambda a, b: jnp.where(a != 0, b, 0), system, random_like(system, key=jax.random.key(13))
+    )
+
+    def loss(system):
+        return jnp.sum(jnp.sin(diffuse(system, solver=solver).value - target) ** 2)
+
+    def line(t):
+        return loss(jax.tree.map(lambda a, b: a + t * b, system, direction))
+
+    return system, direction, loss, line
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_compositions_of_both_modes(name):
+    system, direction, loss, line = _case(name)
+    step = 1e-5
+    numeric = (line(step) - line(-step)) / (2 * step)
+    value, forward = jax.jvp(loss, (system,), (direction,))
+    gradient = jax.jit(jax.grad(loss))(system)
+    pairs = zip(*map(jax.tree.leaves, (gradient, direction)), strict=True)
+    reverse = sum(jnp.vdot(a, b) for a, b in pairs)
+    linear_value, linear = jax.linearize(loss, system)
+    assert float(forward) == pytest.approx(float(numeric), rel=1e-6)
+    assert float(reverse) == pytest.approx(float(forward), rel=1e-9)
+    assert float(linear(direction)) == pytest.approx(float(forward), rel=1e-9)
+    assert float(linear_value) == float(value)
+    assert float(jax.jacfwd(line)(0.0)) == pytest.approx(float(forward), rel=1e-9)
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_forward_over_reverse_equals_differences_of_the_gradient(name):
+    system, direction, loss, _ = _case(name)
+    step = 1e-5
+
+    @jax.jit
+    def gradient_at(t):
+        return jax.grad(loss)(jax.tree.map(lambda a, b: a + t * b, system, direction))
+
+    numeric = jax.tree.map(lambda a, b: (a - b) / (2 * step), gradient_at(step), gradient_at(-step))
+    _, tangent = jax.jvp(jax.grad(loss), (system,), (direction,))
+    for found, expected in zip(*map(jax.tree.leaves, (tangent, numeric)), strict=True):
+        assert bool(jnp.isfinite(found).all())
+        np.testing.assert_allclose(
+            found, expected, rtol=0, atol=1e-6 * float(jnp.abs(expected).max())
+        )
+
+
+def test_reverse_over_reverse_equals_the_dense_solve():
+    system = positive_system(jax.random.key(14))
+    direction = random_like(system, key=jax.random.key(15))
+
+    def along(solve):
+        def slope(system):
+            gradient = jax.grad(loss_of(solve))(system)
+            leaves = zip(*map(jax.tree.leaves, (gradient, direction)), strict=True)
+            return sum(jnp.vdot(a, b) for a, b in leaves)
+
+        return jax.grad(slope)(system)
+
+    for a, b in zip(*map(jax.tree.leaves, (along(implicit), along(dense))), strict=True):
+        np.testing.assert_allclose(a, b, rtol=0, atol=1e-8 * float(jnp.abs(b).max()))
+
+
+@pytest.mark.parametrize("shape", [(6, 50), (40, 44)])
+def test_directions_under_vmap(shape):
+    system = random_system(*shape, contrast=1.0, key=jax.random.key(16))
+    directions = [random_like(system, key=jax.random.key(k)) for k in (17, 18, 19)]
+
+    def push(direction):
+        return jax.jvp(lambda s: diffuse(s, solver=TIGHT).value, (system,), (direction,))[1]
+
+    together = jax.vmap(push)(jax.tree.map(lambda *maps: jnp.stack(maps), *directions))
+    for found, direction in zip(together, directions, strict=True):
+        expected = push(direction)
+        np.testing.assert_allclose(
+            found, expected, rtol=0, atol=1e-9 * float(jnp.abs(expected).max())
+        )
+
+
+@pytest.mark.parametrize("shape", [(64, 64), (9, 64)])
+@pytest.mark.parametrize("stop", ["error", "residual"])
+def test_a_loss_of_any_size_has_its_gradient(shape, stop):
+    """In float32, the precision that ships."""
+    system = random_system(*shape, contrast=1.0, key=jax.random.key(20))
+    system = jax.tree.map(lambda a: a.astype(jnp.float32), system)
+    target = jax.random.normal(jax.random.key(21), shape, jnp.float32)
+    solver = Solver(stop=stop)
+
+    @jax.jit
+    def gradient(scale):
+        def loss(system):
+            difference = diffuse(system, solver=solver).value - target
+            return scale * jnp.mean(difference * difference)
+
+        return jax.tree.leaves(jax.grad(loss)(system))
+
+    expected = gradient(jnp.float32(1))
+    for power in (-30, -20, -18, -10, 10, 18, 20, 30):
+        scale = np.float64(10.0**power)
+        for a, b in zip(gradient(jnp.float32(scale)), expected, strict=True):
+            found = np.asarray(a, np.float64) / np.float64(np.float32(scale))
+            error = np.abs(found - np.asarray(b, np.float64)).max()
+            assert error <= 1e-5 * float(jnp.abs(b).max()), f"1e{power}: {error:.2e}"
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_a_cotangent_that_is_not_finite_does_not_pass_for_zero(value):
+    system = random_system(20, 20, key=jax.random.key(22))
+    factor = jnp.ones(system.shape).at[3, 3].set(value)
+    gradient = jax.grad(lambda s: jnp.sum(factor * diffuse(s).value))(system)
+    assert bool(jnp.isnan(gradient.label).any())
+
+
+@pytest.mark.parametrize("scale", [1e-30, 1.0, 1e30])
+@pytest.mark.parametrize("preconditioner", ["multigrid", "banded", "lahbpcg", "jacobi"])
+def test_the_adjoint_says_how_it_went(preconditioner, scale):
+    system = random_system(12, 15, contrast=1.0, key=jax.random.key(23))
+    cotangent = scale * jax.random.normal(jax.random.key(24), system.shape)
+    solver = Solver(tolerance=1e-10, preconditioner=preconditioner)
+    found = adjoint_solve(system, cotangent, solver=solver)
+    assert bool(found.stats.converged)
+    assert float(found.stats.residual) < 1e-8
+    rest = cotangent - system.matvec(found.value)
+    size = float(jnp.linalg.norm(cotangent))
+    assert float(jnp.linalg.norm(rest)) / size == pytest.approx(
+        float(found.stats.residual), rel=1e-3, abs=1e-15
+    )
+    stopped = Solver(tolerance=1e-10, preconditioner="jacobi", max_iterations=2)
+    assert not bool(adjoint_solve(system, cotangent, solver=stopped).stats.converged)
+    with pytest.raises(ValueError, match=r"`cotangent` has the shape \(3, 3\)"):
+        adjoint_solve(system, cotangent[:3, :3])
 
 
 def test_statistics_have_no_gradient():
     system = random_system(*SHAPE, key=jax.random.key(9))
     gradient = jax.grad(lambda s: diffuse(s).stats.estimate)(system)
     assert all(float(jnp.abs(leaf).max()) == 0 for leaf in jax.tree.leaves(gradient))
-    _, tangent = jax.jvp(lambda s: diffuse_forward_mode(s).stats.residual, (system,), (system,))
+    _, tangent = jax.jvp(lambda s: diffuse(s).stats.residual, (system,), (system,))
     assert float(tangent) == 0
 
 

@@ -3,15 +3,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers import count_traces
+from helpers import check_modes, count_traces
 
 from mvedge_jax.diffusion import Solver
-from mvedge_jax.losses import LossWeights, Views, self_supervised_loss
+from mvedge_jax.losses import LossWeights, SupervisedWeights, Views, self_supervised_loss
 from mvedge_jax.reconstruct import (
     DepthModel,
     ModelParams,
     ModelSizes,
     SelfSupervised,
+    Supervised,
     downsample,
     image_roughness,
     map_roughness,
@@ -83,6 +84,44 @@ def test_gradient_of_the_whole_chain(scale):
         numeric = (along(1e-6) - along(-1e-6)) / 2e-6
         analytic = float(jnp.vdot(getattr(gradient, part), direction))
         assert analytic == pytest.approx(numeric, rel=1e-5), part
+
+
+@pytest.mark.parametrize("preconditioner", ["banded", "multigrid"])
+def test_both_modes_and_the_second_derivative(preconditioner):
+    """Of the rendered map, with respect to points and parameters."""
+    solver = Solver(tolerance=1e-13, preconditioner=preconditioner)
+    params = eqx.tree_at(lambda p: p.solver, exact(), solver)
+    params = jax.tree.map(jnp.asarray, params)
+    target = jnp.asarray(np.random.default_rng(4).normal(size=SHAPE))
+    still, turning = eqx.partition(params, lambda leaf: leaf is params.solver.tolerance)
+
+    def loss(tree):
+        model, params = tree
+        params = eqx.combine(still, params)
+        return jnp.sum(jnp.sin(render_model(model, params, ModelSizes()).disparity - target))
+
+    check_modes(loss, (small_model(), turning), rtol=1e-5, key=jax.random.key(6))
+
+
+@pytest.mark.parametrize("name", ["supervised", "self-supervised"])
+def test_both_modes_and_the_second_derivative_of_the_objectives(name):
+    model, params, sizes = small_model(), exact(), ModelSizes()
+    target = jnp.asarray(np.random.default_rng(4).normal(size=SHAPE))
+    objective: Supervised | SelfSupervised
+    if name == "supervised":
+        weights = SupervisedWeights()
+        objective = Supervised(
+            target, jnp.ones(SHAPE, bool), unlimited(model), params, weights, sizes
+        )
+    else:
+        views = random_views()
+        objective = SelfSupervised(views, unlimited(model), params, LossWeights(), sizes=sizes)
+    key = jax.random.key(8)
+
+    def loss(model):
+        return objective(model, jnp.zeros(SHAPE), key=key)[0]
+
+    check_modes(loss, model, rtol=1e-3, step=1e-7, key=jax.random.key(7))
 
 
 def test_a_plane_of_equal_labels_is_reproduced_and_a_mask_ignored():

@@ -5,7 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers import check_gradient, count_traces
+from helpers import check_gradient, check_modes, count_traces
 
 from mvedge_jax import splatting
 from mvedge_jax.splatting import SplatParams, SplatSizes, absorption, splat_reference
@@ -72,6 +72,13 @@ def test_gradient_against_differences():
     check_gradient(
         random_functional(splat, SplatSizes(lanes=16)), tree, rtol=1e-5, key=jax.random.key(0)
     )
+
+
+@pytest.mark.parametrize("absorption", ["closed", "quadrature"])
+def test_both_modes_and_the_second_derivative(absorption):
+    sizes = SplatSizes(absorption=absorption, lanes=16)
+    tree = (*cloud()[:3], SplatParams(), 0.3 + cloud()[2] / 3)
+    check_modes(random_functional(splat, sizes), tree, rtol=1e-5, key=jax.random.key(5))
 
 
 def test_default_radius_cuts_less_than_it_says():

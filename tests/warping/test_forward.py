@@ -2,7 +2,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers import check_gradient
+from helpers import check_gradient, check_modes
 
 from mvedge_jax import warping
 from mvedge_jax.warping import backward_warp
@@ -112,3 +112,16 @@ def test_warp_of_planes_one_pixel_wide():
     planes = jnp.arange(6.0).reshape(1, 6, 1)
     warped = warp_planes(planes, jnp.full((6, 1), 0.5), jnp.array([1.0, 1.0]))
     np.testing.assert_allclose(warped[0, :, 0], [0.5, 1.5, 2.5, 3.5, 4.5, 5.0])
+
+
+@pytest.mark.parametrize("moving", ["both", "planes", "disparity"])
+def test_warp_of_planes_in_both_modes(moving):
+    image, disparity = scene()
+    tree = {"planes": jnp.moveaxis(jnp.array(image), -1, 0), "disparity": jnp.array(disparity)}
+    some = tree if moving == "both" else {moving: tree[moving]}
+
+    def loss(some):
+        full = {**tree, **some}
+        return jnp.sum(warp_planes(full["planes"], full["disparity"], jnp.array([-2.0, 1.5])) ** 3)
+
+    check_modes(loss, some, rtol=1e-5, step=1e-7, key=jax.random.key(1))
