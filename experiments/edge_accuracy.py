@@ -203,14 +203,12 @@ def sweeps(light_field: LightField, params: EdgeParams) -> list[dict]:
             add(f"{count}x{count} views", light_field.crop_views(count))
     sizes = EdgeSizes.for_light_field(light_field.without_truth())
     for step in (0.05, 0.2, 0.3):
-        ends = (sizes.first * 0.1, (sizes.first + sizes.filters - 1) * 0.1)
-        first = int(np.floor(ends[0] / step))
-        count = int(np.ceil(ends[1] / step)) - first + 1
-        stepped = eqx.tree_at(lambda p: p.step, params, jnp.asarray(step))
+        first = int(np.floor(sizes.ends[0] / step))
+        count = int(np.ceil(sizes.ends[1] / step)) - first + 1
         add(
             f"{count} filters, {step:g} px apart",
             light_field,
-            stepped,
+            params,
             first=first,
             filters=count,
             spacing=round(1000 * step),

@@ -95,8 +95,6 @@ def _push(primals: Any, tangents: Any, *, forward: _Flat, transpose: _Flat, spli
         ]
         along = jax.jvp(lambda *leaves: forward(leaves, moving), tuple(fixed), tuple(turned))
         parts.append(along[1])
-    if not parts:
-        return out, [ad.Zero.from_primal_value(leaf) for leaf in out]
     return out, [sum(terms[1:], terms[0]) for terms in zip(*parts, strict=True)]
 
 

@@ -25,6 +25,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import optax
 
 from mvedge_jax import plotting
 from mvedge_jax.color import srgb_to_gray
@@ -98,3 +99,46 @@ def loss(parameters):
 gradient = eqx.filter_jit(eqx.filter_grad(loss))(Parameters())
 for name, leaf in vars(gradient.centre).items():
     print(f"d loss / d centre.{name} = {float(leaf):+.2e}")
+
+# %% [markdown]
+# ## Forward mode
+#
+# One number in, a whole map out: `jax.jvp` gives the derivative of every pixel with respect to one
+# parameter at the cost of about two maps. Where does more smoothness move the map?
+
+
+# %%
+def at(log_smoothness):
+    smoother = eqx.tree_at(lambda p: p.centre.smoothness, Parameters(), jnp.exp(log_smoothness))
+    return edge_to_depth(smoother, blind, sizes).disparity
+
+
+here = jnp.log(Parameters().centre.smoothness)
+_, moved = jax.jit(lambda x: jax.jvp(at, (x,), (jnp.ones_like(x),)))(here)
+plotting.plot_disparity([moved], names=["d disparity / d log(smoothness)"])
+
+# %% [markdown]
+# ## Parameters learned by gradient
+#
+# A few steps of Adam on the logarithm of every parameter, on this scene alone. A lower loss here
+# says nothing about other scenes: `experiments/learn_parameters.py` learns from two and shows what
+# happens to two that it has not seen.
+
+
+# %%
+def error_of(logs):
+    found = edge_to_depth(jax.tree.map(jnp.exp, logs), blind, sizes).disparity
+    return jnp.mean(jnp.log1p(((found - truth) / 0.03) ** 2))
+
+
+step = eqx.filter_jit(eqx.filter_value_and_grad(error_of))
+logs = jax.tree.map(jnp.log, Parameters())
+adam = optax.adam(0.05)
+state = adam.init(logs)
+losses = []
+for _ in range(8):
+    value, slope = step(logs)
+    losses.append(float(value))
+    updates, state = adam.update(slope, state, logs)
+    logs = optax.apply_updates(logs, updates)
+print("loss per step:", " ".join(f"{value:.4f}" for value in losses))

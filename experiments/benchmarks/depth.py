@@ -141,8 +141,7 @@ def _stages(measure, params: Parameters, light_field, sizes: Sizes) -> None:
         params.bidirectional,
     )
     tried = jnp.linspace(
-        sizes.edges.first * 0.1,
-        (sizes.edges.first + sizes.edges.filters) * 0.1,
+        *sizes.edges.ends,
         sizes.hypotheses,
         dtype=gray.dtype,
     )

@@ -76,10 +76,7 @@ def edges(
             report = {
                 "scene": light_field.name,
                 "shape [v, u, y, x]": list(light_field.views.shape[:4]),
-                "disparities searched": [
-                    0.1 * sizes.first,
-                    0.1 * (sizes.first + sizes.filters - 1),
-                ],
+                "disparities searched": list(sizes.ends),
                 "seconds": seconds,
                 "counts": {name: int(value) for name, value in vars(found.stats).items()},
                 "sizes": repr(sizes),

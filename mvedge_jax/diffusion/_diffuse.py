@@ -5,13 +5,12 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import lax
 from jaxtyping import Array, Float
 
 from mvedge_jax._params import cast
 
-from ._core import Options, Prepared, choose, mapped, prepare, prepare_group, solve, solve_group
+from ._core import Options, Prepared, choose, prepare, solve
 from ._pcg import Iterate
 from ._solver import Diffused, Solver, SolveStats
 from ._stencil import Coefficients, inner, largest, product, spread
@@ -105,55 +104,66 @@ def arranged(
 
 @partial(jax.jit, static_argnums=0)
 def _jitted(options: Options, system: System, start: Array | None, tolerance: Array) -> Diffused:
-    return _diffuse(options, system, start, tolerance)[0]
-
-
-@partial(jax.custom_jvp, nondiff_argnums=(0,))
-def _diffuse(
-    options: Options, system: System, start: Array | None, tolerance: Array
-) -> tuple[Diffused, Any, Array]:
-    """The solution, and the hierarchy and the tied pixels, which its derivatives use again."""
-    value, stats, hierarchy, keep = mapped(_forward_group, options)(system, start, tolerance)
-    return Diffused(value, SolveStats(**stats)), hierarchy, keep
-
-
-def _forward_group(
-    options: Options, system: System, start: Array | None, tolerance: Array
-) -> tuple[Array, dict[str, Array], Any, Array]:
     """Solves for a correction of the start, so that a large common offset costs no digits.
 
-    For one system, or for some on a leading axis: nothing but the solution is ever held for a
-    whole batch.
+    Written around `lax.custom_linear_solve`, which is a primitive: a `custom_jvp` is forgotten
+    where JAX splits a loop for reverse mode, and forward mode over that would go through the
+    iterations.
     """
-    coefficients = system.coefficients
-    prepared = Prepared(coefficients, *prepare_group(options, coefficients))
-    data = system.weight != 0
-    label = jnp.where(data, system.label, 0)
-    total = _total(system.weight)
-    mean = inner(system.weight, label) / jnp.where(total > 0, total, 1)
-    middle = spread(mean)
-    right = system.weight * (label - middle)
+    # A pixel without a finite label can have no weight, and so no derivative in it either.
+    finite = jnp.isfinite(system.label)
+    weight = jnp.where(finite, system.weight, lax.stop_gradient(system.weight))
+    coefficients = Coefficients(weight, *system.edges)
+    fixed, tolerance = lax.stop_gradient((system, tolerance))
+    prepared = prepare(options, fixed.coefficients)
+    keep = prepared.keep
+    label = jnp.where(finite | (weight != 0), system.label, 0)
+    # Data on a part that has none would tie it: the mean has no derivative in its weights.
+    known = jnp.where(keep, weight, 0)
+    total = _total(known)
+    mean = inner(known, label) / jnp.where(total > 0, total, 1)
+    middle = spread(lax.stop_gradient(mean))
+    right = weight * (label - middle)
     if start is None:
         base = jnp.broadcast_to(middle, label.shape)
     else:
-        base = jnp.where(prepared.keep, start, middle)
+        base = jnp.where(keep, start, middle)
         right = right - product(coefficients, base - middle)
-    threshold = _threshold(options, system, label, mean, tolerance)
-    found = solve_group(options, prepared, right, *threshold)
-    value = jnp.where(prepared.keep, base + found.value, middle)
-    sound = jnp.isfinite(total + sum(_total(maps) for maps in system.edges) + _total(right))
-    value = jnp.where(spread(sound), value, jnp.nan)
-    scale = jnp.sqrt(inner(system.weight * label, system.weight * label))
-    rest = system.weight * (label - middle) - product(coefficients, value - middle)
-    norm = jnp.sqrt(inner(rest, rest))
-    stats = {
-        "iterations": found.iterations,
-        "residual": norm / jnp.where(scale > 0, scale, 1),
-        "estimate": found.estimate,
-        "converged": found.converged,
-        "isolated": jnp.sum(~prepared.keep, axis=(-2, -1), dtype=jnp.int32),
-    }
-    return value, stats, prepared.hierarchy, prepared.keep
+    threshold = _threshold(options, fixed, tolerance)
+
+    def solve_one(_: Any, sides: tuple[Array, Array]) -> tuple[tuple[Array, Array], Any]:
+        image, first = sides
+        found = _linear_solve(options, prepared, image, first * threshold, (1 - first) * tolerance)
+        return (found.value, first), found._replace(value=())
+
+    right = jnp.where(keep, right, 0)
+
+    # The second unknown equals its right-hand side: 1 in the solve for the map, which stops by the
+    # range of the labels, and 0 in those for its derivatives, which stop by their own size. (JAX
+    # can transpose the solve only if all of its right-hand side moves, hence the zero terms.)
+    def matrix(sides: tuple[Array, Array]) -> tuple[Array, Array]:
+        image = product(coefficients, sides[0])
+        return image, sides[1] + 0 * image[..., 0, 0]
+
+    (change, _), found = lax.custom_linear_solve(
+        matrix,
+        (right, 1 + 0 * right[..., 0, 0]),
+        solve_one,
+        symmetric=True,
+        has_aux=True,
+    )
+    value = jnp.where(keep, base + change, spread(mean))
+    weighted = fixed.weight * lax.stop_gradient(label)
+    scale = jnp.sqrt(inner(weighted, weighted))
+    rest = lax.stop_gradient(weight * (label - middle) - product(coefficients, value - middle))
+    stats = SolveStats(
+        iterations=found.iterations,
+        residual=jnp.sqrt(inner(rest, rest)) / jnp.where(scale > 0, scale, 1),
+        estimate=found.estimate,
+        converged=found.converged,
+        isolated=jnp.sum(~keep, axis=(-2, -1), dtype=jnp.int32),
+    )
+    return Diffused(value, lax.stop_gradient(stats))
 
 
 def _total(values: Array) -> Array:
@@ -161,56 +171,19 @@ def _total(values: Array) -> Array:
     return jnp.sum(values, axis=(-2, -1))
 
 
-def _threshold(
-    options: Options, system: System, label: Array, mean: Array, tolerance: Array
-) -> tuple[Array, Array]:
+def _threshold(options: Options, system: System, tolerance: Array) -> Array:
     """Absolute threshold for the measure of error, with the floor of the number format."""
+    label = jnp.where(system.weight != 0, system.label, 0)
     precision = 4 * jnp.finfo(label.dtype).eps
     if options.stop == "residual":
         data = system.weight * label
         size = jnp.sqrt(inner(data, data))
-        floor = precision * size
-    else:
-        known = jnp.where(system.weight > 0, label, spread(mean))
-        size = jnp.max(known, axis=(-2, -1)) - jnp.min(known, axis=(-2, -1))
-        floor = precision * largest(label)
-    return tolerance * size + floor, jnp.zeros_like(tolerance)
-
-
-def _no_tangent(value: Array) -> Any:
-    if jnp.issubdtype(value.dtype, jnp.inexact):
-        return jnp.zeros_like(value)
-    return np.zeros(value.shape, jax.dtypes.float0)
-
-
-@_diffuse.defjvp
-def _tangent(options: Options, primals: Any, tangents: Any) -> Any:
-    system, _, tolerance = primals
-    moving: System = tangents[0]
-    diffused, hierarchy, keep = out = _diffuse(options, *primals)
-    value = diffused.value
-    label = jnp.where(jnp.isfinite(system.label), system.label, value)
-    edges = Coefficients(jnp.zeros_like(value), moving.tx, moving.ty)
-    right = moving.weight * (label - value) + system.weight * moving.label - product(edges, value)
-    # The solver is no function of the weights to be differentiated: the solution is.
-    fixed, tolerance = lax.stop_gradient((system.coefficients, tolerance))
-    prepared = Prepared(fixed, hierarchy, keep)
-    solution = lax.custom_linear_solve(
-        lambda image: product(system.coefficients, image),
-        jnp.where(keep, right, 0),
-        lambda _, image: _linear_solve(options, prepared, image, tolerance).value,
-        symmetric=True,
-    )
-    # Pixels without a path to data show the mean of all labels.
+        return tolerance * size + precision * size
     total = _total(system.weight)
-    total = jnp.where(total > 0, total, 1)
-    data = jnp.where(system.weight != 0, system.label, 0)
-    mean = inner(system.weight, data) / total
-    away = jnp.where(system.weight != 0, moving.weight * (data - spread(mean)), 0)
-    mean = _total(away + system.weight * moving.label) / total
-    solution = jnp.where(keep, solution, spread(mean))
-    still = jax.tree.map(_no_tangent, (diffused.stats, hierarchy, keep))
-    return out, (Diffused(solution, still[0]), *still[1:])
+    mean = inner(system.weight, label) / jnp.where(total > 0, total, 1)
+    known = jnp.where(system.weight > 0, label, spread(mean))
+    size = jnp.max(known, axis=(-2, -1)) - jnp.min(known, axis=(-2, -1))
+    return tolerance * size + precision * largest(label)
 
 
 def adjoint_solve(
@@ -229,7 +202,7 @@ def adjoint_solve(
 
     Returns:
         The solution, 0 where nothing ties a pixel to data and NaN if the cotangent is not finite,
-        and statistics: `residual` is relative to the cotangent, `estimate` to its largest entry.
+        and statistics: `residual` is relative to the cotangent.
 
     Raises:
         ValueError: as `diffuse`, or `cotangent` has another shape.
@@ -253,7 +226,7 @@ def adjoint_solve(
 @partial(jax.jit, static_argnums=0)
 def _jitted_adjoint(options: Options, system: System, right: Array, tolerance: Array) -> Diffused:
     prepared = prepare(options, system.coefficients)
-    found = _linear_solve(options, prepared, right, tolerance)
+    found = _linear_solve(options, prepared, right, jnp.zeros_like(tolerance), tolerance)
     right = jnp.where(prepared.keep, right, 0)
     size = _size(right)
     rest = right / size - product(system.coefficients, found.value / size)
@@ -274,16 +247,35 @@ def _size(right: Array) -> Array:
     return jnp.where(size > 0, size, 1)
 
 
-def _linear_solve(options: Options, prepared: Prepared, right: Array, tolerance: Array) -> Iterate:
-    """Solves for a right-hand side of any size: squares of 1e-20 are lost in float32."""
+def _linear_solve(
+    options: Options, prepared: Prepared, right: Array, absolute: Array, relative: Array
+) -> Iterate:
+    """Solves for a right-hand side of any size: squares of 1e-20 are lost in float32.
+
+    Args:
+        options: static choices.
+        prepared: of the matrix.
+        right: right-hand side, `[y, x]`.
+        absolute: part of the threshold, unit of the solution, or of `right` if `stop` says so.
+        relative: part of the threshold, share of the largest entry of the solution, or of the
+            norm of `right`.
+
+    Returns:
+        The solution, NaN if `right` or the matrix is not finite, and its statistics; the estimate
+        is in the unit of the solution.
+    """
     right = jnp.where(prepared.keep, right, 0)
     size = _size(right)
-    unit = right / size
+    unit, number = right / size, size[..., 0, 0]
+    absolute = absolute / number
     if options.stop == "residual":
-        absolute, relative = tolerance * jnp.sqrt(inner(unit, unit)), jnp.zeros_like(tolerance)
-    else:
-        absolute, relative = jnp.zeros_like(tolerance), tolerance
+        absolute = absolute + relative * jnp.sqrt(inner(unit, unit))
+        relative = jnp.zeros_like(relative)
     found = solve(options, prepared, unit, absolute, relative)
-    # A sum, because maxima lose NaN on some CPUs.
-    sound = spread(jnp.isfinite(_total(right)))
-    return found._replace(value=jnp.where(sound, found.value * size, jnp.nan))
+    # Sums, because maxima lose NaN on some CPUs.
+    sound = jnp.isfinite(_total(right) + sum(_total(maps) for maps in prepared.coefficients))
+    return found._replace(
+        value=jnp.where(spread(sound), found.value * size, jnp.nan),
+        estimate=found.estimate * number,
+        converged=found.converged & sound,
+    )

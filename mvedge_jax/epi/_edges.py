@@ -31,7 +31,7 @@ def scene_banks(
     if params.banks is not None:
         return params.banks
     index = sizes.first + jnp.arange(sizes.filters, dtype=jnp.int32)
-    disparity = index.astype(params.step.dtype) * params.step
+    disparity = index.astype(params.saturation.dtype) * sizes.step
     radius = max(sizes.radius(count) for count in views)
     return prewitt_bank(disparity, views[1], radius), prewitt_bank(disparity, views[0], radius)
 
@@ -214,7 +214,7 @@ def _thesis_edges(
     normal = unit_gradient(srgb_to_gray(light_field.centre_view))[row, column]
     confidence = found.strength / (found.strength + params.confidence_scale)
     # All that is known of a line's precision is the spacing of the filters.
-    error = jnp.broadcast_to(params.step / math.sqrt(12), found.disparity.shape)
+    error = jnp.full_like(found.disparity, sizes.step / math.sqrt(12))
     points = EdgePoints(
         found.xy, found.disparity, confidence, error, normal, found.visible, found.valid
     )

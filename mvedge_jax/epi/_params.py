@@ -21,8 +21,6 @@ class EdgeParams(eqx.Module):
     Attributes:
         banks: filters of the horizontal and of the vertical arm; None for Prewitt filters on the
             grid of `EdgeSizes`. Give them to learn them.
-        step: spacing of the filters, px per view step. A coarse bank with a parabola through
-            three filters beats a fine one: neighbours must differ.
         saturation: variance over the views, grey levels squared, beyond which a pixel of a window
             counts as another surface.
         refine_saturation: the same in the refinement, whose start is known to be close.
@@ -50,7 +48,6 @@ class EdgeParams(eqx.Module):
     """
 
     banks: tuple[FilterBank, FilterBank] | None = None
-    step: Float[Array, ""] = number(0.1)
     saturation: Float[Array, ""] = number(0.2)
     refine_saturation: Float[Array, ""] = number(0.05)
     noise_gain: Float[Array, ""] = number(1.0)
@@ -81,8 +78,9 @@ class EdgeSizes:
         iterations: Gauss-Newton steps.
         tile: side of the tiles in which the volumes are computed, px.
         chunk: points refined at a time.
-        spacing: spacing of the filters, thousandths of a px: `EdgeParams.step`, as far as the
-            reach of the taps depends on it.
+        spacing: spacing of the filters, thousandths of a px per view step. A coarse bank with a
+            parabola through three filters beats a fine one: neighbours must differ. Not a
+            parameter: it goes with `first` and `filters`, which set shapes.
         thesis: run the thesis' own chain, with these steps, instead of the search for
             photo-consistency; for comparison.
     """
@@ -98,6 +96,8 @@ class EdgeSizes:
     thesis: ThesisSteps | None = None
 
     def __post_init__(self):
+        if self.spacing < 1:
+            raise ValueError(f"`spacing` must be positive, got {self.spacing}.")
         if self.filters < 3:
             raise ValueError(f"`filters` must be at least 3, got {self.filters}.")
         if self.window < 3 or self.window % 2 == 0:
@@ -113,16 +113,18 @@ class EdgeSizes:
             raise ValueError(f"`tile` must be at least 8 px, got {self.tile}.")
 
     def radius(self, views: int) -> int:
-        """Reach of the taps for an arm of so many views, px.
-
-        A longer `step` than `spacing` says is cut off at the ends.
-        """
-        return bank_radius(self.reach, views)
+        """Reach of the taps for an arm of so many views, px."""
+        return bank_radius(max(map(abs, self.ends)), views)
 
     @property
-    def reach(self) -> float:
-        """Largest disparity of the grid in magnitude, px per view step."""
-        return self.spacing / 1000 * max(abs(self.first), abs(self.first + self.filters - 1))
+    def step(self) -> float:
+        """Spacing of the filters, px per view step."""
+        return self.spacing / 1000
+
+    @property
+    def ends(self) -> tuple[float, float]:
+        """Lowest and highest disparity of the grid, px per view step."""
+        return self.first * self.step, (self.first + self.filters - 1) * self.step
 
     @staticmethod
     def for_light_field(light_field: LightField, *, fill: float = 0.6) -> "EdgeSizes":
@@ -136,8 +138,9 @@ class EdgeSizes:
             Sizes; equal ones share a compiled program.
         """
         low, high = scene_range(light_field)
-        first = math.floor(round(low / 0.1, 6)) - 1
-        last = math.ceil(round(high / 0.1, 6)) + 1
+        step = EdgeSizes.spacing / 1000
+        first = math.floor(round(low / step, 6)) - 1
+        last = math.ceil(round(high / step, 6)) + 1
         height, width = light_field.views.shape[2:4]
         chunk = 128
         capacity = -(-int(fill * height * width) // chunk) * chunk

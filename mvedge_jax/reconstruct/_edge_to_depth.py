@@ -6,7 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
 from mvedge_jax._crosshair import Arm, crosshair
 from mvedge_jax._params import cast
@@ -80,7 +80,13 @@ class _Labels(NamedTuple):
 
 
 @eqx.filter_jit
-def edge_to_depth(params: Parameters, light_field: LightField, sizes: Sizes) -> DepthResult:
+def edge_to_depth(
+    params: Parameters,
+    light_field: LightField,
+    sizes: Sizes,
+    *,
+    key: PRNGKeyArray | None = None,
+) -> DepthResult:
     """Estimates the disparity of every pixel of the centre view.
 
     1. Multi-view edges give precise disparities at image edges (Thesis 4.1).
@@ -101,14 +107,17 @@ def edge_to_depth(params: Parameters, light_field: LightField, sizes: Sizes) -> 
         params: see `Parameters`.
         light_field: the crosshair of views is read; ground truth is not.
         sizes: see `Sizes.for_light_field`.
+        key: for the entropy search of the thesis' own points (`EdgeSizes.thesis`); nothing else is
+            random.
 
     Returns:
-        Disparity, confidence, points, statistics. Differentiable in the views and in every leaf
-        of `params` at the selections made: points, hypotheses, sides, pixels that the median
-        moved.
+        Disparity, confidence, points, statistics. Differentiable, forwards and backwards, in the
+        views and in every leaf of `params` at the selections made: points, hypotheses, sides,
+        levels of the median. A leaf that only selects is a threshold: its derivative is 0
+        (`tests/reconstruct/test_derivatives.py` lists them).
 
     Raises:
-        ValueError: the light field has a single view per arm.
+        ValueError: the light field has a single view per arm, or the entropy search has no `key`.
 
     Source: Thesis 6.1; 4.2.2; 4.3. What differs, and why, is in the list above.
 
@@ -127,7 +136,7 @@ def edge_to_depth(params: Parameters, light_field: LightField, sizes: Sizes) -> 
     dtype = light_field.views.dtype
     light_field = light_field.without_truth()
     params = cast(params, dtype)
-    edges = multiview_edges(light_field, params.edges, sizes.edges)
+    edges = multiview_edges(light_field, params.edges, sizes.edges, key=key)
     points = edges.points
 
     centre = light_field.centre_view
@@ -137,13 +146,15 @@ def edge_to_depth(params: Parameters, light_field: LightField, sizes: Sizes) -> 
     guide = jnp.moveaxis(centre, -1, 0)
     horizontal, vertical = crosshair(light_field)
 
-    passes = bidirectional(points, gray, params.bidirectional, normalised=sizes.side == "thesis")
+    coarse = Solver(tolerance=10 * params.centre.tolerance)
+    passes = bidirectional(
+        points, gray, params.bidirectional, normalised=sizes.side == "thesis", solver=coarse
+    )
     first = None
     if sizes.dense:
-        step = params.edges.step
-        low = (sizes.edges.first + 1) * step
-        high = (sizes.edges.first + sizes.edges.filters - 2) * step
-        tried = low + (high - low) * jnp.linspace(0, 1, sizes.hypotheses, dtype=dtype)
+        low, high = sizes.edges.ends
+        step = sizes.edges.step
+        tried = jnp.linspace(low + step, high - step, sizes.hypotheses, dtype=dtype)
         floor = params.photometric.noise
         arms = horizontal, vertical
         noise = jnp.sqrt(noise_variance(arms, tried, floor))

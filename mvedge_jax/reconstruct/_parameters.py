@@ -35,8 +35,9 @@ class CentreParams(eqx.Module):
             than half of its window, and the views know better.
         blur: standard deviation of the Gaussian that the map passes before its steps cut edges,
             px.
-        tolerance: where the diffusion stops, share of the range of its labels. The gradient is
-            that of the exact solution whatever this is.
+        tolerance: where the diffusion stops, share of the range of its labels; the two directional
+            ones stop at ten times that. The gradient is that of the exact solution, whatever this
+            is.
     """
 
     precision: Float[Array, ""] = number(0.006)

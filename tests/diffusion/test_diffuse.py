@@ -257,7 +257,7 @@ def test_warm_start_saves_iterations_and_changes_nothing():
     np.testing.assert_allclose(warm.value, direct(system), rtol=0, atol=1e-9)
 
 
-def test_a_part_without_data_takes_the_mean_and_has_no_gradient():
+def test_a_part_without_data_takes_the_mean_of_the_rest():
     system = random_system(*SHAPE, key=jax.random.key(10))
     weight = system.weight.at[:, 9:].set(0)
     cut = System(weight, system.label, system.tx.at[:, 8].set(0), system.ty)

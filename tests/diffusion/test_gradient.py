@@ -140,8 +140,12 @@ def test_forward_over_reverse_equals_differences_of_the_gradient(name):
 
     numeric = jax.tree.map(lambda a, b: (a - b) / (2 * step), gradient_at(step), gradient_at(-step))
     _, tangent = jax.jvp(jax.grad(loss), (system,), (direction,))
-    for found, expected in zip(*map(jax.tree.leaves, (tangent, numeric)), strict=True):
+    for leaf, found, expected in zip(
+        *map(jax.tree.leaves, (system, tangent, numeric)), strict=True
+    ):
         assert bool(jnp.isfinite(found).all())
+        # An edge that would tie an isolated part to the rest makes the map jump.
+        found, expected = jnp.where(leaf != 0, found, 0), jnp.where(leaf != 0, expected, 0)
         np.testing.assert_allclose(
             found, expected, rtol=0, atol=1e-6 * float(jnp.abs(expected).max())
         )

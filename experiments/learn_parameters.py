@@ -1,0 +1,155 @@
+"""Parameters learned by gradient: Adam on all of `Parameters`, through the whole chain.
+
+Two small synthetic scenes are learned from and others are only measured before and after. The loss
+is the mean of `log(1 + (error / 0.03 px)²)` over the learned scenes; parameters are moved by their
+logarithm, so that a step is a percentage. Leaves that are thresholds have no derivative and stay.
+
+    python experiments/learn_parameters.py --out results/learn_parameters
+"""
+
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import optax
+import tyro
+from _depth import scenes
+from _report import print_table, write_csv, write_json
+from matplotlib.figure import Figure
+
+from mvedge_jax.lightfield import LightField
+from mvedge_jax.metrics import depth_scores
+from mvedge_jax.reconstruct import Parameters, Sizes, edge_to_depth
+
+_SCALE = 0.03
+
+
+@dataclass(frozen=True)
+class Arguments:
+    """Options.
+
+    Attributes:
+        learn: scenes to learn from.
+        unseen: scenes to measure besides.
+        size: side of the views, px.
+        steps: of Adam.
+        rate: its learning rate, in the logarithm of the parameters.
+        out: folder for the table, the curve and the parameters.
+    """
+
+    learn: tuple[str, ...] = ("edges", "demo")
+    unseen: tuple[str, ...] = ("slanted", "specular")
+    size: int = 96
+    steps: int = 20
+    rate: float = 0.05
+    out: Path = Path("results/learn_parameters")
+
+
+def main() -> None:
+    """Learns, measures and draws."""
+    arguments = tyro.cli(Arguments, description=__doc__)
+    fields = dict(scenes(None, arguments.learn + arguments.unseen, size=arguments.size))
+    # One program serves all scenes: the widest range, no common range of the scene itself.
+    ranges = [field.disparity_range for field in fields.values()]
+    widest = jnp.stack([jnp.min(jnp.stack(ranges), 0)[0], jnp.max(jnp.stack(ranges), 0)[1]])
+    fields = {
+        name: LightField(field.views, disparity_range=widest, truth=field.truth)
+        for name, field in fields.items()
+    }
+    sizes = Sizes.for_light_field(next(iter(fields.values())))
+
+    def loss(logs: Any, field: LightField) -> tuple[jax.Array, jax.Array]:
+        found = edge_to_depth(jax.tree.map(jnp.exp, logs), field.without_truth(), sizes).disparity
+        assert field.truth is not None
+        error = jnp.where(field.truth.valid, found - field.truth.disparity, 0)
+        return jnp.mean(jnp.log1p((error / _SCALE) ** 2)), found
+
+    value_and_gradient = eqx.filter_jit(jax.value_and_grad(loss, has_aux=True))
+    logs = jax.tree.map(jnp.log, Parameters())
+    adam = optax.adam(arguments.rate)
+    state = adam.init(logs)
+    losses, best, lowest = [], logs, float("inf")
+    for step in range(arguments.steps + 1):
+        start = time.perf_counter()
+        found = [value_and_gradient(logs, fields[name]) for name in arguments.learn]
+        value = sum(float(v) for (v, _), _ in found) / len(found)
+        losses.append(value)
+        if value < lowest:
+            best, lowest = logs, value
+        print(f"step {step}: loss {value:.5f}, {time.perf_counter() - start:.1f} s", flush=True)
+        gradient = jax.tree.map(lambda *leaves: sum(leaves) / len(leaves), *(g for _, g in found))
+        updates, state = adam.update(gradient, state, logs)
+        logs = optax.apply_updates(logs, updates)
+
+    estimate = eqx.filter_jit(lambda logs, field: loss(logs, field)[1])
+    rows = []
+    for name, field in fields.items():
+        assert field.truth is not None
+        for label, point in (("default", jax.tree.map(jnp.log, Parameters())), ("learned", best)):
+            scores = depth_scores(
+                estimate(point, field), field.truth.disparity, mask=field.truth.valid
+            )
+            rows.append(
+                {
+                    "scene": name,
+                    "use": "learned from" if name in arguments.learn else "unseen",
+                    "parameters": label,
+                    "MSE*100": float(scores.mse),
+                    "Q25*100": float(scores.q25),
+                    "BP(.01)": float(scores.bad_01),
+                    "BP(.03)": float(scores.bad_03),
+                    "BP(.07)": float(scores.bad_07),
+                }
+            )
+    print_table(rows, title=f"{arguments.steps} steps of Adam at {arguments.rate}")
+    changes = _changes(best)
+    print_table(changes, title="the parameters that changed most")
+    write_csv(arguments.out / "learn_parameters.csv", rows)
+    write_json(
+        arguments.out / "learn_parameters.json",
+        {"losses": losses, "scores": rows, "parameters": changes},
+    )
+    _plot(losses, rows).savefig(arguments.out / "learn_parameters.png")
+
+
+def _changes(logs: Any, most: int = 12) -> list[dict[str, Any]]:
+    pairs = zip(
+        jax.tree_util.tree_leaves_with_path(Parameters()), jax.tree.leaves(logs), strict=True
+    )
+    rows = [
+        {
+            "parameter": jax.tree_util.keystr(path).lstrip("."),
+            "default": float(default),
+            "learned": float(jnp.exp(log)),
+            "factor": float(jnp.exp(log) / default),
+        }
+        for (path, default), log in pairs
+    ]
+    rows.sort(key=lambda row: -abs(jnp.log(row["factor"])))
+    return rows[:most]
+
+
+def _plot(losses: list[float], rows: list[dict[str, Any]]) -> Figure:
+    """The loss curve, and the scores before and after per scene."""
+    figure = Figure(figsize=(10, 3.6), layout="constrained")
+    curve, *axes = figure.subplots(1, 3)
+    curve.plot(losses, "o-", markersize=3)
+    curve.set(xlabel="step of Adam", ylabel="loss of the scenes learned from")
+    names = list(dict.fromkeys(row["scene"] for row in rows))
+    titles = {row["scene"]: f"{row['scene']}\n({row['use']})" for row in rows}
+    for axis, column in zip(axes, ("MSE*100", "BP(.07)"), strict=True):
+        for shift, label in ((-0.2, "default"), (0.2, "learned")):
+            heights = [row[column] for row in rows if row["parameters"] == label]
+            axis.bar([k + shift for k in range(len(names))], heights, 0.38, label=label)
+        axis.set_xticks(range(len(names)), [titles[name] for name in names], fontsize=8)
+        axis.set(ylabel=column)
+    axes[0].legend()
+    return figure
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,140 @@
+"""Derivatives of a scalar of a pytree, leaf by leaf, beside central differences."""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from helpers import dot, random_like
+from jaxtyping import PRNGKeyArray
+
+
+class Row(NamedTuple):
+    """One direction: of a leaf, or a random one of the views.
+
+    Attributes:
+        name: the leaf's path.
+        reverse: derivative by `jax.grad`.
+        forward: by `jax.jvp`.
+        numeric: by central differences, the mean of the first two steps of the ladder that agree.
+        spread: relative difference of those two.
+        sides: the one-sided differences at the last step that was tried.
+    """
+
+    name: str
+    reverse: float
+    forward: float
+    numeric: float
+    spread: float
+    sides: tuple[float, float]
+
+    @property
+    def error(self) -> float:
+        """Of either mode, relative; infinite if one is not a number."""
+        size = max(abs(self.numeric), abs(self.reverse), abs(self.forward), 1e-300)
+        worst = max(abs(self.reverse - self.numeric), abs(self.forward - self.numeric)) / size
+        return worst if np.isfinite(worst) else np.inf
+
+    @property
+    def kink(self) -> float:
+        """Relative difference of the one-sided differences."""
+        return abs(self.sides[0] - self.sides[1]) / max(*map(abs, self.sides), 1e-300)
+
+    @property
+    def between(self) -> bool:
+        """Both modes agree on a slope from one side's to the other's."""
+        low, high = min(self.sides), max(self.sides)
+        room = 1e-3 * max(abs(low), abs(high))
+        agree = abs(self.reverse - self.forward) <= 1e-9 * abs(self.reverse)
+        return agree and low - room <= self.reverse <= high + room
+
+    @property
+    def zero(self) -> bool:
+        """Neither mode sees an influence."""
+        return self.reverse == 0 and self.forward == 0
+
+
+LADDER = (1e-5, 1e-6, 3e-5, 1e-7, 1e-4, 1e-8)
+
+
+def rows(
+    loss: Callable[[Any], Any],
+    tree: Any,
+    views: Any,
+    *,
+    agree: float,
+    directions: int,
+    key: PRNGKeyArray,
+) -> list[Row]:
+    """Compares every leaf of `tree` and random directions of `views`.
+
+    Args:
+        loss: of `(tree, views)`.
+        tree: parameters, float64.
+        views: array, float64.
+        agree: relative difference of two steps of the ladder that makes a plateau.
+        directions: random directions of the views.
+        key: draws them.
+
+    Returns:
+        A row per leaf, by path, and one per direction of the views.
+    """
+    moving, rest = eqx.partition(tree, eqx.is_inexact_array)
+    value = jax.jit(lambda m, x: loss((eqx.combine(m, rest), x)))
+    gradient = jax.jit(jax.grad(value, (0, 1)))(moving, views)
+    push = jax.jit(lambda m, x, dm, dx: jax.jvp(value, (m, x), (dm, dx))[1])
+    still, nothing = jnp.zeros_like(views), jax.tree.map(jnp.zeros_like, moving)
+    leaves, structure = jax.tree_util.tree_flatten_with_path(moving)
+    centre = float(value(moving, views))
+    found = []
+
+    def compare(name: str, direction: Any, size: float) -> Row:
+        reverse = dot(gradient, direction)
+        forward = float(push(moving, views, *direction))
+
+        def at(t: float) -> float:
+            return float(value(*jax.tree.map(lambda a, b: a + t * b, (moving, views), direction)))
+
+        slopes, sides = [], (0.0, 0.0)
+        if reverse == forward == 0:  # constant around here, though perhaps not far from here
+            for step in (1e-5, 1e-7, 1e-9):
+                if at(step * size) == at(-step * size) == centre:
+                    return Row(name, reverse, forward, 0.0, 0.0, sides)
+        for relative in LADDER:
+            step = relative * size
+            above, below = at(step), at(-step)
+            slope = (above - below) / (2 * step)
+            sides = ((above - centre) / step, (centre - below) / step)
+            for other in slopes:
+                spread = abs(slope - other) / max(abs(slope), abs(other), 1e-300)
+                if spread < agree:
+                    return Row(name, reverse, forward, 0.5 * (slope + other), spread, sides)
+            slopes.append(slope)
+        return Row(name, reverse, forward, float(np.median(slopes)), np.inf, sides)
+
+    for index, (path, leaf) in enumerate(leaves):
+        if leaf.ndim:
+            unit = random_like(leaf, key=jax.random.fold_in(key, index))
+        else:
+            unit = jnp.ones_like(leaf)
+        flat = [unit if i == index else jnp.zeros_like(a) for i, (_, a) in enumerate(leaves)]
+        name = jax.tree_util.keystr(path).lstrip(".")
+        size = float(jnp.abs(leaf).max()) or 1e-2
+        found.append(compare(name, (structure.unflatten(flat), still), size))
+    for k in range(directions):
+        direction = jax.random.normal(jax.random.fold_in(key, 1000 + k), views.shape, views.dtype)
+        found.append(compare(f"views, direction {k}", (nothing, direction), 1e-2))
+    return found
+
+
+def table(found: list[Row]) -> str:
+    """The rows as text, for the closing note and failures."""
+    lines = [
+        f"{r.name:28s} reverse {r.reverse:+.6e}  forward {r.forward:+.6e}  "
+        f"differences {r.numeric:+.6e}  error {r.error:.1e}  plateau {r.spread:.0e}  "
+        f"kink {r.kink:.0e}"
+        for r in found
+    ]
+    return "\n".join(lines)

@@ -1,0 +1,129 @@
+"""Every leaf of the parameters and the views: both modes against differences, by default and not.
+
+Leaves are walked by path: a new one is tested from its first day.
+"""
+
+import dataclasses
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from reconstruct.derivatives import rows, table
+
+from mvedge_jax.datasets import synthetic
+from mvedge_jax.epi import ThesisParams, ThesisSteps
+from mvedge_jax.reconstruct import Parameters, Sizes, edge_to_depth
+
+# Leaves that only select: which candidates are points, on which side of its edge a label lies,
+# whether a pixel follows the median. Their derivative is 0 almost everywhere, and rightly so.
+THRESHOLDS = {
+    "edges.strength_floor": "which pixels are candidates",
+    "edges.contrast_floor": "which refined points are accepted",
+    "edges.residual_limit": "which refined points are accepted",
+    "edges.error_limit": "which refined points are accepted",
+    "edges.dark_limit": "which points are lit",
+    "edges.support_radius": "which points their neighbours support",
+    "edges.support_tolerance": "which points their neighbours support",
+    "bidirectional.offset": "the sides of edges, by their response",
+    "bidirectional.data": "the sides of edges, by their response",
+    "bidirectional.gradient": "the sides of edges, by their response",
+    "bidirectional.floor": "the sides of edges, by their response",
+    "surface.offset": "which pixel a label is rounded to",
+    "surface.response": "the sides of edges",
+    "surface.neighbours": "the sides of edges",
+    "surface.dense": "the sides of edges",
+    "surface.radius": "the sides of edges",
+    "surface.cap": "the sides of edges",
+    "centre.worse": "which pixels follow the median",
+    "centre.tolerance": "where solves stop: the derivative is that of the exact solution",
+}
+# Floors of the measured noise: the larger of both counts, which on these scenes is one of them.
+FLOORS = {"volume.noise_floor", "photometric.noise"}
+# Other results than the map, or other modes, read these.
+UNREAD = {
+    "edges.confidence_scale": "`EdgePoints.confidence`",
+    "edges.visibility_limit": "`EdgePoints.visible`",
+    "bidirectional.gain": "the map with `dense=False`",
+    "bidirectional.limit": "the map with `dense=False`",
+    "surface.temperature": "the map with `relaxed=True`",
+}
+
+
+# What the map needs no more when only points are diffused.
+_DENSE = {
+    "volume.truncation",
+    "volume.noise_floor",
+    "volume.colour",
+    "volume.slant",
+    "volume.jump",
+    "volume.jump_colour",
+    "photometric.noise",
+    "photometric.same_surface",
+    "photometric.largest_step",
+    "photometric.outlier",
+    "centre.points",
+    "centre.agreement",
+    "centre.trust",
+    "centre.anchor",
+    "centre.worse",
+}
+
+
+def _problem(name, side, *, edges=None, dtype: type = np.float64, **choices):
+    light_field = synthetic.render(
+        synthetic.scene(name), shape=(5, 5, side, side), samples=2, key=jax.random.key(0)
+    )
+    blind = light_field.without_truth()
+    blind = eqx.tree_at(lambda f: f.views, blind, blind.views.astype(dtype))
+    sizes = Sizes.for_light_field(blind, **choices)
+    # Differences see what is left of the solver's error, derivatives do not.
+    params = eqx.tree_at(lambda p: p.centre.tolerance, Parameters(), jnp.asarray(1e-12))
+    if edges is not None:
+        sizes = dataclasses.replace(sizes, edges=dataclasses.replace(sizes.edges, thesis=edges))
+        params = eqx.tree_at(
+            lambda p: p.edges.thesis, params, ThesisParams(), is_leaf=lambda leaf: leaf is None
+        )
+    phase = jax.random.normal(jax.random.key(5), (side, side), dtype)
+
+    def loss(tree):
+        params, views = tree
+        field = eqx.tree_at(lambda f: f.views, blind, views)
+        found = edge_to_depth(params, field, sizes, key=jax.random.key(3))
+        return jnp.mean(jnp.sin(3 * found.disparity + phase))
+
+    return loss, params, blind.views
+
+
+def _check(name, side, zero, *, directions=2, **choices):
+    """Right to 1e-3 in both modes, or exactly zero and known to be; a kink is told from an error.
+
+    At a kink the derivative may be that of either side, or lie between them.
+    """
+    loss, params, views = _problem(name, side, **choices)
+    found = rows(loss, params, views, agree=3e-4, directions=directions, key=jax.random.key(1))
+    report = table(found)
+    print(report)  # noqa: T201 (`pytest -s` shows the table)
+    wrong = [r.name for r in found if r.error > 1e-3 and not (r.kink > 1e-2 and r.between)]
+    assert not wrong, f"{wrong}\n{report}"
+    kinks = [r.name for r in found if r.error > 1e-3]
+    assert all(k.startswith("views") for k in kinks), f"{kinks}\n{report}"
+    assert {r.name for r in found if r.zero} == set(zero), report
+
+
+SCENES = pytest.mark.parametrize("name", ["edges", "demo"])
+SIDES = pytest.mark.parametrize(
+    "side", [40, *(pytest.param(side, marks=pytest.mark.slow) for side in (64, 96))]
+)
+MODES = {
+    "points only": ({"dense": False}, _DENSE - {"volume.noise_floor"}, {"bidirectional.gain"}),
+    "relaxed": ({"relaxed": True}, set(), {"surface.temperature"}),
+    "thesis": ({"dense": False, "side": "thesis", "edges": ThesisSteps()}, _DENSE, set()),
+}
+
+
+@SCENES
+@SIDES
+def test_every_leaf_by_default(name, side):
+    _check(name, side, {*THRESHOLDS, *FLOORS, *UNREAD})
