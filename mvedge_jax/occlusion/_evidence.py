@@ -78,16 +78,16 @@ def map_evidence(
         cap: where differences of disparity stop counting, px.
 
     Returns:
-        Backward mean minus forward mean over 1 and 2 px, px, `[n]`. No gradient passes the map.
+        Backward mean minus forward mean over 1 and 2 px, px, `[n]`. Differentiable at the pixels
+        chosen.
     """
-    fixed = lax.stop_gradient(disparity)
-    height, width = fixed.shape
+    height, width = disparity.shape
 
     def away(distance: float) -> Array:
         xy = lax.stop_gradient(points.xy + distance * points.normal)
         column = jnp.clip(jnp.round(xy[:, 0]).astype(jnp.int32), 0, width - 1)
         row = jnp.clip(jnp.round(xy[:, 1]).astype(jnp.int32), 0, height - 1)
-        return jnp.minimum(jnp.abs(fixed[row, column] - points.disparity), cap)
+        return jnp.minimum(jnp.abs(disparity[row, column] - points.disparity), cap)
 
     evidence = 0.5 * (away(-1.0) + away(-2.0) - away(1.0) - away(2.0))
     return jnp.where(points.valid, evidence, 0)

@@ -160,7 +160,7 @@ def along_edge(
         other = jnp.where(inside, index_map[jnp.where(inside, row * width + column, 0)], count)
         turn = jnp.sum(padded_normal[other] * points.normal, -1)
         same = jnp.exp(-(((padded_disparity[other] - points.disparity) / 0.1) ** 2))
-        weight = lax.stop_gradient(jnp.where(other < count, jnp.abs(turn) * same, 0))
+        weight = jnp.where(other < count, jnp.abs(turn) * same, 0)
         signed = jnp.sign(lax.stop_gradient(turn)) * padded_score[other]
         return (total[0] + weight * signed, total[1] + weight), None
 

@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from helpers import check_modes
 from reconstruct.derivatives import rows, table
 
 from mvedge_jax.datasets import synthetic
@@ -71,9 +72,9 @@ _DENSE = {
 }
 
 
-def _problem(name, side, *, edges=None, dtype: type = np.float64, **choices):
+def _problem(name, size, *, edges=None, dtype: type = np.float64, **choices):
     light_field = synthetic.render(
-        synthetic.scene(name), shape=(5, 5, side, side), samples=2, key=jax.random.key(0)
+        synthetic.scene(name), shape=(5, 5, size, size), samples=2, key=jax.random.key(0)
     )
     blind = light_field.without_truth()
     blind = eqx.tree_at(lambda f: f.views, blind, blind.views.astype(dtype))
@@ -85,7 +86,7 @@ def _problem(name, side, *, edges=None, dtype: type = np.float64, **choices):
         params = eqx.tree_at(
             lambda p: p.edges.thesis, params, ThesisParams(), is_leaf=lambda leaf: leaf is None
         )
-    phase = jax.random.normal(jax.random.key(5), (side, side), dtype)
+    phase = jax.random.normal(jax.random.key(5), (size, size), dtype)
 
     def loss(tree):
         params, views = tree
@@ -96,12 +97,12 @@ def _problem(name, side, *, edges=None, dtype: type = np.float64, **choices):
     return loss, params, blind.views
 
 
-def _check(name, side, zero, *, directions=2, **choices):
+def _check(name, size, zero, *, directions=2, **choices):
     """Right to 1e-3 in both modes, or exactly zero and known to be; a kink is told from an error.
 
     At a kink the derivative may be that of either side, or lie between them.
     """
-    loss, params, views = _problem(name, side, **choices)
+    loss, params, views = _problem(name, size, **choices)
     found = rows(loss, params, views, agree=3e-4, directions=directions, key=jax.random.key(1))
     report = table(found)
     print(report)  # noqa: T201 (`pytest -s` shows the table)
@@ -116,14 +117,90 @@ SCENES = pytest.mark.parametrize("name", ["edges", "demo"])
 SIDES = pytest.mark.parametrize(
     "side", [40, *(pytest.param(side, marks=pytest.mark.slow) for side in (64, 96))]
 )
+# The thesis' points have none of ours, and which of its lines are points is a choice, too.
+_OURS = {
+    f"edges.{name}"
+    for name in (
+        "saturation",
+        "refine_saturation",
+        "noise_gain",
+        "robustness",
+        "noise_floor",
+        "error_floor",
+        "thesis.smoothing",
+        "thesis.suppression",
+        "thesis.vote",
+    )
+}
+_ALWAYS = {*THRESHOLDS, *FLOORS, *UNREAD}
+_POINTS = (_ALWAYS | _DENSE) - {
+    "bidirectional.data",
+    "bidirectional.gradient",
+    "bidirectional.gain",
+    "bidirectional.limit",
+}
+_SOFT = {
+    "surface.temperature",
+    "surface.response",
+    "surface.neighbours",
+    "surface.dense",
+    "surface.radius",
+    "surface.cap",
+    "bidirectional.data",
+    "bidirectional.gradient",
+}
 MODES = {
-    "points only": ({"dense": False}, _DENSE - {"volume.noise_floor"}, {"bidirectional.gain"}),
-    "relaxed": ({"relaxed": True}, set(), {"surface.temperature"}),
-    "thesis": ({"dense": False, "side": "thesis", "edges": ThesisSteps()}, _DENSE, set()),
+    "points only": ({"dense": False}, _POINTS),
+    "relaxed": ({"relaxed": True}, _ALWAYS - _SOFT),
+    "thesis": ({"dense": False, "side": "thesis", "edges": ThesisSteps()}, _POINTS | _OURS),
 }
 
 
 @SCENES
 @SIDES
 def test_every_leaf_by_default(name, side):
-    _check(name, side, {*THRESHOLDS, *FLOORS, *UNREAD})
+    _check(name, side, _ALWAYS)
+
+
+@SCENES
+@SIDES
+@pytest.mark.parametrize("mode", MODES)
+def test_every_leaf_in_other_modes(name, side, mode):
+    if name != "edges" and side == 40:
+        pytest.skip("one scene per mode in the fast tier")
+    choices, zero = MODES[mode]
+    _check(name, side, zero, directions=1, **choices)
+
+
+@pytest.mark.slow
+@SCENES
+def test_second_derivatives_of_the_chain(name):
+    """Forward over reverse, and what `linearize` gives, along a direction of everything."""
+    loss, params, views = _problem(name, 32, levels=12, median_radius=3)
+    still, moving = eqx.partition(params, lambda leaf: leaf is params.centre.tolerance)
+    # In the logarithm of the parameters and in grey levels of the views: alike in size.
+    logs = jax.tree.map(jnp.log, moving)
+
+    def value(tree):
+        logs, change = tree
+        return loss((eqx.combine(still, jax.tree.map(jnp.exp, logs)), views + change / 255))
+
+    check_modes(value, (logs, jnp.zeros_like(views)), rtol=1e-3, step=1e-6, key=jax.random.key(2))
+
+
+def test_the_chain_keeps_the_gradient_of_a_loss_of_any_size():
+    """In float32: what small and large losses lose is what the number format cannot hold."""
+    loss, params, views = _problem("edges", 32, dtype=np.float32, levels=12, median_radius=3)
+
+    @jax.jit
+    def gradient(scale):
+        return jax.grad(lambda tree: scale * loss(tree))((params, views))
+
+    expected = gradient(jnp.float32(1))
+    for scale in (1e-30, 1e-20, 1e20, 1e30):
+        found = gradient(jnp.float32(scale))
+        pairs = zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True)
+        for a, b in pairs:
+            a = np.asarray(a, np.float64) / np.float64(np.float32(scale))
+            b = np.asarray(b, np.float64)
+            assert np.abs(a - b).max() <= 1e-5 * np.abs(b).max(), scale
