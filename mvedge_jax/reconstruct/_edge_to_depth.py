@@ -25,12 +25,11 @@ from mvedge_jax.occlusion import (
     reprojection_score,
     surface_vectors,
 )
+from mvedge_jax.photometry import hypotheses, photometric_labels, residual_variance
 
 from ._parameters import CentreParams, Parameters, Sizes
-from ._photometric import photometric_labels
 from ._sharpen import sharpen
 from ._smoothness import edge_smoothness
-from ._volume import hypotheses, noise_variance
 
 
 class DepthStats(NamedTuple):
@@ -146,7 +145,7 @@ def edge_to_depth(params: Parameters, light_field: LightField, sizes: Sizes) -> 
         tried = low + (high - low) * jnp.linspace(0, 1, sizes.hypotheses, dtype=dtype)
         floor = params.photometric.noise
         arms = horizontal, vertical
-        noise = jnp.sqrt(noise_variance(arms, tried, floor))
+        noise = jnp.sqrt(residual_variance(arms, tried, floor))
         params = eqx.tree_at(lambda p: p.photometric.noise, params, noise)
         first = hypotheses(horizontal, vertical, lab, tried, params.volume, window=sizes.window)
     surface = _sides(points, passes, first, horizontal, vertical, params, sizes, shape)

@@ -11,11 +11,10 @@ from mvedge_jax._params import number
 from mvedge_jax.epi import EdgeParams, EdgeSizes, scene_range
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.occlusion import BidirectionalParams, Side, SurfaceParams
+from mvedge_jax.photometry import PhotometricParams, VolumeParams
 
-from ._photometric import PhotometricParams
 from ._sharpen import MedianParams, Sharpening
 from ._smoothness import SmoothnessParams
-from ._volume import VolumeParams
 
 
 class CentreParams(eqx.Module):

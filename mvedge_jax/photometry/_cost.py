@@ -67,7 +67,7 @@ def hypotheses(
         `disparities`' number, at the hypothesis chosen.
     """
     params = cast(params, lab.dtype)
-    noise = noise_variance((horizontal, vertical), disparities, params.noise_floor)
+    noise = residual_variance((horizontal, vertical), disparities, params.noise_floor)
     truncation = params.truncation * horizontal.planes.shape[1] * noise
     support = _colour_weights(lab, params.colour, window)
 
@@ -106,13 +106,22 @@ def _cheapest(total: Float[Array, "d y x"], disparities: Float[Array, " d"]) -> 
     return disparities[winner[0]] + spacing * shift
 
 
-def noise_variance(
+def residual_variance(
     arms: tuple[Arm, Arm], disparities: Float[Array, " d"], floor: Float[Array, ""]
 ) -> Float[Array, ""]:
     """Variance of a colour channel that the best disparity leaves unexplained.
 
     The median over every eighth row of the smallest mean squared difference between two views of
-    the longer arm, over two, but never less than `floor` squared nor more than a tenth squared.
+    the longer arm, over two.
+
+    Args:
+        arms: both arms of the crosshair.
+        disparities: what to try, px per view step, `[d]`.
+        floor: the least noise assumed, standard deviation, sRGB.
+
+    Returns:
+        The variance, squared sRGB, at least `floor` squared and at most a tenth squared.
+        Differentiable.
     """
     arm = max(arms, key=lambda a: a.planes.shape[0])
     rows = arm._replace(planes=arm.planes[:, :, ::8])

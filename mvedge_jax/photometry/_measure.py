@@ -10,7 +10,8 @@ from jaxtyping import Array, Float
 
 from mvedge_jax._crosshair import Arm
 from mvedge_jax._params import cast, number
-from mvedge_jax.occlusion._reach import occlusion_reach
+
+from ._reach import occlusion_reach
 
 
 class PhotometricParams(eqx.Module):
