@@ -13,7 +13,7 @@ from mvedge_jax._params import cast
 from ._core import Options, Prepared, choose, mapped, prepare_group, solve, solve_group
 from ._solver import Diffused, Solver, SolveStats
 from ._stencil import Coefficients, differences, inner, largest, product, spread
-from ._system import System, check
+from ._system import System, check, inflow
 
 
 def diffuse(
@@ -25,7 +25,8 @@ def diffuse(
 
     The gradient comes from one adjoint solve $A a = \partial L / \partial D$ that reuses the
     hierarchy: $\partial L/\partial s = w a$, $\partial L/\partial w = a (s - D)$,
-    $\partial L/\partial t_{pq} = -(a_p - a_q)(D_p - D_q)$. It is the derivative of the exact
+    $\partial L/\partial t_{pq} = -(a_q - a_p)(D_q - D_p - r_{pq})$,
+    $\partial L/\partial r_{pq} = t_{pq} (a_q - a_p)$. It is the derivative of the exact
     solution: `start`, the tolerance and the statistics have none.
 
     *Stopping.* The residual is a poor measure where weights differ by orders of magnitude: it
@@ -61,7 +62,7 @@ def diffuse(
         solver: preconditioner, tolerance, cap on the iterations; by default `Solver()`.
 
     Returns:
-        The dense map and statistics. Differentiable with respect to all four maps of `system`.
+        The dense map and statistics. Differentiable with respect to all maps of `system`.
 
     Raises:
         ValueError: shapes do not match or, outside `jit`, a weight is negative or not finite, or
@@ -132,7 +133,8 @@ def _forward_group(
     total = _total(system.weight)
     mean = inner(system.weight, label) / jnp.where(total > 0, total, 1)
     middle = spread(mean)
-    right = system.weight * (label - middle)
+    added = inflow(system)
+    right = system.weight * (label - middle) + added
     if start is None:
         base = jnp.broadcast_to(middle, label.shape)
     else:
@@ -144,7 +146,7 @@ def _forward_group(
     sound = jnp.isfinite(total + sum(_total(maps) for maps in system.edges) + _total(right))
     value = jnp.where(spread(sound), value, jnp.nan)
     scale = jnp.sqrt(inner(system.weight * label, system.weight * label))
-    rest = system.weight * (label - middle) - product(coefficients, value - middle)
+    rest = system.weight * (label - middle) + added - product(coefficients, value - middle)
     norm = jnp.sqrt(inner(rest, rest))
     stats = {
         "iterations": found.iterations,
@@ -181,13 +183,14 @@ def _forward(
     options: Options, system: System, start: Array | None, tolerance: Array
 ) -> tuple[Diffused, Any]:
     diffused, prepared = forward(options, system, start, tolerance)
-    return diffused, (prepared, system.label, diffused.value, start, tolerance)
+    rises = system.rise_x, system.rise_y
+    return diffused, (prepared, system.label, rises, diffused.value, start, tolerance)
 
 
 def _backward(options: Options, residuals: Any, cotangent: Diffused) -> tuple[Any, Any, Any]:
-    prepared, label, value, start, tolerance = residuals
+    prepared, label, rises, value, start, tolerance = residuals
     adjoint = solve_adjoint(options, prepared, cotangent.value, tolerance)
-    gradient = system_gradient(prepared.coefficients, label, value, adjoint)
+    gradient = system_gradient(prepared.coefficients, label, value, adjoint, rises)
     nothing = None if start is None else jnp.zeros_like(start)
     return gradient, nothing, jnp.zeros_like(tolerance)
 
@@ -203,16 +206,26 @@ def solve_adjoint(options: Options, prepared: Prepared, right: Array, tolerance:
 
 
 def system_gradient(
-    coefficients: Coefficients, label: Array, value: Array, adjoint: Array
+    coefficients: Coefficients,
+    label: Array,
+    value: Array,
+    adjoint: Array,
+    rises: tuple[Array | None, Array | None],
 ) -> System:
     """Gradient with respect to the four maps, given the adjoint solution."""
     adjoint_x, adjoint_y = differences(adjoint)
     value_x, value_y = differences(value)
+    rise_x, rise_y = rises
+    if rise_x is not None and rise_y is not None:
+        value_x, value_y = value_x - rise_x, value_y - rise_y
+        rise_x, rise_y = coefficients.tx * adjoint_x, coefficients.ty * adjoint_y
     return System(
         weight=adjoint * jnp.where(jnp.isfinite(label), label - value, 0),
         label=coefficients.weight * adjoint,
         tx=-adjoint_x * value_x,
         ty=-adjoint_y * value_y,
+        rise_x=rise_x,
+        rise_y=rise_y,
     )
 
 

@@ -13,7 +13,7 @@ from ._core import Options, prepare
 from ._diffuse import arranged, forward, solve_adjoint
 from ._solver import Diffused, Solver
 from ._stencil import Coefficients, product
-from ._system import System
+from ._system import System, inflow
 
 
 def diffuse_forward_mode(
@@ -32,8 +32,8 @@ def diffuse_forward_mode(
         solver: as in `diffuse`.
 
     Returns:
-        The same values and statistics as `diffuse`. Differentiable with respect to the four maps
-        of `system`; the statistics have no derivative.
+        The same values and statistics as `diffuse`. Differentiable with respect to the maps of
+        `system`; the statistics have no derivative.
 
     Raises:
         ValueError: as `diffuse`.
@@ -71,6 +71,8 @@ def _tangent(options: Options, primals: Any, tangents: Any) -> tuple[Diffused, D
     none = jnp.zeros_like(value)
     edges = Coefficients(none, moving.tx, moving.ty)
     right = moving.weight * (label - value) + system.weight * moving.label - product(edges, value)
+    if system.rise_x is not None:
+        right = right + inflow(_with_rises(moving, system)) + inflow(_with_rises(system, moving))
     fixed = jax.tree.map(lax.stop_gradient, system.coefficients)
     prepared = prepare(options, fixed)
     right = jnp.where(prepared.keep, right, 0)
@@ -81,6 +83,11 @@ def _tangent(options: Options, primals: Any, tangents: Any) -> tuple[Diffused, D
         symmetric=True,
     )
     return diffused, Diffused(solution, jax.tree.map(_no_tangent, diffused.stats))
+
+
+def _with_rises(edges: System, rises: System) -> System:
+    """The edges of one system with the rises of another."""
+    return System(edges.weight, edges.label, *edges.edges, rises.rise_x, rises.rise_y)
 
 
 def _no_tangent(value: Array) -> Any:
