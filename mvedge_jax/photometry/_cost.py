@@ -1,5 +1,8 @@
 """Hypotheses: per pixel, the disparity whose views agree best, whatever hides some of them."""
 
+from functools import partial
+from typing import NamedTuple
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -8,9 +11,14 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from mvedge_jax._crosshair import Arm
+from mvedge_jax._fence import fenced
 from mvedge_jax._params import cast, number
 
-from ._paths import aggregate, length
+from ._paths import aggregate
+from ._window import colour_weights, contrast, weighted_sum
+
+# Gradients are looked for within this distance, px: the reach of a window and of its drift.
+_OUTLINE = 5
 
 
 class VolumeParams(eqx.Module):
@@ -21,6 +29,11 @@ class VolumeParams(eqx.Module):
             that a view in which the pixel is hidden says nothing, instead of a lot.
         noise_floor: least noise assumed, standard deviation in units of sRGB.
         colour: neighbours whose CIELAB colour differs by much more than this do not take part.
+        drift: the mean colour of a window may change by this much, sRGB, from the centre view to
+            the last one without speaking against a hypothesis: gloss and shading slide over a
+            surface. 0 where noise would pass for drift.
+        outline: gradient, CIELAB per px, near which half of that is granted, and soon nothing:
+            beside an outline, a change of mean colour is what shows the wrong hypothesis.
         slant: price of a change by one hypothesis between neighbouring pixels; of 2, the cost of a
             pixel that no view confirms.
         jump: price of a larger change between pixels of the same colour.
@@ -30,11 +43,32 @@ class VolumeParams(eqx.Module):
     truncation: Float[Array, ""] = number(4.0)
     noise_floor: Float[Array, ""] = number(1.0 / 255)
     colour: Float[Array, ""] = number(4.0)
+    drift: Float[Array, ""] = number(1.5 / 255)
+    outline: Float[Array, ""] = number(2.0)
     slant: Float[Array, ""] = number(0.05)
     jump: Float[Array, ""] = number(0.8)
     jump_colour: Float[Array, ""] = number(4.0)
 
 
+class _Half(NamedTuple):
+    """The views on one side of the centre that a sweep looks at, padded along the arm."""
+
+    planes: Array
+    steps: Array
+    there: Array
+
+
+class _Swept(NamedTuple):
+    """An arm prepared for a sweep, with the weights of its windows."""
+
+    centre: Array
+    halves: tuple[_Half, _Half]
+    support: Array
+    wide: Array
+    share: Array
+
+
+@partial(jax.jit, static_argnames="window")
 def hypotheses(
     horizontal: Arm,
     vertical: Arm,
@@ -50,6 +84,10 @@ def hypotheses(
     arm, therefore, only the half that agrees better counts:
     $\min(C_{left}, C_{right}) + \min(C_{above}, C_{below})$, each a mean of truncated
     squared colour differences to the centre view over a colour-weighted window.
+
+    On glossy and on dark surfaces the colour of a window drifts from view to view, at the true
+    disparity by more than its texture differs at a wrong one. Away from outlines, what such a
+    window changes in proportion to the view step is therefore taken out, per half, up to a limit.
 
     These costs are summed along paths through the image, so that pixels that the views say little
     about follow their surroundings; see `aggregate`.
@@ -69,15 +107,17 @@ def hypotheses(
     params = cast(params, lab.dtype)
     noise = residual_variance((horizontal, vertical), disparities, params.noise_floor)
     truncation = params.truncation * horizontal.planes.shape[1] * noise
-    support = _colour_weights(lab, params.colour, window)
+    share = 1 / (1 + (contrast(lab, radius=_OUTLINE) / params.outline) ** 4)
+    across = _swept(horizontal, lab, share, params, window)
+    down = _swept(vertical, jnp.swapaxes(lab, 1, 2), share.T, params, window)
 
     @jax.checkpoint
     def cost(disparity: Array) -> Array:
-        left, right, above, below = agreement(horizontal, vertical, disparity, truncation)
-        left, right, above, below = (
-            _weighted_mean(part, support, window) for part in (left, right, above, below)
+        # Stored before the transposition, or the windows are summed across the rows in memory.
+        along_rows, along_columns = (
+            fenced(_arm_cost, arm, disparity, truncation, params.drift) for arm in (across, down)
         )
-        return (jnp.minimum(left, right) + jnp.minimum(above, below)) / truncation
+        return along_rows + along_columns.T
 
     total = aggregate(
         lax.map(cost, disparities),
@@ -87,6 +127,94 @@ def hypotheses(
         colour=params.jump_colour,
     )
     return _cheapest(total, disparities)
+
+
+def _swept(arm: Arm, lab: Array, share: Array, params: VolumeParams, window: int) -> _Swept:
+    # Drift is looked for in a window twice as wide as that of the cost, through as many pixels.
+    return _Swept(
+        arm.planes[arm.centre],
+        _halves(arm),
+        colour_weights(lab, params.colour, reach=window),
+        colour_weights(lab, params.colour, reach=window, spacing=2),
+        share,
+    )
+
+
+def _arm_cost(arm: _Swept, disparity: Array, truncation: Array, limit: Array) -> Array:
+    """Cost of the half that agrees better, in units of the truncation."""
+
+    def cost(half: _Half) -> Array:
+        # Stored, because both the drift and the cost read them.
+        changes = fenced(_changes, half, arm.centre, disparity)
+        drift = arm.share * _drift(half, changes, arm.wide, limit)
+        total = jnp.zeros_like(drift)
+        for change, step, there in zip(changes, half.steps, half.there, strict=True):
+            rest = [colour - step * drift for colour in change]
+            total = total + there * _truncated(rest, truncation)
+        count = jnp.sum(half.there)
+        # A half without views confirms nothing.
+        mean = jnp.where(count > 0, total / jnp.maximum(count, 1), 1)
+        return weighted_sum(mean, arm.support)
+
+    first, second = (cost(half) for half in arm.halves)
+    return jnp.minimum(first, second)
+
+
+def _drift(half: _Half, changes: list[list[Array]], weights: Array, limit: Array) -> Array:
+    """Change of the grey of a window per view step, by regression through the centre view."""
+    last = jnp.max(jnp.abs(half.steps))
+    total = jnp.zeros_like(changes[0][0])
+    square = jnp.zeros_like(last)
+    for change, step, there in zip(changes, half.steps, half.there, strict=True):
+        gray = sum(change[1:], change[0]) / len(change)
+        # What is far beyond any drift is another surface, and says nothing about this one.
+        total = total + there * step * jnp.clip(gray, -3 * limit, 3 * limit)
+        square = square + there * step**2
+    change = weighted_sum(total * (last / jnp.maximum(square, 1)), weights, spacing=2)
+    return jnp.clip(change, -limit, limit) / last
+
+
+def _truncated(change: list[Array], truncation: Array) -> Array:
+    # Colours are summed by hand: XLA on CPU does not vectorise a sum over a leading axis.
+    square = change[0] ** 2
+    for colour in change[1:]:
+        square = square + colour**2
+    return square / (square + truncation)
+
+
+def _halves(arm: Arm) -> tuple[_Half, _Half]:
+    width = arm.planes.shape[3]
+    indices = sweep_views(arm.planes.shape[0])
+
+    def half(views: list[int]) -> _Half:
+        chosen = np.asarray(views, int)
+        padding = ((0, 0), (0, 0), (0, 0), (width, width + 3))
+        planes = jnp.pad(arm.planes[chosen], padding, mode="edge")
+        return _Half(planes, arm.steps[chosen], arm.available[chosen].astype(planes.dtype))
+
+    before = half([i for i in indices if i < arm.centre])
+    return before, half([i for i in indices if i > arm.centre])
+
+
+def _changes(half: _Half, centre: Array, disparity: Array) -> list[list[Array]]:
+    """Colours of every view of a half at a disparity, less those of the centre view."""
+    width = centre.shape[2]
+    result = []
+    for planes, step in zip(half.planes, half.steps, strict=True):
+        shift = step * disparity
+        whole = jnp.floor(shift)
+        weights = _cubic(shift - whole)
+        first = jnp.clip(whole.astype(jnp.int32), -width, width) + width - 1
+        part = lax.dynamic_slice_in_dim(planes, first, width + 3, axis=2)
+        taps = [part[:, :, j : j + width] for j in range(4)]
+        result.append(
+            [
+                sum((weights[j] * taps[j][c] for j in range(1, 4)), weights[0] * taps[0][c])
+                - reference
+                for c, reference in enumerate(centre)
+            ]
+        )
+    return result
 
 
 def _cheapest(total: Float[Array, "d y x"], disparities: Float[Array, " d"]) -> Array:
@@ -125,10 +253,19 @@ def residual_variance(
     """
     arm = max(arms, key=lambda a: a.planes.shape[0])
     rows = arm._replace(planes=arm.planes[:, :, ::8])
-    wide = jnp.asarray(1e3, arm.planes.dtype)
+    halves, centre = _halves(rows), rows.planes[rows.centre]
+
+    def unexplained(half: _Half, disparity: Array) -> Array:
+        total = jnp.zeros_like(centre[0])
+        for change, there in zip(_changes(half, centre, disparity), half.there, strict=True):
+            for colour in change:
+                total = total + there * colour**2
+        count = jnp.sum(half.there)
+        return jnp.where(count > 0, total / jnp.maximum(count, 1), jnp.inf)
 
     def consider(best: Array, disparity: Array) -> tuple[Array, None]:
-        cost = jnp.minimum(*_half_arms(rows, disparity, wide))
+        first, second = (unexplained(half, disparity) for half in halves)
+        cost = jnp.minimum(first, second)
         padded = jnp.pad(cost, ((0, 0), (3, 3)), mode="edge")
         width = cost.shape[1]
         smooth = sum(padded[:, i : i + width] for i in range(7)) / 7
@@ -140,89 +277,12 @@ def residual_variance(
     return jnp.maximum(variance, floor**2)
 
 
-def _colour_weights(lab: Array, scale: Array, window: int) -> Array:
-    """Weights of the neighbours, `[offset, y, x]`, that sum to 1."""
-    size = 2 * window + 1
-    padded = jnp.pad(lab, ((0, 0), (window, window), (window, window)), mode="edge")
-
-    def weight(offset: Array) -> Array:
-        start = (0, offset // size, offset % size)
-        other = lax.dynamic_slice(padded, start, lab.shape)
-        square = jnp.zeros_like(lab[0])
-        for c in range(lab.shape[0]):
-            square = square + (other[c] - lab[c]) ** 2
-        return jnp.exp(-length(square) / scale)
-
-    weights = lax.map(weight, jnp.arange(size * size))
-    total, _ = lax.scan(lambda t, w: (t + w, None), jnp.zeros_like(lab[0]), weights)
-    return weights / total[None]
-
-
-def _weighted_mean(image: Array, weights: Array, window: int) -> Array:
-    size = 2 * window + 1
-    padded = jnp.pad(image, window, mode="edge")
-
-    def add(total: Array, term: tuple[Array, Array]) -> tuple[Array, None]:
-        offset, weight = term
-        start = (offset // size, offset % size)
-        return total + weight * lax.dynamic_slice(padded, start, image.shape), None
-
-    return lax.scan(add, jnp.zeros_like(image), (jnp.arange(size * size), weights))[0]
-
-
 def sweep_views(count: int) -> tuple[int, ...]:
     """Views of an arm that a sweep looks at: the ends and half of the way to them."""
     centre = count // 2
     near = centre // 2
     picked = {0, centre - near, centre + near, count - 1} - {centre}
     return tuple(sorted(picked))
-
-
-def agreement(
-    horizontal: Arm,
-    vertical: Arm,
-    disparity: Float[Array, ""],
-    truncation: Float[Array, ""],
-) -> tuple[Array, Array, Array, Array]:
-    """Truncated squared colour difference to the centre view: left, right, upper, lower views."""
-    left, right = _half_arms(horizontal, disparity, truncation)
-    above, below = _half_arms(vertical, disparity, truncation)
-    return left, right, above.T, below.T
-
-
-def _half_arms(arm: Arm, disparity: Array, truncation: Array) -> tuple[Array, Array]:
-    indices = sweep_views(arm.planes.shape[0])
-    before = tuple(i for i in indices if i < arm.centre)
-    after = tuple(i for i in indices if i > arm.centre)
-    height, width = arm.planes.shape[2:]
-    centre = [arm.planes[arm.centre, c] for c in range(arm.planes.shape[1])]
-
-    def half(views: tuple[int, ...]) -> Array:
-        def add(total: Array, view: tuple[Array, Array, Array]) -> tuple[Array, None]:
-            planes, step, there = view
-            shift = step * disparity
-            whole = jnp.floor(shift)
-            weights = _cubic(shift - whole)
-            first = jnp.clip(whole.astype(jnp.int32), -width, width) + width - 1
-            window = lax.dynamic_slice_in_dim(planes, first, width + 3, axis=2)
-            # Colours are summed by hand: XLA on CPU does not vectorise a sum over a leading axis.
-            square = jnp.zeros_like(total)
-            for c, reference in enumerate(centre):
-                value = sum(weights[j] * window[c, :, j : j + width] for j in range(4))
-                square = square + (value - reference) ** 2
-            return total + there * (truncation * square / (square + truncation)), None
-
-        chosen = np.asarray(views, int)
-        padding = ((0, 0), (0, 0), (0, 0), (width, width + 3))
-        planes = jnp.pad(arm.planes[chosen], padding, mode="edge")
-        there = arm.available[chosen].astype(arm.planes.dtype)
-        start = jnp.zeros((height, width), arm.planes.dtype)
-        total, _ = lax.scan(add, start, (planes, arm.steps[chosen], there))
-        count = jnp.sum(there)
-        # A half without views confirms nothing.
-        return jnp.where(count > 0, total / jnp.maximum(count, 1), truncation)
-
-    return half(before), half(after)
 
 
 def _cubic(fraction: Array) -> tuple[Array, Array, Array, Array]:

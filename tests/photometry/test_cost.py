@@ -1,7 +1,10 @@
 """The search: the right hypothesis beside occlusions, on plain surfaces, without some views."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
+from helpers import check_gradient, random_like
 from photometry.planes import plane_arms
 from scipy import ndimage
 
@@ -97,3 +100,55 @@ def test_a_plain_surface_follows_its_surroundings():
         *arms, jnp.zeros((3, 20, 28)), jnp.linspace(-1, 1, 9), VolumeParams(), window=1
     )
     assert float(jnp.median(jnp.abs(found[6:14, 10:18] - 0.5))) < 0.1
+
+
+def test_gloss_does_not_move_the_best_hypothesis():
+    # Faint texture under a change of colour from view to view that is larger than the texture.
+    across, down = plane_arms(0.5, splines=False)
+    faint = tuple(
+        a._replace(planes=0.5 + 0.02 * (a.planes - 0.5) + 0.002 * a.steps[:, None, None, None])
+        for a in (across, down)
+    )
+    lab = 100 * faint[0].planes[2]
+    tried = jnp.linspace(-1, 1, 17)
+
+    def wrong(drift):
+        params = VolumeParams(drift=jnp.asarray(drift), noise_floor=jnp.asarray(1e-4))
+        found = hypotheses(*faint, lab, tried, params, window=2)
+        return float((jnp.abs(found - 0.5)[4:-4, 4:-4] > 0.07).mean())
+
+    assert wrong(6.0 / 255) < 0.02
+    assert wrong(0.0) > 0.2
+
+
+def test_no_drift_is_granted_beside_an_outline():
+    # With the colours of a strong outline nearby, the limit of the drift changes nothing.
+    across, down = plane_arms(0.5, splines=False)
+    lab = jnp.zeros((3, 20, 28)).at[0, ::4].set(1e4)
+    tried = jnp.linspace(-1, 1, 9)
+    found = [
+        hypotheses(across, down, lab, tried, VolumeParams(drift=jnp.asarray(d)), window=1)
+        for d in (0.0, 6.0 / 255)
+    ]
+    np.testing.assert_allclose(found[0], found[1], atol=1e-6)
+
+
+@pytest.mark.slow
+def test_derivatives_of_the_hypotheses_match_differences():
+    across, down = plane_arms(0.3, views=(3, 3), size=(8, 9), splines=False)
+    lab = 100 * across.planes[1]
+    tried = jnp.linspace(-0.5, 1, 7)
+
+    def loss(tree):
+        planes, lab, params = tree
+        return jnp.sum(
+            hypotheses(across._replace(planes=planes), down, lab, tried, params, window=1) ** 2
+        )
+
+    tree = (across.planes, lab, VolumeParams())
+    check_gradient(loss, tree, rtol=1e-4, step=1e-7, key=jax.random.key(3))
+    direction = random_like(tree, key=jax.random.key(4))
+    _, tangent = jax.jit(lambda t, d: jax.jvp(loss, (t,), (d,)))(tree, direction)
+    gradient = jax.tree.leaves(jax.jit(jax.grad(loss))(tree))
+    pairs = zip(gradient, jax.tree.leaves(direction), strict=True)
+    assert float(tangent) == pytest.approx(sum(float(jnp.vdot(a, b)) for a, b in pairs), rel=1e-6)
