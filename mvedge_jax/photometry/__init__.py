@@ -6,8 +6,12 @@ from ._cost import (
     residual_variance as residual_variance,
 )
 from ._measure import (
+    Look as Look,
     PhotometricLabels as PhotometricLabels,
     PhotometricParams as PhotometricParams,
+    labels as labels,
+    look as look,
+    mismatch as mismatch,
     photometric_labels as photometric_labels,
 )
 from ._paths import aggregate as aggregate
