@@ -28,13 +28,12 @@ from mvedge_jax.diffusion import System, diffuse
 from mvedge_jax.epi import multiview_edges
 from mvedge_jax.epi._spline import spline_coefficients
 from mvedge_jax.occlusion import bidirectional, surface_vectors
+from mvedge_jax.photometry import hypotheses, photometric_labels
 from mvedge_jax.reconstruct import (
     Parameters,
     Sizes,
     edge_smoothness,
     edge_to_depth,
-    hypotheses,
-    photometric_labels,
     sharpen,
 )
 

@@ -10,7 +10,8 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from ._fence import fenced
+from mvedge_jax._fence import fenced
+
 from ._stencil import pad
 
 

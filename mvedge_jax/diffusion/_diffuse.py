@@ -14,7 +14,7 @@ from ._core import Options, Prepared, choose, prepare, solve
 from ._pcg import Iterate
 from ._solver import Diffused, Solver, SolveStats
 from ._stencil import Coefficients, inner, largest, product, spread
-from ._system import System, check
+from ._system import System, check, inflow
 
 
 def diffuse(
@@ -24,10 +24,12 @@ def diffuse(
 
     The preconditioner is a multigrid V-cycle, or exact elimination where the image is thin.
 
-    *Derivatives.* Forward mode solves $A \dot D = \dot w (s - D) + w \dot s - L_{\dot t} D$; its
-    transpose is the adjoint solve $A a = \partial L / \partial D$, with
-    $\partial L/\partial s = w a$, $\partial L/\partial w = a (s - D)$,
-    $\partial L/\partial t_{pq} = -(a_p - a_q)(D_p - D_q)$. Both use the hierarchy again, and both
+    *Derivatives.* Forward mode solves $A \dot D = \dot w (s - D) + w \dot s - L_{\dot t} D$ (plus the
+    change of $\mathrm{div}(t r)$); its transpose is the adjoint solve
+    $A a = \partial L / \partial D$, with $\partial L/\partial s = w a$,
+    $\partial L/\partial w = a (s - D)$,
+    $\partial L/\partial t_{pq} = -(a_q - a_p)(D_q - D_p - r_{pq})$ and
+    $\partial L/\partial r_{pq} = t_{pq} (a_q - a_p)$. Both use the hierarchy again, and both
     may be differentiated once more. They are those of the exact solution: `start`, the tolerance
     and the statistics have none. How such a solve goes, `adjoint_solve` tells.
 
@@ -64,7 +66,7 @@ def diffuse(
         solver: preconditioner, tolerance, cap on the iterations; by default `Solver()`.
 
     Returns:
-        The dense map and statistics. Differentiable with respect to all four maps of `system`.
+        The dense map and statistics. Differentiable with respect to all maps of `system`.
 
     Raises:
         ValueError: shapes do not match or, outside `jit`, a weight is negative or not finite, or
@@ -123,7 +125,8 @@ def _jitted(options: Options, system: System, start: Array | None, tolerance: Ar
     total = _total(known)
     mean = inner(known, label) / jnp.where(total > 0, total, 1)
     middle = spread(lax.stop_gradient(mean))
-    right = weight * (label - middle)
+    added = inflow(system)
+    right = weight * (label - middle) + added
     if start is None:
         base = jnp.broadcast_to(middle, label.shape)
     else:
@@ -155,7 +158,8 @@ def _jitted(options: Options, system: System, start: Array | None, tolerance: Ar
     value = jnp.where(keep, base + change, spread(mean))
     weighted = fixed.weight * lax.stop_gradient(label)
     scale = jnp.sqrt(inner(weighted, weighted))
-    rest = lax.stop_gradient(weight * (label - middle) - product(coefficients, value - middle))
+    rest = weight * (label - middle) + added - product(coefficients, value - middle)
+    rest = lax.stop_gradient(rest)
     stats = SolveStats(
         iterations=found.iterations,
         residual=jnp.sqrt(inner(rest, rest)) / jnp.where(scale > 0, scale, 1),

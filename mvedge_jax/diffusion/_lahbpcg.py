@@ -5,8 +5,9 @@ from typing import NamedTuple
 
 from jaxtyping import Array
 
+from mvedge_jax._fence import fenced
+
 from ._coarsen import after_x, after_y, before_x, before_y, fill, interleave, ratio, split
-from ._fence import fenced
 from ._stencil import Coefficients
 
 

@@ -9,8 +9,9 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array
 
+from mvedge_jax._fence import fenced
+
 from ._coarsen import Interpolation, Stencil, coarsen, degree, fill, interpolate, restrict, ties
-from ._fence import fenced
 from ._stencil import Coefficients
 
 _DEGREE = 3

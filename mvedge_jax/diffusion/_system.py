@@ -9,7 +9,7 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
-from ._stencil import Coefficients, diagonal, energy, product
+from ._stencil import Coefficients, around, diagonal, differences, energy, product
 
 if TYPE_CHECKING:
     import scipy.sparse
@@ -20,16 +20,19 @@ class System(eqx.Module):
 
     Its solution minimises
 
-    $$\sum_p w_p (D_p - s_p)^2 + \sum_{(p,q)} t_{pq} (D_p - D_q)^2,$$
+    $$\sum_p w_p (D_p - s_p)^2 + \sum_{(p,q)} t_{pq} (D_q - D_p - r_{pq})^2,$$
 
-    which solves $(\mathrm{diag}(w) + L_t) D = w s$. Each edge between 4-neighbours is stored
-    once; nothing is tied to anything beyond the border (Neumann).
+    which solves $(\mathrm{diag}(w) + L_t) D = w s + \mathrm{div}(t r)$. Without rises $r$ it is
+    flat where nothing else is known, with them it follows a slant. Each edge between 4-neighbours
+    is stored once; nothing is tied to anything beyond the border (Neumann).
 
     Attributes:
         weight: data weights $w \ge 0$; 0 where a pixel has no label.
         label: labels $s$, any unit; read only where `weight > 0`.
         tx: weights of the edges between `(y, x)` and `(y, x + 1)`, ≥ 0.
         ty: weights of the edges between `(y, x)` and `(y + 1, x)`, ≥ 0.
+        rise_x: what `D[y, x + 1] - D[y, x]` should be, unit of the labels; None for 0.
+        rise_y: what `D[y + 1, x] - D[y, x]` should be; None for 0, as is `rise_x`.
 
     Source: Thesis 4.2.2 and 6.1, Eq. 4.8 and 6.1; 7.1.1, Eq. 7.2 (with squares, each edge once).
 
@@ -46,6 +49,8 @@ class System(eqx.Module):
     label: Float[Array, "y x"]
     tx: Float[Array, "y x-1"]
     ty: Float[Array, "y-1 x"]
+    rise_x: Float[Array, "y x-1"] | None = None
+    rise_y: Float[Array, "y-1 x"] | None = None
 
     @property
     def coefficients(self) -> Coefficients:
@@ -72,14 +77,21 @@ class System(eqx.Module):
         return diagonal(self.coefficients)
 
     def right_hand_side(self) -> Float[Array, "y x"]:
-        """`b = w s`, zero where there is no data whatever the label says."""
+        """`b = w s + div(t r)`; no data where the weight is zero, whatever the label says."""
         counts = (self.weight != 0) | jnp.isfinite(self.label)
-        return self.weight * jnp.where(counts, self.label, 0)
+        return self.weight * jnp.where(counts, self.label, 0) + inflow(self)
 
     def energy(self, value: Float[Array, "y x"]) -> Float[Array, ""]:
         """The quadratic at `value`."""
         label = jnp.where(self.weight > 0, self.label, 0)
-        return energy(self.coefficients, label, value)
+        if self.rise_x is None or self.rise_y is None:
+            return energy(self.coefficients, label, value)
+        along_x, along_y = differences(value)
+        return (
+            jnp.sum(self.weight * (value - label) ** 2)
+            + jnp.sum(self.tx * (along_x - self.rise_x) ** 2)
+            + jnp.sum(self.ty * (along_y - self.rise_y) ** 2)
+        )
 
     def to_scipy(self) -> "scipy.sparse.csr_array":
         """The matrix as a float64 SciPy array, rows in the order of `ravel()` (host only)."""
@@ -99,6 +111,13 @@ class System(eqx.Module):
         return scipy.sparse.csr_array((values, (rows, columns)), shape=(y * x, y * x))
 
 
+def inflow(system: System) -> Array:
+    """`div(t r)`: what the rises add to the right-hand side, with any leading batch axes."""
+    if system.rise_x is None or system.rise_y is None:
+        return jnp.zeros_like(system.weight)
+    return around(system.tx * system.rise_x, system.ty * system.rise_y, -1)
+
+
 def check(system: System) -> None:
     """Raises a ValueError where a system cannot be solved; values are looked at outside `jit`."""
     if system.weight.ndim != 2 or 0 in system.weight.shape:
@@ -108,6 +127,10 @@ def check(system: System) -> None:
         )
     y, x = system.weight.shape
     wanted = {"label": (y, x), "tx": (y, x - 1), "ty": (y - 1, x)}
+    if (system.rise_x is None) != (system.rise_y is None):
+        raise ValueError("`system.rise_x` and `system.rise_y` must be given together, or neither.")
+    if system.rise_x is not None:
+        wanted |= {"rise_x": (y, x - 1), "rise_y": (y - 1, x)}
     for name, shape in wanted.items():
         found = getattr(system, name).shape
         if found != shape:
@@ -115,11 +138,11 @@ def check(system: System) -> None:
                 f"`system.{name}` has the shape {found}; a `weight` of shape {(y, x)} "
                 f"needs {shape}."
             )
-    for name in ("weight", "label", "tx", "ty"):
+    for name in ("weight", *wanted):
         array = getattr(system, name)
         if array.dtype != system.weight.dtype or not jnp.issubdtype(array.dtype, jnp.floating):
             raise TypeError(
-                f"`system.{name}` is {array.dtype}; all four maps must share one floating type, "
+                f"`system.{name}` is {array.dtype}; all maps must share one floating type, "
                 f"and `weight` is {system.weight.dtype}."
             )
     if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(system)):

@@ -6,9 +6,9 @@ from jaxtyping import Array, Float
 
 from mvedge_jax._crosshair import Arm
 from mvedge_jax.epi import EdgePoints
+from mvedge_jax.photometry import occlusion_reach
 
 from ._profile import sample
-from ._reach import occlusion_reach
 
 
 def reprojection_score(

@@ -61,11 +61,6 @@ from ._parameters import (
     Parameters as Parameters,
     Sizes as Sizes,
 )
-from ._photometric import (
-    PhotometricLabels as PhotometricLabels,
-    PhotometricParams as PhotometricParams,
-    photometric_labels as photometric_labels,
-)
 from ._polish import (
     PolishParams as PolishParams,
     bending as bending,
@@ -110,4 +105,3 @@ from ._sweep import (
     SweepSizes as SweepSizes,
     plane_sweep as plane_sweep,
 )
-from ._volume import VolumeParams as VolumeParams, hypotheses as hypotheses

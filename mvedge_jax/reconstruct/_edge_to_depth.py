@@ -1,5 +1,6 @@
 """The whole chain: light field in, dense disparity of the centre view out."""
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import equinox as eqx
@@ -11,7 +12,7 @@ from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 from mvedge_jax._crosshair import Arm, crosshair
 from mvedge_jax._params import cast
 from mvedge_jax.color import srgb_to_gray, srgb_to_lab
-from mvedge_jax.diffusion import Solver, System, diffuse
+from mvedge_jax.diffusion import Diffused, Solver, System, diffuse
 from mvedge_jax.epi import EdgePoints, EdgeStats, multiview_edges
 from mvedge_jax.epi._spline import spline_coefficients
 from mvedge_jax.lightfield import LightField
@@ -25,12 +26,20 @@ from mvedge_jax.occlusion import (
     reprojection_score,
     surface_vectors,
 )
+from mvedge_jax.photometry import (
+    Look,
+    PhotometricLabels,
+    hypotheses,
+    labels,
+    look,
+    mismatch,
+    residual_variance,
+)
 
 from ._parameters import CentreParams, Parameters, Sizes
-from ._photometric import photometric_labels
 from ._sharpen import sharpen
+from ._slant import rises
 from ._smoothness import edge_smoothness
-from ._volume import hypotheses, noise_variance
 
 
 class DepthStats(NamedTuple):
@@ -157,17 +166,14 @@ def edge_to_depth(
         tried = jnp.linspace(low + step, high - step, sizes.hypotheses, dtype=dtype)
         floor = params.photometric.noise
         arms = horizontal, vertical
-        noise = jnp.sqrt(noise_variance(arms, tried, floor))
+        noise = jnp.sqrt(residual_variance(arms, tried, floor))
         params = eqx.tree_at(lambda p: p.photometric.noise, params, noise)
         first = hypotheses(horizontal, vertical, lab, tried, params.volume, window=sizes.window)
     surface = _sides(points, passes, first, horizontal, vertical, params, sizes, shape)
     from_points, hits = _point_labels(points, surface, passes, params, sizes, shape)
 
-    splines = _splines(horizontal), _splines(vertical)
-    start = 0.5 * (passes.forward + passes.backward) if first is None else first
-
     def sharper(disparity: Array) -> Array:
-        moved = sharpen(
+        return sharpen(
             disparity,
             guide,
             params.median,
@@ -175,52 +181,23 @@ def edge_to_depth(
             levels=sizes.levels,
             mode=sizes.sharpening,
         )
-        if not sizes.dense:
-            return moved
 
-        def mismatch(candidate: Array) -> Array:
-            measured = photometric_labels(
-                splines[0],
-                splines[1],
-                candidate,
-                params.photometric,
-                radius=sizes.radius,
-                passes=sizes.passes,
-            )
-            return measured.residual
-
-        before, after = lax.stop_gradient(lax.map(mismatch, jnp.stack([disparity, moved])))
-        slack = params.centre.worse
-        allowed = slack * (before + 2 * params.photometric.noise**2)
-        return jnp.where(after <= allowed, moved, disparity)
-
-    def solve(disparity: Array, turn: Array) -> tuple[Array, tuple[Array, Array, Array]]:
-        # Sharpening inside of the loop, at its turn, keeps the program small: one solver, not two.
-        if sizes.dense and sizes.sharpening != "none":
-            disparity = lax.cond(turn == sizes.solves, sharper, lambda d: d, disparity)
-        labels = from_points
-        if sizes.dense:
-            labels = _with_dense(labels, splines, disparity, params, sizes)
-        tx, ty = edge_smoothness(lab, _blur(disparity, params.centre.blur), params.smoothness)
-        uniform = params.centre.smoothness
-        system = System(labels.weight, labels.value, uniform * tx, uniform * ty)
-        found = diffuse(system, start=disparity, solver=Solver(tolerance=params.centre.tolerance))
-        return found.value, (labels.weight, found.stats.iterations, found.stats.converged)
-
-    rounds = 2 if sizes.dense and sizes.sharpening != "none" else 1
-    disparity, (weights, iterations, converged) = lax.scan(
-        jax.checkpoint(solve), start, jnp.arange(rounds * sizes.solves)
-    )
-    if not sizes.dense:
-        disparity = sharper(disparity)
+    if first is None:
+        start = 0.5 * (passes.forward + passes.backward)
+        found = _sparse_map(from_points, lab, start, params, sizes)
+        found = found._replace(disparity=sharper(found.disparity))
+    else:
+        splines = _splines(horizontal), _splines(vertical)
+        found = _dense_map(from_points, splines, lab, first, sharper, params, sizes)
+    disparity, weight, iterations, converged = found
     stats = DepthStats(
         edges.stats,
         jnp.sum(hits),
         jnp.sum(points.valid & (surface.score != 0)),
         jnp.concatenate([passes.iterations, iterations]),
-        jnp.all(converged),
+        converged,
     )
-    confidence = jnp.minimum(weights[-1], 1)
+    confidence = jnp.minimum(weight, 1)
     return DepthResult(disparity, confidence, passes.edge, points, surface, stats)
 
 
@@ -286,26 +263,121 @@ def _point_labels(
     return _Labels(total, mean / jnp.where(total > 0, total, 1)), jnp.asarray(hits)
 
 
+class _Map(NamedTuple):
+    """A map, the weight of its labels, and how its diffusions went."""
+
+    disparity: Array
+    weight: Array
+    iterations: Array
+    converged: Array
+
+
+def _sparse_map(
+    labels: _Labels, lab: Array, start: Array, params: Parameters, sizes: Sizes
+) -> _Map:
+    """Repeated diffusion of the points' labels alone."""
+
+    def solve(disparity: Array, _: None) -> tuple[Array, tuple[Array, Array]]:
+        edges = edge_smoothness(lab, _blur(disparity, params.centre.blur), params.smoothness)
+        found = _diffused(labels, edges, disparity, params.centre)
+        return found.value, (found.stats.iterations, found.stats.converged)
+
+    disparity, (iterations, converged) = lax.scan(jax.checkpoint(solve), start, length=sizes.solves)
+    return _Map(disparity, labels.weight, iterations, jnp.all(converged))
+
+
+def _dense_map(
+    from_points: _Labels,
+    splines: tuple[Arm, Arm],
+    lab: Array,
+    first: Array,
+    sharper: Callable[[Array], Array],
+    params: Parameters,
+    sizes: Sizes,
+) -> _Map:
+    """Repeated measurement in the views and diffusion, with slopes from the second solve on."""
+    there = jnp.concatenate([arm.available for arm in splines])
+    views = 0.5 * jnp.sum(there.astype(first.dtype))
+
+    def seen(disparity: Array) -> tuple[Look, Array]:
+        found = look(*splines, disparity, params.photometric, radius=sizes.radius)
+        residual = mismatch(found, lab, disparity, params.photometric, passes=sizes.passes)
+        return found, residual
+
+    def plain(disparity: Array, turn: Array) -> tuple[Array, Look]:
+        return disparity, seen(disparity)[0]
+
+    def sharpened(disparity: Array, turn: Array) -> tuple[Array, Look]:
+        both = jnp.stack([disparity, sharper(disparity)])
+        found, (before, after) = lax.map(jax.checkpoint(seen), both)
+        slack = jnp.where(turn == 0, params.centre.worse_first, params.centre.worse)
+        keep = after > slack * (before + 2 * params.photometric.noise**2)
+        # What was seen of the chosen map need not be looked up again.
+        return jax.tree.map(lambda pair: jnp.where(keep, pair[0], pair[1]), (both, found))
+
+    def solve(
+        state: tuple[Array, Array], turn: Array
+    ) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
+        disparity, _ = state
+        # Sharpening inside of the loop, at its turn, keeps the program small: one solver, not two.
+        if sizes.sharpening == "none":
+            disparity, found = plain(disparity, turn)
+        else:
+            due = turn % sizes.solves == 0
+            disparity, found = lax.cond(due, sharpened, plain, disparity, turn)
+        measured = labels(found, lab, disparity, params.photometric, views, passes=sizes.passes)
+        both = _with_dense(from_points, measured, disparity, params)
+        edges = edge_smoothness(lab, _blur(disparity, params.centre.blur), params.smoothness)
+        slopes = lax.cond(
+            turn > 0,
+            lambda disparity, weight: rises(
+                disparity,
+                weight,
+                edges,
+                stiffness=params.centre.slant,
+                steepest=params.centre.steepest,
+                flat=params.centre.flat,
+            ),
+            lambda *_: jax.tree.map(jnp.zeros_like, edges),
+            disparity,
+            both.weight,
+        )
+        solved = _diffused(both, edges, disparity, params.centre, slopes)
+        return (solved.value, both.weight), (solved.stats.iterations, solved.stats.converged)
+
+    rounds = 1 if sizes.sharpening == "none" else 2
+    (disparity, weight), (iterations, converged) = lax.scan(
+        jax.checkpoint(solve),
+        (first, jnp.zeros_like(first)),
+        jnp.arange(rounds * sizes.solves),
+    )
+    return _Map(disparity, weight, iterations, jnp.all(converged))
+
+
+def _diffused(
+    labels: _Labels,
+    edges: tuple[Array, Array],
+    start: Array,
+    params: CentreParams,
+    slopes: tuple[Array | None, Array | None] = (None, None),
+) -> Diffused:
+    tx, ty = (params.smoothness * t for t in edges)
+    system = System(labels.weight, labels.value, tx, ty, *slopes)
+    return diffuse(system, start=start, solver=Solver(tolerance=params.tolerance))
+
+
 def _with_dense(
-    labels: _Labels, splines: tuple[Arm, Arm], disparity: Array, params: Parameters, sizes: Sizes
+    from_points: _Labels, measured: PhotometricLabels, disparity: Array, params: Parameters
 ) -> _Labels:
     """Labels of the points together with one measured at every pixel."""
-    measured = photometric_labels(
-        splines[0],
-        splines[1],
-        disparity,
-        params.photometric,
-        radius=sizes.radius,
-        passes=sizes.passes,
-    )
     floor = params.photometric.noise**2
     excess = jnp.maximum(measured.residual, floor) / (params.centre.trust * floor)
     weight = _precision_weight(measured.variance, params.centre) / (1 + excess**2)
-    distance = (labels.value - disparity) / params.centre.agreement
-    sparse = labels.weight / (1 + distance**2) ** 2
+    distance = (from_points.value - disparity) / params.centre.agreement
+    sparse = from_points.weight / (1 + distance**2) ** 2
     anchor = params.centre.anchor
     total = weight + sparse + anchor
-    sums = weight * measured.disparity + sparse * labels.value + anchor * disparity
+    sums = weight * measured.disparity + sparse * from_points.value + anchor * disparity
     return _Labels(total, sums / jnp.maximum(total, jnp.finfo(total.dtype).tiny))
 
 

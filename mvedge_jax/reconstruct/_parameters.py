@@ -11,11 +11,10 @@ from mvedge_jax._params import number
 from mvedge_jax.epi import EdgeParams, EdgeSizes, scene_range
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.occlusion import BidirectionalParams, Side, SurfaceParams
+from mvedge_jax.photometry import PhotometricParams, VolumeParams
 
-from ._photometric import PhotometricParams
 from ._sharpen import MedianParams, Sharpening
 from ._smoothness import SmoothnessParams
-from ._volume import VolumeParams
 
 
 class CentreParams(eqx.Module):
@@ -28,11 +27,15 @@ class CentreParams(eqx.Module):
         agreement: disagreement of a point with the map, px, that quarters its weight.
         trust: residual of a dense label, in multiples of the noise variance, that quarters its
             weight.
-        anchor: weight of the previous map itself, so that a region which neither the points nor the
-            views determine keeps its hypothesis instead of its neighbours' disparity.
+        anchor: weight of the previous map itself, so that no region is without any label.
         worse: a pixel follows the sharpened map unless its residual grows by more than this factor
             (plus twice this, squared noise): the median would swallow structures that are thinner
             than half of its window, and the views know better.
+        worse_first: the same where the first map is sharpened, whose thin structures are not yet
+            fitted to the views.
+        slant: stiffness of the map's slopes, weight of an uncut edge against a perfect label.
+        steepest: differences of neighbours beyond this, px, are steps rather than slopes.
+        flat: weight of the slope 0 against that of a perfect label.
         blur: standard deviation of the Gaussian that the map passes before its steps cut edges,
             px.
         tolerance: where the diffusion stops, share of the range of its labels; the two directional
@@ -45,8 +48,12 @@ class CentreParams(eqx.Module):
     points: Float[Array, ""] = number(0.5)
     agreement: Float[Array, ""] = number(0.15)
     trust: Float[Array, ""] = number(2.0)
-    anchor: Float[Array, ""] = number(0.005)
+    anchor: Float[Array, ""] = number(1e-6)
     worse: Float[Array, ""] = number(2.0)
+    worse_first: Float[Array, ""] = number(1.2)
+    slant: Float[Array, ""] = number(30.0)
+    steepest: Float[Array, ""] = number(0.3)
+    flat: Float[Array, ""] = number(1e-4)
     blur: Float[Array, ""] = number(0.5)
     tolerance: Float[Array, ""] = number(1e-4)
 
@@ -93,7 +100,7 @@ class Sizes:
         solves: diffusions before the sharpening, and again after it.
         window: half the width of the windows in which hypotheses are compared, px.
         passes: over the neighbours whose measurements are shared, see `photometric_labels`.
-        sharpening: see `sharpen`; once, between the two rounds of solves.
+        sharpening: see `sharpen`; of the first map, and again between the two rounds of solves.
         median_radius: radius of the weighted median, px.
         levels: slices of the weighted median.
     """

@@ -257,6 +257,22 @@ def test_warm_start_saves_iterations_and_changes_nothing():
     np.testing.assert_allclose(warm.value, direct(system), rtol=0, atol=1e-9)
 
 
+def test_rises_carry_a_slope_over_pixels_without_data():
+    y, x = np.mgrid[0:12, 0:15]
+    slanted = 0.3 * x - 0.1 * y + 2
+    weight = jnp.zeros((12, 15)).at[5, 7].set(1.0)
+    edges = jnp.ones((12, 14)), jnp.ones((11, 15))
+    system = System(weight, jnp.asarray(slanted), *edges, 0.3 * edges[0], -0.1 * edges[1])
+    found = diffuse(system, solver=Solver(tolerance=1e-10))
+    np.testing.assert_allclose(found.value, slanted, atol=1e-7)
+    assert float(system.energy(found.value)) < 1e-12
+    assert float(found.stats.residual) < 1e-6
+    with pytest.raises(ValueError, match="`system.rise_x` and `system.rise_y`"):
+        diffuse(eqx.tree_at(lambda s: s.rise_y, system, None))
+    with pytest.raises(ValueError, match="`system.rise_y` has the shape"):
+        diffuse(eqx.tree_at(lambda s: s.rise_y, system, jnp.ones((3, 3))))
+
+
 def test_a_part_without_data_takes_the_mean_of_the_rest():
     system = random_system(*SHAPE, key=jax.random.key(10))
     weight = system.weight.at[:, 9:].set(0)

@@ -17,7 +17,15 @@ SHAPE = (9, 11)
 def positive_system(key):
     """Away from zero weights, where a step would make the matrix indefinite."""
     system = random_system(*SHAPE, contrast=1.0, key=key)
-    return System(system.weight + 0.1, system.label, system.tx + 0.1, system.ty + 0.1)
+    keys = jax.random.split(key)
+    tx, ty = system.tx + 0.1, system.ty + 0.1
+    rises = (jax.random.normal(k, t.shape) for k, t in zip(keys, (tx, ty), strict=True))
+    return System(system.weight + 0.1, system.label, tx, ty, *rises)
+
+
+def uneven_system(key):
+    """Without rises, and with pixels that have no data."""
+    return random_system(*SHAPE, contrast=1.0, key=key)
 
 
 def dense(system):
@@ -37,7 +45,7 @@ def implicit(system):
     return diffuse(system, solver=TIGHT).value
 
 
-@pytest.mark.parametrize("name", ["weight", "label", "tx", "ty"])
+@pytest.mark.parametrize("name", ["weight", "label", "tx", "ty", "rise_x", "rise_y"])
 def test_gradient_equals_differences(name):
     system = positive_system(jax.random.key(1))
 
@@ -47,16 +55,18 @@ def test_gradient_equals_differences(name):
     check_gradient(loss, getattr(system, name), rtol=1e-6, step=1e-5, key=jax.random.key(3))
 
 
-def test_gradient_equals_dense_solve():
-    system = random_system(*SHAPE, contrast=1.0, key=jax.random.key(4))
+@pytest.mark.parametrize("make", [positive_system, uneven_system])
+def test_gradient_equals_dense_solve(make):
+    system = make(jax.random.key(4))
     found = jax.grad(loss_of(implicit))(system)
     expected = jax.grad(loss_of(dense))(system)
     for a, b in zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True):
         assert float(jnp.abs(a - b).max()) < 1e-9 * float(jnp.abs(b).max())
 
 
-def test_forward_mode_agrees():
-    system = random_system(*SHAPE, contrast=1.0, key=jax.random.key(5))
+@pytest.mark.parametrize("make", [positive_system, uneven_system])
+def test_forward_mode_agrees(make):
+    system = make(jax.random.key(5))
     direction = random_like(system, key=jax.random.key(6))
     value, tangent = jax.jvp(implicit, (system,), (direction,))
     np.testing.assert_array_equal(value, implicit(system))

@@ -19,7 +19,6 @@ from mvedge_jax.occlusion import (
     depth_edge_confidence,
     map_evidence,
     neighbour_evidence,
-    occlusion_reach,
     point_weight,
     profiles,
     rasterise,
@@ -27,6 +26,7 @@ from mvedge_jax.occlusion import (
     step_response,
     surface_vectors,
 )
+from mvedge_jax.photometry import occlusion_reach
 
 SHAPE = (24, 32)
 EDGE = 16  # first column of the near surface in `square_wave`

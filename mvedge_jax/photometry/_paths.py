@@ -4,6 +4,8 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
+from ._window import length
+
 
 def aggregate(
     cost: Float[Array, "d y x"],
@@ -70,11 +72,6 @@ def _both_ways(cost: Array, lab: Array, slant: Array, jump: Array, colour: Array
     forward = lax.scan(visit, start, (cost, jnp.concatenate([free, price])))[1]
     backward = lax.scan(visit, start, (cost, jnp.concatenate([price, free])), reverse=True)[1]
     return forward + backward
-
-
-def length(square: Array) -> Array:
-    """Square root with the slope 0 at 0, where there is none: equal colours have no direction."""
-    return jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1)), 0)
 
 
 def _least(values: Array) -> Array:

@@ -1,0 +1,296 @@
+"""Hypotheses: per pixel, the disparity whose views agree best, whatever hides some of them."""
+
+from functools import partial
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Float
+
+from mvedge_jax._crosshair import Arm
+from mvedge_jax._fence import fenced
+from mvedge_jax._params import cast, number
+
+from ._paths import aggregate
+from ._window import colour_weights, contrast, weighted_sum
+
+# Gradients are looked for within this distance, px: the reach of a window and of its drift.
+_OUTLINE = 5
+
+
+class VolumeParams(eqx.Module):
+    """Parameters of the hypotheses.
+
+    Attributes:
+        truncation: squared colour differences saturate at this many times the scene's noise, so
+            that a view in which the pixel is hidden says nothing, instead of a lot.
+        noise_floor: least noise assumed, standard deviation in units of sRGB.
+        colour: neighbours whose CIELAB colour differs by much more than this do not take part.
+        drift: the mean colour of a window may change by this much, sRGB, from the centre view to
+            the last one without speaking against a hypothesis: gloss and shading slide over a
+            surface. 0 where noise would pass for drift.
+        outline: gradient, CIELAB per px, near which half of that is granted, and soon nothing:
+            beside an outline, a change of mean colour is what shows the wrong hypothesis.
+        slant: price of a change by one hypothesis between neighbouring pixels; of 2, the cost of a
+            pixel that no view confirms.
+        jump: price of a larger change between pixels of the same colour.
+        jump_colour: step of CIELAB colour that halves the price of a jump.
+    """
+
+    truncation: Float[Array, ""] = number(4.0)
+    noise_floor: Float[Array, ""] = number(1.0 / 255)
+    colour: Float[Array, ""] = number(4.0)
+    drift: Float[Array, ""] = number(1.5 / 255)
+    outline: Float[Array, ""] = number(2.0)
+    slant: Float[Array, ""] = number(0.05)
+    jump: Float[Array, ""] = number(0.8)
+    jump_colour: Float[Array, ""] = number(4.0)
+
+
+class _Half(NamedTuple):
+    """The views on one side of the centre that a sweep looks at, padded along the arm."""
+
+    planes: Array
+    steps: Array
+    there: Array
+
+
+class _Swept(NamedTuple):
+    """An arm prepared for a sweep, with the weights of its windows."""
+
+    centre: Array
+    halves: tuple[_Half, _Half]
+    support: Array
+    wide: Array
+    share: Array
+
+
+@partial(jax.jit, static_argnames="window")
+def hypotheses(
+    horizontal: Arm,
+    vertical: Arm,
+    lab: Float[Array, "c y x"],
+    disparities: Float[Array, " d"],
+    params: VolumeParams,
+    *,
+    window: int,
+) -> Float[Array, "y x"]:
+    r"""Per pixel, the disparity at which the views agree best.
+
+    A pixel beside a nearer surface is hidden in the views of one side of each arm. Of each
+    arm, therefore, only the half that agrees better counts:
+    $\min(C_{left}, C_{right}) + \min(C_{above}, C_{below})$, each a mean of truncated
+    squared colour differences to the centre view over a colour-weighted window.
+
+    On glossy and on dark surfaces the colour of a window drifts from view to view, at the true
+    disparity by more than its texture differs at a wrong one. Away from outlines, what such a
+    window changes in proportion to the view step is therefore taken out, per half, up to a limit.
+
+    These costs are summed along paths through the image, so that pixels that the views say little
+    about follow their surroundings; see `aggregate`.
+
+    Args:
+        horizontal: the horizontal arm.
+        vertical: the vertical arm, transposed.
+        lab: the centre view in CIELAB, `[c, y, x]`.
+        disparities: what to try, px per view step, increasing, evenly spaced.
+        params: see `VolumeParams`.
+        window: half the width of the window, px.
+
+    Returns:
+        Disparity per pixel, between the hypotheses by a parabola. Differentiable in all but
+        `disparities`' number, at the hypothesis chosen.
+    """
+    params = cast(params, lab.dtype)
+    noise = residual_variance((horizontal, vertical), disparities, params.noise_floor)
+    truncation = params.truncation * horizontal.planes.shape[1] * noise
+    share = 1 / (1 + (contrast(lab, radius=_OUTLINE) / params.outline) ** 4)
+    across = _swept(horizontal, lab, share, params, window)
+    down = _swept(vertical, jnp.swapaxes(lab, 1, 2), share.T, params, window)
+
+    @jax.checkpoint
+    def cost(disparity: Array) -> Array:
+        # Stored before the transposition, or the windows are summed across the rows in memory.
+        along_rows, along_columns = (
+            fenced(_arm_cost, arm, disparity, truncation, params.drift) for arm in (across, down)
+        )
+        return along_rows + along_columns.T
+
+    total = aggregate(
+        lax.map(cost, disparities),
+        lab,
+        slant=params.slant,
+        jump=params.jump,
+        colour=params.jump_colour,
+    )
+    return _cheapest(total, disparities)
+
+
+def _swept(arm: Arm, lab: Array, share: Array, params: VolumeParams, window: int) -> _Swept:
+    # Drift is looked for in a window twice as wide as that of the cost, through as many pixels.
+    return _Swept(
+        arm.planes[arm.centre],
+        _halves(arm),
+        colour_weights(lab, params.colour, reach=window),
+        colour_weights(lab, params.colour, reach=window, spacing=2),
+        share,
+    )
+
+
+def _arm_cost(arm: _Swept, disparity: Array, truncation: Array, limit: Array) -> Array:
+    """Cost of the half that agrees better, in units of the truncation."""
+
+    def cost(half: _Half) -> Array:
+        # Stored, because both the drift and the cost read them.
+        changes = fenced(_changes, half, arm.centre, disparity)
+        drift = arm.share * _drift(half, changes, arm.wide, limit)
+        total = jnp.zeros_like(drift)
+        for change, step, there in zip(changes, half.steps, half.there, strict=True):
+            rest = [colour - step * drift for colour in change]
+            total = total + there * _truncated(rest, truncation)
+        count = jnp.sum(half.there)
+        # A half without views confirms nothing.
+        mean = jnp.where(count > 0, total / jnp.maximum(count, 1), 1)
+        return weighted_sum(mean, arm.support)
+
+    first, second = (cost(half) for half in arm.halves)
+    return jnp.minimum(first, second)
+
+
+def _drift(half: _Half, changes: list[list[Array]], weights: Array, limit: Array) -> Array:
+    """Change of the grey of a window per view step, by regression through the centre view."""
+    last = jnp.max(jnp.abs(half.steps))
+    total = jnp.zeros_like(changes[0][0])
+    square = jnp.zeros_like(last)
+    for change, step, there in zip(changes, half.steps, half.there, strict=True):
+        gray = sum(change[1:], change[0]) / len(change)
+        # What is far beyond any drift is another surface, and says nothing about this one.
+        total = total + there * step * jnp.clip(gray, -3 * limit, 3 * limit)
+        square = square + there * step**2
+    change = weighted_sum(total * (last / jnp.maximum(square, 1)), weights, spacing=2)
+    return jnp.clip(change, -limit, limit) / last
+
+
+def _truncated(change: list[Array], truncation: Array) -> Array:
+    # Colours are summed by hand: XLA on CPU does not vectorise a sum over a leading axis.
+    square = change[0] ** 2
+    for colour in change[1:]:
+        square = square + colour**2
+    return square / (square + truncation)
+
+
+def _halves(arm: Arm) -> tuple[_Half, _Half]:
+    width = arm.planes.shape[3]
+    indices = sweep_views(arm.planes.shape[0])
+
+    def half(views: list[int]) -> _Half:
+        chosen = np.asarray(views, int)
+        padding = ((0, 0), (0, 0), (0, 0), (width, width + 3))
+        planes = jnp.pad(arm.planes[chosen], padding, mode="edge")
+        return _Half(planes, arm.steps[chosen], arm.available[chosen].astype(planes.dtype))
+
+    before = half([i for i in indices if i < arm.centre])
+    return before, half([i for i in indices if i > arm.centre])
+
+
+def _changes(half: _Half, centre: Array, disparity: Array) -> list[list[Array]]:
+    """Colours of every view of a half at a disparity, less those of the centre view."""
+    width = centre.shape[2]
+    result = []
+    for planes, step in zip(half.planes, half.steps, strict=True):
+        shift = step * disparity
+        whole = jnp.floor(shift)
+        weights = _cubic(shift - whole)
+        first = jnp.clip(whole.astype(jnp.int32), -width, width) + width - 1
+        part = lax.dynamic_slice_in_dim(planes, first, width + 3, axis=2)
+        taps = [part[:, :, j : j + width] for j in range(4)]
+        result.append(
+            [
+                sum((weights[j] * taps[j][c] for j in range(1, 4)), weights[0] * taps[0][c])
+                - reference
+                for c, reference in enumerate(centre)
+            ]
+        )
+    return result
+
+
+def _cheapest(total: Float[Array, "d y x"], disparities: Float[Array, " d"]) -> Array:
+    """The disparity of least cost, refined by a parabola through it and its neighbours."""
+    count = disparities.shape[0]
+    winner = jnp.argmin(total, axis=0)[None]
+    inner = jnp.clip(winner, 1, max(count - 2, 1))
+
+    def at(index: Array) -> Array:
+        return jnp.take_along_axis(total, jnp.clip(index, 0, count - 1), axis=0)[0]
+
+    before, here, after = at(inner - 1), at(inner), at(inner + 1)
+    bend = before - 2 * here + after
+    shift = 0.5 * (before - after) / jnp.where(bend > 0, bend, 1)
+    shift = jnp.where((bend > 0) & (winner == inner)[0], jnp.clip(shift, -0.5, 0.5), 0)
+    spacing = (disparities[-1] - disparities[0]) / (count - 1)
+    return disparities[winner[0]] + spacing * shift
+
+
+def residual_variance(
+    arms: tuple[Arm, Arm], disparities: Float[Array, " d"], floor: Float[Array, ""]
+) -> Float[Array, ""]:
+    """Variance of a colour channel that the best disparity leaves unexplained.
+
+    The median over every eighth row of the smallest mean squared difference between two views of
+    the longer arm, over two.
+
+    Args:
+        arms: both arms of the crosshair.
+        disparities: what to try, px per view step, `[d]`.
+        floor: the least noise assumed, standard deviation, sRGB.
+
+    Returns:
+        The variance, squared sRGB, at least `floor` squared and at most a tenth squared.
+        Differentiable.
+    """
+    arm = max(arms, key=lambda a: a.planes.shape[0])
+    rows = arm._replace(planes=arm.planes[:, :, ::8])
+    halves, centre = _halves(rows), rows.planes[rows.centre]
+
+    def unexplained(half: _Half, disparity: Array) -> Array:
+        total = jnp.zeros_like(centre[0])
+        for change, there in zip(_changes(half, centre, disparity), half.there, strict=True):
+            for colour in change:
+                total = total + there * colour**2
+        count = jnp.sum(half.there)
+        return jnp.where(count > 0, total / jnp.maximum(count, 1), jnp.inf)
+
+    def consider(best: Array, disparity: Array) -> tuple[Array, None]:
+        first, second = (unexplained(half, disparity) for half in halves)
+        cost = jnp.minimum(first, second)
+        padded = jnp.pad(cost, ((0, 0), (3, 3)), mode="edge")
+        width = cost.shape[1]
+        smooth = sum(padded[:, i : i + width] for i in range(7)) / 7
+        return jnp.minimum(best, smooth), None
+
+    start = jnp.full(rows.planes.shape[2:], jnp.inf, arm.planes.dtype)
+    best, _ = lax.scan(consider, start, disparities)
+    variance = jnp.minimum(jnp.median(best) / (2 * arm.planes.shape[1]), 0.01)
+    return jnp.maximum(variance, floor**2)
+
+
+def sweep_views(count: int) -> tuple[int, ...]:
+    """Views of an arm that a sweep looks at: the ends and half of the way to them."""
+    centre = count // 2
+    near = centre // 2
+    picked = {0, centre - near, centre + near, count - 1} - {centre}
+    return tuple(sorted(picked))
+
+
+def _cubic(fraction: Array) -> tuple[Array, Array, Array, Array]:
+    """Weights of Keys' cubic interpolation."""
+    f = fraction
+    return (
+        -0.5 * f * (1 - f) ** 2,
+        1 + 0.5 * f * f * (3 * f - 5),
+        0.5 * f * (1 + f * (4 - 3 * f)),
+        0.5 * f * f * (f - 1),
+    )

@@ -1,0 +1,28 @@
+"""Light fields of one plane, whose disparity is known."""
+
+import jax.numpy as jnp
+import numpy as np
+from scipy import ndimage
+
+from mvedge_jax._crosshair import crosshair
+from mvedge_jax.epi._spline import spline_coefficients
+from mvedge_jax.lightfield import LightField
+
+
+def plane_arms(disparity, *, views=(5, 5), size=(20, 28), noise=0.0, seed=0, splines=True):
+    """Arms of a fronto-parallel plane with a smooth random texture, sampled from a spline."""
+    rng = np.random.default_rng(seed)
+    pad = 10
+    texture = rng.uniform(size=(size[0] + 2 * pad, size[1] + 2 * pad, 3))
+    texture = ndimage.gaussian_filter(texture, (1.2, 1.2, 0)) * 2 - 0.5
+    y, x = np.mgrid[0 : size[0], 0 : size[1]].astype(float) + pad
+    grid = np.zeros((*views, *size, 3))
+    for v, u in np.ndindex(*views):
+        place = [y - (views[0] // 2 - v) * disparity, x - (views[1] // 2 - u) * disparity]
+        for c in range(3):
+            grid[v, u, ..., c] = ndimage.map_coordinates(texture[..., c], place, order=3)
+    grid += noise * rng.standard_normal(grid.shape)
+    arms = crosshair(LightField(jnp.asarray(np.clip(grid, 0, 1))))
+    if not splines:
+        return arms
+    return tuple(a._replace(planes=spline_coefficients(a.planes, axis=-1)) for a in arms)

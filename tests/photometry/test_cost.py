@@ -1,0 +1,154 @@
+"""The search: the right hypothesis beside occlusions, on plain surfaces, without some views."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from helpers import check_gradient, random_like
+from photometry.planes import plane_arms
+from scipy import ndimage
+
+from mvedge_jax._crosshair import crosshair
+from mvedge_jax.lightfield import LightField
+from mvedge_jax.photometry import VolumeParams, aggregate, hypotheses
+
+
+def test_hypotheses_find_both_sides_of_an_occlusion_edge():
+    # A near card (d = 1) in front of a far wall (d = -0.5), both with their own texture.
+    rng = np.random.default_rng(3)
+    wall, card = (
+        ndimage.gaussian_filter(rng.uniform(size=(60, 60, 3)), (0.7, 0.7, 0)) for _ in "ab"
+    )
+    views = np.zeros((5, 5, 32, 40, 3))
+    y, x = np.mgrid[0:32, 0:40]
+    for v, u in np.ndindex(5, 5):
+        k, j = 2 - u, 2 - v
+        # d = -0.5 is drawn with nearest samples of a texture at twice the resolution.
+        far = np.kron(wall, np.ones((2, 2, 1)))[2 * y + j + 8, 2 * x + k + 8]
+        near = card[y - j + 4, x - k + 4]
+        inside = (x - k >= 12) & (x - k < 28) & (y - j >= 8) & (y - j < 24)
+        views[v, u] = np.where(inside[..., None], near, far)
+    arms = crosshair(LightField(jnp.asarray(views)))
+    truth = np.where((x >= 12) & (x < 28) & (y >= 8) & (y < 24), 1.0, -0.5)
+    lab = 100 * jnp.moveaxis(jnp.asarray(views[2, 2]), -1, 0)
+    tried = jnp.linspace(-1, 1.5, 11)
+    found = hypotheses(*arms, lab, tried, VolumeParams(), window=2)
+    assert float(found.min()) >= -1
+    assert float(found.max()) <= 1.5
+    inner = (slice(4, -4), slice(4, -4))
+    wrong = (np.abs(np.asarray(found) - truth) > 0.13)[inner]
+    assert wrong.mean() < 0.06
+
+
+def test_hypotheses_do_not_see_a_missing_view():
+    across, down = plane_arms(0.5, splines=False)
+    lab = 100 * across.planes[2]
+    there = across.available.at[0].set(False)
+    tried = jnp.linspace(-1, 1, 41)
+    found = [
+        hypotheses(
+            across._replace(planes=across.planes.at[0].set(value), available=there),
+            down,
+            lab,
+            tried,
+            VolumeParams(),
+            window=1,
+        )
+        for value in (0.0, 0.9)
+    ]
+    np.testing.assert_array_equal(found[0], found[1])
+    assert float((jnp.abs(found[0] - 0.5) < 0.01).mean()) > 0.95
+
+
+def test_paths_are_the_cheapest_of_all_paths():
+    # Brute force along a row: every sequence of disparities that ends at the last pixel.
+    rng = np.random.default_rng(4)
+    cost, lab = rng.uniform(size=(3, 1, 5)), 10 * rng.uniform(size=(3, 1, 5))
+    slant, jump, colour = 0.1, 0.5, 6.0
+    found = aggregate(
+        jnp.asarray(cost),
+        jnp.asarray(lab),
+        slant=jnp.asarray(slant),
+        jump=jnp.asarray(jump),
+        colour=jnp.asarray(colour),
+    )
+    steps = np.linalg.norm(np.diff(lab[:, 0], axis=1), axis=0)
+    prices = jump / (1 + steps / colour)
+
+    def price(path):
+        moves = np.abs(np.diff(path))
+        change = np.where(moves == 0, 0, np.where(moves == 1, np.minimum(slant, prices), prices))
+        return sum(cost[d, 0, i] for i, d in enumerate(path)) + change.sum()
+
+    paths = np.array(list(np.ndindex(*[3] * 5)))
+    prices_of_paths = np.array([price(path) for path in paths])
+    ends = np.array([prices_of_paths[paths[:, -1] == d].min() for d in range(3)])
+    # The aggregate is normalised along the path, and holds the vertical and the backward paths too,
+    # which at the last pixel of a single row are the pixel's own cost.
+    expected = ends + 3 * cost[:, 0, -1]
+    last = np.asarray(found)[:, 0, -1]
+    np.testing.assert_allclose(last - last.min(), expected - expected.min(), atol=1e-6)
+
+
+def test_a_plain_surface_follows_its_surroundings():
+    across, down = plane_arms(0.5, splines=False)
+    hole = np.s_[..., 6:14, 10:18]
+    planes = across.planes.at[hole].set(0.5), down.planes.at[..., 10:18, 6:14].set(0.5)
+    arms = across._replace(planes=planes[0]), down._replace(planes=planes[1])
+    # Colours alike, so that nothing but the neighbours can fill the hole in the texture.
+    found = hypotheses(
+        *arms, jnp.zeros((3, 20, 28)), jnp.linspace(-1, 1, 9), VolumeParams(), window=1
+    )
+    assert float(jnp.median(jnp.abs(found[6:14, 10:18] - 0.5))) < 0.1
+
+
+def test_gloss_does_not_move_the_best_hypothesis():
+    # Faint texture under a change of colour from view to view that is larger than the texture.
+    across, down = plane_arms(0.5, splines=False)
+    faint = tuple(
+        a._replace(planes=0.5 + 0.02 * (a.planes - 0.5) + 0.002 * a.steps[:, None, None, None])
+        for a in (across, down)
+    )
+    lab = 100 * faint[0].planes[2]
+    tried = jnp.linspace(-1, 1, 17)
+
+    def wrong(drift):
+        params = VolumeParams(drift=jnp.asarray(drift), noise_floor=jnp.asarray(1e-4))
+        found = hypotheses(*faint, lab, tried, params, window=2)
+        return float((jnp.abs(found - 0.5)[4:-4, 4:-4] > 0.07).mean())
+
+    assert wrong(6.0 / 255) < 0.02
+    assert wrong(0.0) > 0.2
+
+
+def test_no_drift_is_granted_beside_an_outline():
+    # With the colours of a strong outline nearby, the limit of the drift changes nothing.
+    across, down = plane_arms(0.5, splines=False)
+    lab = jnp.zeros((3, 20, 28)).at[0, ::4].set(1e4)
+    tried = jnp.linspace(-1, 1, 9)
+    found = [
+        hypotheses(across, down, lab, tried, VolumeParams(drift=jnp.asarray(d)), window=1)
+        for d in (0.0, 6.0 / 255)
+    ]
+    np.testing.assert_allclose(found[0], found[1], atol=1e-6)
+
+
+@pytest.mark.slow
+def test_derivatives_of_the_hypotheses_match_differences():
+    across, down = plane_arms(0.3, views=(3, 3), size=(8, 9), splines=False)
+    lab = 100 * across.planes[1]
+    tried = jnp.linspace(-0.5, 1, 7)
+
+    def loss(tree):
+        planes, lab, params = tree
+        return jnp.sum(
+            hypotheses(across._replace(planes=planes), down, lab, tried, params, window=1) ** 2
+        )
+
+    tree = (across.planes, lab, VolumeParams())
+    check_gradient(loss, tree, rtol=1e-4, step=1e-7, key=jax.random.key(3))
+    direction = random_like(tree, key=jax.random.key(4))
+    _, tangent = jax.jit(lambda t, d: jax.jvp(loss, (t,), (d,)))(tree, direction)
+    gradient = jax.tree.leaves(jax.jit(jax.grad(loss))(tree))
+    pairs = zip(gradient, jax.tree.leaves(direction), strict=True)
+    assert float(tangent) == pytest.approx(sum(float(jnp.vdot(a, b)) for a, b in pairs), rel=1e-6)

@@ -1,0 +1,223 @@
+"""The dense measurement: right, honest about its errors, blind to what is missing."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from helpers import check_gradient, random_like
+from photometry.planes import plane_arms
+
+from mvedge_jax.epi._spline import spline_coefficients
+from mvedge_jax.photometry import (
+    Look,
+    PhotometricParams,
+    labels,
+    look,
+    mismatch,
+    photometric_labels,
+)
+
+# Of one colour, so that no neighbour is left out for its own.
+PLAIN = jnp.zeros((3, 20, 28))
+
+
+def with_values(parameters, **values):
+    """Parameters with some numbers set."""
+    return parameters(**{name: jnp.asarray(value) for name, value in values.items()})
+
+
+def test_a_photometric_step_finds_the_plane_and_knows_how_well():
+    truth, start = 0.31, 0.28
+    errors, predicted = [], []
+    for seed in range(3):
+        arms = plane_arms(truth, noise=0.01, seed=seed)
+        labels = photometric_labels(
+            arms[0],
+            arms[1],
+            PLAIN,
+            jnp.full((20, 28), start),
+            with_values(PhotometricParams, noise=0.01),
+            radius=2,
+            passes=2,
+        )
+        inner = (slice(4, -4), slice(4, -4))
+        errors.append((np.asarray(labels.disparity) - truth)[inner])
+        predicted.append(np.sqrt(np.asarray(labels.variance))[inner])
+    error = np.sqrt(np.mean(np.square(errors)))
+    assert error < 0.25 * (truth - start)
+    assert 0.5 < error / np.sqrt(np.mean(np.square(predicted))) < 2
+
+
+def test_missing_views_take_no_part():
+    across, down = plane_arms(0.2)
+    there = across.available.at[0].set(False)
+    params = PhotometricParams()
+    disparity = jnp.full((20, 28), 0.15)
+
+    def measure(planes):
+        arm = across._replace(planes=planes, available=there)
+        return photometric_labels(arm, down, PLAIN, disparity, params, radius=2, passes=1).disparity
+
+    junk = across.planes.at[0].set(0.123)
+    np.testing.assert_array_equal(measure(across.planes), measure(junk))
+    gradient = jax.grad(lambda p: measure(p).sum())(across.planes)
+    assert float(jnp.abs(gradient[0]).max()) == 0
+    assert float(jnp.abs(gradient[1]).max()) > 0
+
+
+def test_flat_images_leave_the_map_alone_and_say_so():
+    arms = plane_arms(0.0)
+    flat = tuple(a._replace(planes=jnp.full_like(a.planes, 0.5)) for a in arms)
+    labels = photometric_labels(
+        flat[0], flat[1], PLAIN, jnp.full((20, 28), 0.4), PhotometricParams(), radius=2, passes=2
+    )
+    np.testing.assert_allclose(labels.disparity, 0.4, atol=1e-9)
+    assert float(labels.variance.min()) > 1
+
+
+def small_problem():
+    """What the measurement reads, and a smooth number that all of its results go into."""
+    across, down = plane_arms(0.2, views=(3, 3), size=(8, 9))
+    rng = np.random.default_rng(0)
+    disparity = 0.15 + 0.01 * jnp.sin(jnp.arange(72.0).reshape(8, 9))
+    lab = jnp.asarray(8 * rng.standard_normal((3, 8, 9)))
+
+    def loss(tree):
+        planes, lab, disparity, params = tree
+        around = look(across._replace(planes=planes), down, disparity, params, radius=2)
+        found = labels(around, lab, disparity, params, jnp.asarray(3.0), passes=1)
+        residual = mismatch(around, lab, disparity, params, passes=1)
+        sure = jnp.sum(1 / (1 + 1e4 * found.variance))
+        return jnp.sum(found.disparity**2) + sure + jnp.sum(jnp.sqrt(residual + 1e-6))
+
+    return loss, (across.planes, lab, disparity, PhotometricParams())
+
+
+def test_gradient_of_the_measurement_matches_differences():
+    loss, tree = small_problem()
+    # Short steps: a longer one crosses kinks of the floors.
+    check_gradient(loss, tree, rtol=1e-5, step=1e-7, key=jax.random.key(1))
+
+
+@pytest.mark.slow
+def test_forward_mode_of_the_measurement_agrees():
+    loss, tree = small_problem()
+    direction = random_like(tree, key=jax.random.key(2))
+    _, tangent = jax.jit(lambda t, d: jax.jvp(loss, (t,), (d,)))(tree, direction)
+    gradient = jax.tree.leaves(jax.jit(jax.grad(loss))(tree))
+    pairs = zip(gradient, jax.tree.leaves(direction), strict=True)
+    assert float(tangent) == pytest.approx(sum(float(jnp.vdot(a, b)) for a, b in pairs))
+
+
+def drifting(arms, drift):
+    """Views whose colours change by `drift`, one number per channel, from each to the next."""
+    change = jnp.asarray(drift)[None, :, None, None]
+    return tuple(a._replace(planes=a.planes + a.steps[:, None, None, None] * change) for a in arms)
+
+
+def test_drift_does_not_move_a_label():
+    # Gloss: every view is a little brighter than the one before it, in a colour of its own.
+    truth = 0.31
+    arms = drifting(plane_arms(truth), (0.012, 0.006, -0.004))
+    inner = (slice(4, -4), slice(4, -4))
+    errors = []
+    for stiffness in (1.0, 1e9):
+        params = with_values(PhotometricParams, stiffness=stiffness)
+        labels = photometric_labels(
+            *arms, PLAIN, jnp.full((20, 28), truth), params, radius=2, passes=2
+        )
+        errors.append(float(jnp.sqrt(jnp.mean((labels.disparity - truth)[inner] ** 2))))
+    with_drift, without = errors
+    assert with_drift < 0.1 * without
+    assert with_drift < 2e-3
+
+
+def test_elimination_equals_the_regression_with_all_unknowns():
+    # One window over everything: the normal equations in the disparity and six drifts, in NumPy.
+    rng = np.random.default_rng(5)
+    shape = (3, 3)
+    fields = [rng.uniform(1, 2, (*shape, 2)), rng.standard_normal((2, 2, 3, *shape))]
+    spread = fields[0]
+    slope, trend = fields[1] * np.moveaxis(spread, -1, 0)[None, :, None]
+    gradient = slope / np.moveaxis(spread, -1, 0)[:, None]
+    right = -(gradient * trend).sum((0, 1))
+    information = (gradient * slope).sum((0, 1))
+    # Enough power for a residual, whatever the drifts explain.
+    power = (trend**2).sum((0, 1)) * 10 + 1
+    freedom = np.full(shape, 10.0)
+
+    def per_arm(field):
+        across, down = jax.tree.map(jnp.asarray, [tuple(arm) for arm in field])
+        return across, down
+
+    found = Look(
+        right=jnp.asarray(right),
+        information=jnp.asarray(information),
+        power=jnp.asarray(power),
+        freedom=jnp.asarray(freedom),
+        spread=(jnp.asarray(spread[..., 0]), jnp.asarray(spread[..., 1])),
+        slope=per_arm(slope),
+        trend=per_arm(trend),
+    )
+    params = with_values(PhotometricParams, gradient_noise=0.0, largest_step=1e6, stiffness=2.0)
+    views = jnp.asarray(9.0)
+    labels_ = labels(found, jnp.zeros((3, *shape)), jnp.zeros(shape), params, views, passes=1)
+    taps = np.outer([0.5, 1, 0.5], [0.5, 1, 0.5])
+
+    def window(field):
+        return (taps * field).sum((-2, -1))
+
+    # Unknowns: error of the disparity, then a drift per arm and channel; (r + k (g e - h))².
+    matrix, vector = np.zeros((7, 7)), np.zeros(7)
+    matrix[0, 0], vector[0] = window(information), window(right)
+    for i, (a, c) in enumerate(np.ndindex(2, 3), start=1):
+        matrix[0, i] = matrix[i, 0] = -window(slope[a, c])
+        matrix[i, i] = window(spread[..., a]) + 2.0
+        vector[i] = window(trend[a, c])
+    solution = np.linalg.solve(matrix, vector)
+    assert float(labels_.disparity[1, 1]) == pytest.approx(solution[0], rel=1e-6)
+    rest = window(power) - solution @ vector
+    variance = rest / (3 * window(freedom)) * np.linalg.inv(matrix)[0, 0]
+    assert float(labels_.variance[1, 1]) == pytest.approx(variance, rel=1e-6)
+
+
+def test_noise_is_no_information():
+    # Plain surfaces under noise: what looks like contrast must not pass for a measurement.
+    truth = 0.2
+    noisy = plane_arms(truth, noise=0.02, seed=1)
+    rng = np.random.default_rng(2)
+    plain = tuple(
+        a._replace(
+            planes=spline_coefficients(
+                jnp.asarray(0.5 + 0.02 * rng.standard_normal(a.planes.shape)), axis=-1
+            )
+        )
+        for a in noisy
+    )
+    disparity = jnp.full((20, 28), truth)
+    weights = []
+    for arms in (noisy, plain):
+        found = photometric_labels(
+            *arms, PLAIN, disparity, with_values(PhotometricParams, noise=0.02), radius=2, passes=2
+        )
+        weights.append(np.median(1 / (1 + np.asarray(found.variance)[4:-4, 4:-4] / 0.01**2)))
+    textured, nothing = weights
+    assert nothing < 0.02 * textured
+
+
+def test_neighbours_of_another_colour_take_no_part():
+    across, down = plane_arms(0.2)
+    disparity = jnp.full((20, 28), 0.18)
+    lab = PLAIN.at[0, :, 14:].set(60.0)
+
+    def measured(planes):
+        arm = across._replace(planes=planes)
+        params = PhotometricParams()
+        # The half that is looked at is far from what the other half's occlusions could reach.
+        return photometric_labels(arm, down, lab, disparity, params, radius=2, passes=2).disparity[
+            :, :12
+        ]
+
+    gradient = jax.grad(lambda p: jnp.sum(measured(p) ** 2))(across.planes)
+    # Nine columns of the spline, its view steps and the trust in views reach over the outline.
+    assert float(jnp.abs(gradient[..., 17:]).max()) < 1e-12 * float(jnp.abs(gradient).max())
