@@ -144,6 +144,7 @@ def test_floors_are_not_blurred():
         {"_params", "color"},
         {"lightfield"},
         {"_crosshair"},
+        {"photometry"},
         {"diffusion", "splatting", "warping", "epi"},
         {"occlusion", "losses", "metrics"},
         {"reconstruct"},

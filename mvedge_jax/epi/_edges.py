@@ -12,6 +12,7 @@ from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 from .._params import cast
 from ..color import srgb_to_gray, srgb_to_lab
 from ..lightfield import LightField
+from ..photometry import expose, rough_exposure
 from ._bank import FilterBank, prewitt_bank
 from ._candidates import Candidates, contrast, find_candidates, subpixel, unit_gradient
 from ._noise import noise_variance
@@ -271,7 +272,26 @@ def multiview_edges(
         >>> int(edges.stats.valid)
         0
     """
+    exposure = rough_exposure(light_field)
+    return exposed_edges(expose(light_field, exposure), exposure.scale, params, sizes, key=key)
+
+
+def exposed_edges(
+    light_field: LightField,
+    scale: Float[Array, ""],
+    params: EdgeParams,
+    sizes: EdgeSizes,
+    *,
+    key: PRNGKeyArray | None = None,
+) -> Edges:
+    """The work of `multiview_edges`, on views whose exposure and gains have been taken out."""
     params = cast(params, light_field.views.dtype)
+    # What belongs to the sensor is as much brighter as the views are.
+    params = eqx.tree_at(
+        lambda p: (p.dark_limit, p.noise_floor),
+        params,
+        (params.dark_limit * scale, params.noise_floor * scale**2),
+    )
     if sizes.thesis is not None:
         return _thesis_edges(light_field, params, sizes, key)
     maps, centre, candidates, refined, error_limit = measure_candidates(light_field, params, sizes)

@@ -12,7 +12,8 @@ from mvedge_jax._crosshair import Arm, crosshair
 from mvedge_jax._params import cast
 from mvedge_jax.color import srgb_to_gray, srgb_to_lab
 from mvedge_jax.diffusion import Solver, System, diffuse
-from mvedge_jax.epi import EdgePoints, EdgeStats, multiview_edges
+from mvedge_jax.epi import EdgePoints, EdgeStats
+from mvedge_jax.epi._edges import exposed_edges
 from mvedge_jax.epi._spline import spline_coefficients
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.occlusion import (
@@ -25,12 +26,22 @@ from mvedge_jax.occlusion import (
     reprojection_score,
     surface_vectors,
 )
+from mvedge_jax.photometry import (
+    Exposure,
+    Noise,
+    denoised,
+    expose,
+    exposure_along,
+    low_pass,
+    measure_noise,
+    rough_exposure,
+)
 
 from ._parameters import CentreParams, Parameters, Sizes
 from ._photometric import photometric_labels
 from ._sharpen import sharpen
 from ._smoothness import edge_smoothness
-from ._volume import hypotheses, noise_variance
+from ._volume import hypotheses
 
 
 class DepthStats(NamedTuple):
@@ -42,6 +53,8 @@ class DepthStats(NamedTuple):
         sided: points with a surface vector.
         iterations: of every diffusion, in order.
         converged: whether every diffusion reached its tolerance.
+        noise: of the views, in their units after `exposure` was taken out.
+        exposure: what was taken out of the views before they were compared.
     """
 
     edges: EdgeStats
@@ -49,6 +62,8 @@ class DepthStats(NamedTuple):
     sided: Int[Array, ""]
     iterations: Int[Array, " solves"]
     converged: Bool[Array, ""]
+    noise: Noise
+    exposure: Exposure
 
 
 class DepthResult(NamedTuple):
@@ -127,28 +142,40 @@ def edge_to_depth(params: Parameters, light_field: LightField, sizes: Sizes) -> 
     dtype = light_field.views.dtype
     light_field = light_field.without_truth()
     params = cast(params, dtype)
-    edges = multiview_edges(light_field, params.edges, sizes.edges)
-    points = edges.points
+    step = params.edges.step
+    low = (sizes.edges.first + 1) * step
+    high = (sizes.edges.first + sizes.edges.filters - 2) * step
+    tried = low + (high - low) * jnp.linspace(0, 1, sizes.hypotheses, dtype=dtype)
 
-    centre = light_field.centre_view
-    gray = srgb_to_gray(centre)
+    exposure = rough_exposure(light_field)
+    exposed = expose(light_field, exposure)
+    centre = jnp.moveaxis(exposed.centre_view, -1, 0)
+    arms = crosshair(exposed)
+    noise = measure_noise(centre, exposure.scale, arms=arms, disparities=tried)
+    guide = denoised(centre, noise)
+    gray = srgb_to_gray(jnp.moveaxis(guide, 0, -1))
     shape = (gray.shape[0], gray.shape[1])
-    lab = jnp.moveaxis(srgb_to_lab(centre), -1, 0)
-    guide = jnp.moveaxis(centre, -1, 0)
-    horizontal, vertical = crosshair(light_field)
-
-    passes = bidirectional(points, gray, params.bidirectional, normalised=sizes.side == "thesis")
+    lab = jnp.moveaxis(srgb_to_lab(jnp.moveaxis(guide, 0, -1)), -1, 0)
     first = None
     if sizes.dense:
-        step = params.edges.step
-        low = (sizes.edges.first + 1) * step
-        high = (sizes.edges.first + sizes.edges.filters - 2) * step
-        tried = low + (high - low) * jnp.linspace(0, 1, sizes.hypotheses, dtype=dtype)
-        floor = params.photometric.noise
-        arms = horizontal, vertical
-        noise = jnp.sqrt(noise_variance(arms, tried, floor))
-        params = eqx.tree_at(lambda p: p.photometric.noise, params, noise)
-        first = hypotheses(horizontal, vertical, lab, tried, params.volume, window=sizes.window)
+        sigma = jnp.clip(0.4 + 30 * noise.deviation, 0.5, 1.0)
+        soft, _ = low_pass(arms, noise, sigma)
+        first = hypotheses(*soft, lab, tried, params.volume, noise=noise, window=sizes.window)
+        # The gains again, now that it is known what shows the same.
+        exposure = exposure_along(light_field, exposure.scale, first)
+        exposed = expose(light_field, exposure)
+        arms, kept = low_pass(crosshair(exposed), noise, jnp.minimum(30 * noise.deviation, 1))
+        floor = jnp.maximum(jnp.sqrt(kept) * noise.deviation, params.photometric.noise)
+        # Points take their disparity from few pixels, which noise leaves little of.
+        params = eqx.tree_at(
+            lambda p: (p.photometric.noise, p.centre.points),
+            params,
+            (floor, params.centre.points * (1 - noise.alpha)),
+        )
+    horizontal, vertical = arms
+    edges = exposed_edges(exposed, exposure.scale, params.edges, sizes.edges)
+    points = edges.points
+    passes = bidirectional(points, gray, params.bidirectional, normalised=sizes.side == "thesis")
     surface = _sides(points, passes, first, horizontal, vertical, params, sizes, shape)
     from_points, hits = _point_labels(points, surface, passes, params, sizes, shape)
 
@@ -208,6 +235,8 @@ def edge_to_depth(params: Parameters, light_field: LightField, sizes: Sizes) -> 
         jnp.sum(points.valid & (surface.score != 0)),
         jnp.concatenate([passes.iterations, iterations]),
         jnp.all(converged),
+        noise,
+        exposure,
     )
     confidence = jnp.minimum(weights[-1], 1)
     return DepthResult(disparity, confidence, passes.edge, points, surface, stats)

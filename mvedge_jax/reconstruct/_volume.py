@@ -9,6 +9,7 @@ from jaxtyping import Array, Float
 
 from mvedge_jax._crosshair import Arm
 from mvedge_jax._params import cast, number
+from mvedge_jax.photometry import Noise, pooled
 
 from ._paths import aggregate, length
 
@@ -25,6 +26,7 @@ class VolumeParams(eqx.Module):
             pixel that no view confirms.
         jump: price of a larger change between pixels of the same colour.
         jump_colour: step of CIELAB colour that halves the price of a jump.
+        pooling: how far costs are averaged along a surface where noise rules, px.
     """
 
     truncation: Float[Array, ""] = number(4.0)
@@ -33,6 +35,7 @@ class VolumeParams(eqx.Module):
     slant: Float[Array, ""] = number(0.05)
     jump: Float[Array, ""] = number(0.8)
     jump_colour: Float[Array, ""] = number(4.0)
+    pooling: Float[Array, ""] = number(20.0)
 
 
 def hypotheses(
@@ -43,6 +46,7 @@ def hypotheses(
     params: VolumeParams,
     *,
     window: int,
+    noise: Noise | None = None,
 ) -> Float[Array, "y x"]:
     r"""Per pixel, the disparity at which the views agree best.
 
@@ -52,23 +56,30 @@ def hypotheses(
     squared colour differences to the centre view over a colour-weighted window.
 
     These costs are summed along paths through the image, so that pixels that the views say little
-    about follow their surroundings; see `aggregate`.
+    about follow their surroundings; see `aggregate`. Noise makes jumps cheaper, softens the choice
+    of the half, and has costs pooled along surfaces first.
 
     Args:
-        horizontal: the horizontal arm.
-        vertical: the vertical arm, transposed.
-        lab: the centre view in CIELAB, `[c, y, x]`.
+        horizontal: the horizontal arm, low-passed as the noise asks.
+        vertical: the vertical arm, likewise, transposed.
+        lab: the centre view in CIELAB, denoised, `[c, y, x]`.
         disparities: what to try, px per view step, increasing, evenly spaced.
         params: see `VolumeParams`.
         window: half the width of the window, px.
+        noise: of the views before any low-pass; None for none.
 
     Returns:
         Disparity per pixel, between the hypotheses by a parabola. Differentiable in all but
         `disparities`' number, at the hypothesis chosen.
     """
     params = cast(params, lab.dtype)
-    noise = noise_variance((horizontal, vertical), disparities, params.noise_floor)
-    truncation = params.truncation * horizontal.planes.shape[1] * noise
+    noise = Noise.of(jnp.zeros((), lab.dtype)) if noise is None else noise
+    alpha = noise.alpha
+    # Of views without noise, two thirds of what was measured: texture is in it.
+    deviation = noise.deviation * (alpha + (1 - alpha) / 1.45)
+    variance = jnp.maximum(deviation, params.noise_floor) ** 2
+    truncation = params.truncation * horizontal.planes.shape[1] * variance
+    cheaper = 1 - 0.75 * alpha
     support = _colour_weights(lab, params.colour, window)
 
     @jax.checkpoint
@@ -77,13 +88,14 @@ def hypotheses(
         left, right, above, below = (
             _weighted_mean(part, support, window) for part in (left, right, above, below)
         )
-        return (jnp.minimum(left, right) + jnp.minimum(above, below)) / truncation
+        better = _better(left / truncation, right / truncation, alpha)
+        return better + _better(above / truncation, below / truncation, alpha)
 
     total = aggregate(
-        lax.map(cost, disparities),
+        pooled(lax.map(cost, disparities), lab, noise, params.pooling),
         lab,
-        slant=params.slant,
-        jump=params.jump,
+        slant=cheaper * params.slant,
+        jump=cheaper * params.jump,
         colour=params.jump_colour,
     )
     return _cheapest(total, disparities)
@@ -106,29 +118,16 @@ def _cheapest(total: Float[Array, "d y x"], disparities: Float[Array, " d"]) -> 
     return disparities[winner[0]] + spacing * shift
 
 
-def noise_variance(
-    arms: tuple[Arm, Arm], disparities: Float[Array, " d"], floor: Float[Array, ""]
-) -> Float[Array, ""]:
-    """Variance of a colour channel that the best disparity leaves unexplained.
+def _better(first: Array, second: Array, alpha: Array) -> Array:
+    """The smaller of two costs; under noise softly, for the least of two is biased."""
+    scale = 0.05 * jnp.where(alpha > 0, alpha, 1)
 
-    The median over every eighth row of the smallest mean squared difference between two views of
-    the longer arm, over two, but never less than `floor` squared nor more than a tenth squared.
-    """
-    arm = max(arms, key=lambda a: a.planes.shape[0])
-    rows = arm._replace(planes=arm.planes[:, :, ::8])
-    wide = jnp.asarray(1e3, arm.planes.dtype)
+    def soft(first: Array, second: Array) -> Array:
+        return jnp.minimum(first, second) - scale * jnp.log(
+            0.5 * (1 + jnp.exp(-jnp.abs(first - second) / scale))
+        )
 
-    def consider(best: Array, disparity: Array) -> tuple[Array, None]:
-        cost = jnp.minimum(*_half_arms(rows, disparity, wide))
-        padded = jnp.pad(cost, ((0, 0), (3, 3)), mode="edge")
-        width = cost.shape[1]
-        smooth = sum(padded[:, i : i + width] for i in range(7)) / 7
-        return jnp.minimum(best, smooth), None
-
-    start = jnp.full(rows.planes.shape[2:], jnp.inf, arm.planes.dtype)
-    best, _ = lax.scan(consider, start, disparities)
-    variance = jnp.minimum(jnp.median(best) / (2 * arm.planes.shape[1]), 0.01)
-    return jnp.maximum(variance, floor**2)
+    return lax.cond(alpha > 0, soft, jnp.minimum, first, second)
 
 
 def _colour_weights(lab: Array, scale: Array, window: int) -> Array:
