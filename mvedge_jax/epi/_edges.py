@@ -12,7 +12,7 @@ from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 from .._params import cast
 from ..color import srgb_to_gray, srgb_to_lab
 from ..lightfield import LightField
-from ..photometry import expose, rough_exposure
+from ..photometry import Noise, expose, measure_noise, rough_exposure
 from ._bank import FilterBank, prewitt_bank
 from ._candidates import Candidates, contrast, find_candidates, subpixel, unit_gradient
 from ._noise import noise_variance
@@ -35,6 +35,10 @@ def scene_banks(
     disparity = index.astype(params.step.dtype) * params.step
     radius = max(sizes.radius(count) for count in views)
     return prewitt_bank(disparity, views[1], radius), prewitt_bank(disparity, views[0], radius)
+
+
+# Weakest edge considered, in multiples of the noise: half of all pixels would be one without.
+_ABOVE_NOISE = 3.0
 
 
 class Measured(NamedTuple):
@@ -96,7 +100,9 @@ def _highest(values: Float[Array, "y x"]) -> Float[Array, "y x"]:
     return lax.reduce_window(values, -jnp.inf, lax.max, (5, 5), (1, 1), "SAME")
 
 
-def measure_candidates(light_field: LightField, params: EdgeParams, sizes: EdgeSizes) -> Measured:
+def measure_candidates(
+    light_field: LightField, scene_noise: Noise, params: EdgeParams, sizes: EdgeSizes
+) -> Measured:
     """Searches and refines, but judges nothing: the first half of `multiview_edges`."""
     params = cast(params, light_field.views.dtype)
     across = light_field.horizontal_arm
@@ -116,10 +122,9 @@ def measure_candidates(light_field: LightField, params: EdgeParams, sizes: EdgeS
     )
     centre = contrast(srgb_to_lab(light_field.centre_view))
     # The difference of two noisy values in three channels; two standard deviations.
-    centre_floor = params.strength_floor + 2 * jnp.sqrt(6 * noise)
-    candidates = find_candidates(
-        maps, centre, params.strength_floor, centre_floor, capacity=sizes.capacity
-    )
+    floor = params.strength_floor + _ABOVE_NOISE * 100 * scene_noise.alpha * scene_noise.deviation
+    centre_floor = floor + 2 * jnp.sqrt(6 * noise)
+    candidates = find_candidates(maps, centre, floor, centre_floor, capacity=sizes.capacity)
     row, column = candidates.row, candidates.column
     shape = maps.disparity.shape
     coefficients = (
@@ -273,12 +278,15 @@ def multiview_edges(
         0
     """
     exposure = rough_exposure(light_field)
-    return exposed_edges(expose(light_field, exposure), exposure.scale, params, sizes, key=key)
+    light_field = expose(light_field, exposure)
+    noise = measure_noise(jnp.moveaxis(light_field.centre_view, -1, 0), exposure.scale)
+    return exposed_edges(light_field, exposure.scale, noise, params, sizes, key=key)
 
 
 def exposed_edges(
     light_field: LightField,
     scale: Float[Array, ""],
+    noise: Noise,
     params: EdgeParams,
     sizes: EdgeSizes,
     *,
@@ -294,7 +302,9 @@ def exposed_edges(
     )
     if sizes.thesis is not None:
         return _thesis_edges(light_field, params, sizes, key)
-    maps, centre, candidates, refined, error_limit = measure_candidates(light_field, params, sizes)
+    maps, centre, candidates, refined, error_limit = measure_candidates(
+        light_field, noise, params, sizes
+    )
     row, column = candidates.row, candidates.column
     error = standard_error(refined, params)
     mismatch = refined.mismatch

@@ -173,7 +173,7 @@ def edge_to_depth(params: Parameters, light_field: LightField, sizes: Sizes) -> 
             (floor, params.centre.points * (1 - noise.alpha)),
         )
     horizontal, vertical = arms
-    edges = exposed_edges(exposed, exposure.scale, params.edges, sizes.edges)
+    edges = exposed_edges(exposed, exposure.scale, noise, params.edges, sizes.edges)
     points = edges.points
     passes = bidirectional(points, gray, params.bidirectional, normalised=sizes.side == "thesis")
     surface = _sides(points, passes, first, horizontal, vertical, params, sizes, shape)

@@ -7,13 +7,15 @@ from scipy import ndimage
 from mvedge_jax.lightfield import LightField
 
 
-def textured(*, views=5, size=(96, 112), disparity=0.5, seed=0, dtype=np.float32, low=0.15):
-    """A plane with blobs of texture between smooth places, in views of `size`."""
+def textured(
+    *, views=5, size=(96, 112), disparity=0.5, seed=0, dtype=np.float32, low=0.15, blob=3.0
+):
+    """A plane whose texture is blobs of `blob` px, in views of `size`."""
     rng = np.random.default_rng(seed)
     height, width = size
     margin = 8
     shape = (height + 2 * margin, width + 2 * margin, 3)
-    texture = ndimage.gaussian_filter(rng.normal(size=shape), (3, 3, 0))
+    texture = ndimage.gaussian_filter(rng.normal(size=shape), (blob, blob, 0))
     texture = low + 0.6 * (texture - texture.min()) / np.ptp(texture)
     images = np.zeros((views, views, height, width, 3))
     for v, u in np.ndindex(views, views):
