@@ -21,7 +21,7 @@ from ._points import EdgePoints, Edges, EdgeStats
 from ._refine import Refined, no_points, refine_chunks, refinement_reach
 from ._search import Maps, search
 from ._spline import spline_coefficients
-from ._support import neighbour_support
+from ._support import frontmost, neighbour_support
 from ._thesis import ThesisParams, thesis_points
 
 
@@ -71,40 +71,23 @@ class _Attempts(NamedTuple):
     start: Float[Array, " n"]
 
 
-def _frontmost(
-    slot: Int[Array, "y x"], values: Float[Array, " n"]
-) -> tuple[Int[Array, "y x"], Float[Array, "y x"]]:
-    """The slot of the largest value within 5x5 pixels, and that value; -inf where there is none.
-
-    Comparing slots keeps the value differentiable; a maximum over windows is not, twice.
-    """
-    nobody = values.shape[0]
-    known = jnp.append(lax.stop_gradient(values), -jnp.inf)
-    best = known[slot]
-    for axis in (0, 1):
-        margin = [(0, 0), (0, 0)]
-        margin[axis] = (2, 2)
-        slots = jnp.pad(slot, margin, constant_values=nobody)
-        values_there = jnp.pad(best, margin, constant_values=-jnp.inf)
-        size = slot.shape[axis]
-        for offset in (0, 1, 3, 4):
-            other = lax.slice_in_dim(values_there, offset, offset + size, axis=axis)
-            index = lax.slice_in_dim(slots, offset, offset + size, axis=axis)
-            wins = other > best
-            slot, best = jnp.where(wins, index, slot), jnp.where(wins, other, best)
-    return slot, best
-
-
 def _highest(values: Float[Array, "y x"]) -> Float[Array, "y x"]:
     """Maximum over 5x5 pixels."""
     return lax.reduce_window(values, -jnp.inf, lax.max, (5, 5), (1, 1), "SAME")
 
 
 def measure_candidates(
-    light_field: LightField, scene_noise: Noise, params: EdgeParams, sizes: EdgeSizes
+    light_field: LightField,
+    params: EdgeParams,
+    sizes: EdgeSizes,
+    *,
+    scene_noise: Noise | None = None,
 ) -> Measured:
     """Searches and refines, but judges nothing: the first half of `multiview_edges`."""
     params = cast(params, light_field.views.dtype)
+    if scene_noise is None:
+        view = jnp.moveaxis(light_field.centre_view, -1, 0)
+        scene_noise = measure_noise(view, jnp.ones((), view.dtype))
     across = light_field.horizontal_arm
     down = jnp.swapaxes(light_field.vertical_arm, 1, 2)
     gray = (100 * srgb_to_gray(across), 100 * srgb_to_gray(down))
@@ -173,7 +156,7 @@ def measure_candidates(
             place = jnp.where(passes, row * shape[1] + column, shape[0] * shape[1])
             nobody = jnp.full(shape[0] * shape[1], sizes.capacity, jnp.int32)
             own = jnp.arange(sizes.capacity, dtype=jnp.int32)
-            slot, _ = _frontmost(
+            slot, _ = frontmost(
                 nobody.at[place].set(own, mode="drop").reshape(shape), refined.disparity
             )
             slot = slot[row, column]
@@ -243,6 +226,7 @@ def multiview_edges(
 ) -> Edges:
     """Finds edge points with accurate disparities, from the crosshair of a light field.
 
+    0. Exposure and gains of the views are taken out; edges have to stand above the noise.
     1. A bank of oriented Prewitt filters gives edge strength and position along every horizontal
        and vertical EPI (Thesis 4.1.1). Local maxima along either direction become points, one per
        pixel; so do those of the centre view's own contrast, which lines that cross a stronger one
@@ -303,7 +287,7 @@ def exposed_edges(
     if sizes.thesis is not None:
         return _thesis_edges(light_field, params, sizes, key)
     maps, centre, candidates, refined, error_limit = measure_candidates(
-        light_field, noise, params, sizes
+        light_field, params, sizes, scene_noise=noise
     )
     row, column = candidates.row, candidates.column
     error = standard_error(refined, params)

@@ -14,7 +14,7 @@ from ._noise import Noise
 
 # A little more than the noise itself: its own local variance scatters, and what is left over
 # looks like texture.
-_EXCESS = 1.05
+_EXCESS = 1.15
 
 
 class Smoothed(NamedTuple):

@@ -17,6 +17,15 @@ _BRIGHT = 0.56
 _BRIGHTEST = 16.0
 # A scene whose gains differ by no more than this owes it to the scene, not to the cameras.
 _GAIN_PRIOR = 0.002
+# Parallax errs alike over some 4x4 places: so many of them count as one.
+_ALIKE = 16
+
+
+class _Ratio(NamedTuple):
+    """Gains of the views of an arm and the variances of their errors."""
+
+    gain: Float[Array, " s"]
+    variance: Float[Array, " s"]
 
 
 class Exposure(NamedTuple):
@@ -87,12 +96,18 @@ def rough_exposure(light_field: LightField) -> Exposure:
         shape = (images.shape[0], rows, block, columns, block * images.shape[3])
         return images.reshape(shape).mean((2, 4)).reshape(images.shape[0], -1)
 
-    def ratios(images: Array, there: Array) -> Array:
+    def ratios(images: Array, there: Array) -> _Ratio:
         values = blocks(images)
         own = values[images.shape[0] // 2][None]
         shown = (own > 0.1 * jnp.median(own)) & (own < 0.95) & (own > 0)
         ratio = jnp.where(values > 0, values, own) / jnp.where(shown, own, 1)
-        return _median(ratio, shown & there[:, None])
+        known = shown & there[:, None]
+        gain = _median(ratio, known)
+        # Of the median of so many values.
+        scatter = 1.25 * 1.48 * _median(jnp.abs(ratio - gain[:, None]), known)
+        count = jnp.sum(known, axis=1).astype(gain.dtype)
+        variance = _ALIKE * scatter**2 / jnp.maximum(count, 1)
+        return _Ratio(gain, jnp.where(count > 0, variance, 0))
 
     vc, uc = light_field.centre
     across = ratios(light_field.horizontal_arm, light_field.available[vc])
@@ -134,14 +149,15 @@ def exposure_along(
     )
 
 
-def _gains(across: Float[Array, " u"], down: Float[Array, " v"], views: Array) -> Array:
-    """Gains on the grid of views, drawn to 1 where they hardly differ."""
-    count = across.shape[0] + down.shape[0]
-    square = (jnp.sum(jnp.log(across) ** 2) + jnp.sum(jnp.log(down) ** 2)) / count
-    earned = square / (square + _GAIN_PRIOR**2)
+def _gains(across: _Ratio, down: _Ratio, views: Array) -> Float[Array, "v u"]:
+    """Gains on the grid of views, drawn to 1 where they hardly differ or are badly known."""
+    logs = jnp.log(jnp.concatenate([across.gain, down.gain]))
+    error = jnp.mean(jnp.concatenate([across.variance, down.variance]))
+    excess = jnp.maximum(jnp.mean(logs**2) - 2 * error, 0)
+    earned = excess / (excess + _GAIN_PRIOR**2)
+    row, column = jnp.split(jnp.exp(earned * logs), [across.gain.shape[0]])
     gain = jnp.ones(views.shape[:2], views.dtype)
-    gain = gain.at[views.shape[0] // 2].set(jnp.exp(earned * jnp.log(across)))
-    return gain.at[:, views.shape[1] // 2].set(jnp.exp(earned * jnp.log(down)))
+    return gain.at[views.shape[0] // 2].set(row).at[:, views.shape[1] // 2].set(column)
 
 
 def _median(values: Float[Array, "s n"], known: Array) -> Float[Array, " s"]:
@@ -153,7 +169,7 @@ def _median(values: Float[Array, "s n"], known: Array) -> Float[Array, " s"]:
     return jnp.where(count > 0, jnp.where(count > 0, found, 1), 1)
 
 
-def _regressed(arm: Arm, disparity: Float[Array, "y x"]) -> Float[Array, " s"]:
+def _regressed(arm: Arm, disparity: Float[Array, "y x"]) -> _Ratio:
     """Gain of every view of an arm."""
     height, width = disparity.shape
     stride = min(16, max(1, min(height, width) // 24))
@@ -185,6 +201,7 @@ def _regressed(arm: Arm, disparity: Float[Array, "y x"]) -> Float[Array, " s"]:
     seen, known = seen.reshape(views, -1), known.reshape(views, -1)
     own = jnp.broadcast_to(own.reshape(1, -1), seen.shape)
     gain = _median(seen / jnp.where(known, own, 1), known)
+    variance = jnp.zeros_like(gain)
     for _ in range(3):
         residual = jnp.abs(seen - gain[:, None] * own)
         spread = 1.48 * _median(residual, known) + 1e-4
@@ -192,5 +209,5 @@ def _regressed(arm: Arm, disparity: Float[Array, "y x"]) -> Float[Array, " s"]:
         power = jnp.sum(weight * own * own, axis=1)
         fitted = jnp.sum(weight * own * seen, axis=1) / jnp.where(power > 0, power, 1)
         gain = jnp.where(power > 0, fitted, 1)
-    # The centre view is its own measure.
-    return gain / gain[arm.centre]
+        variance = jnp.where(power > 0, spread**2 / jnp.where(power > 0, power, 1), 0)
+    return _Ratio(gain, variance)

@@ -98,6 +98,9 @@ class _Labels(NamedTuple):
 def edge_to_depth(params: Parameters, light_field: LightField, sizes: Sizes) -> DepthResult:
     """Estimates the disparity of every pixel of the centre view.
 
+    0. Brightness and noise are measured once: gains of the views, again along the first map, are
+       taken out; noise above that of 8 bits has the guide denoised, views blurred, costs pooled
+       and points weigh less.
     1. Multi-view edges give precise disparities at image edges (Thesis 4.1).
     2. Hypotheses: per pixel, the disparity at which the unhidden half of either arm agrees best,
        along paths through the image where the pixel alone does not tell.

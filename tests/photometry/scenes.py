@@ -8,7 +8,7 @@ from mvedge_jax.lightfield import LightField
 
 
 def textured(
-    *, views=5, size=(96, 112), disparity=0.5, seed=0, dtype=np.float32, low=0.15, blob=3.0
+    *, views=5, size=(96, 112), disparity=0.5, seed=0, dtype: type = np.float32, low=0.15, blob=3.0
 ):
     """A plane whose texture is blobs of `blob` px, in views of `size`."""
     rng = np.random.default_rng(seed)

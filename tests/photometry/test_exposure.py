@@ -47,7 +47,8 @@ def test_taking_out_gains_and_exposure_gives_the_bright_views_back():
 
 
 def test_a_missing_view_has_the_gain_one_and_changes_no_other():
-    field = textured(low=0.2)
+    gain = cross_gains()
+    field = changed(textured(low=0.2), gain=gain)
     there = jnp.ones((5, 5), bool).at[2, 0].set(False)
     found = []
     for value in (0.0, 0.9):
@@ -62,6 +63,8 @@ def test_a_missing_view_has_the_gain_one_and_changes_no_other():
         found.append(np.asarray(gains))
     np.testing.assert_array_equal(found[0], found[1])
     assert (found[0][:, 2, 0] == 1).all()
+    # And the others keep theirs.
+    np.testing.assert_allclose(found[0][:, 2, 4], gain[2, 4], rtol=0.02)
 
 
 @pytest.mark.parametrize("value", [0.0, 0.3, 1.0])

@@ -15,12 +15,14 @@ TRIED = jnp.linspace(-1, 1, 17)
 
 def _measured(light_field, scale=1.0):
     views = light_field.views * np.float32(scale)
-    arms = tuple(
+    across, down = (
         arm._replace(planes=arm.planes * np.float32(scale)) for arm in crosshair(light_field)
     )
     centre = jnp.moveaxis(views[2, 2], -1, 0)
     tried = TRIED.astype(views.dtype)
-    return measure_noise(centre, jnp.asarray(scale, views.dtype), arms=arms, disparities=tried)
+    return measure_noise(
+        centre, jnp.asarray(scale, views.dtype), arms=(across, down), disparities=tried
+    )
 
 
 @pytest.mark.parametrize("sigma", [0.01, 0.02, 0.05])
