@@ -78,7 +78,7 @@ def rough_exposure(light_field: LightField) -> Exposure:
         >>> import jax, jax.numpy as jnp
         >>> image = jax.random.uniform(jax.random.key(0), (64, 64, 3), minval=0.2, maxval=0.6)
         >>> gain = jnp.asarray([[1.0, 1.1, 1.0], [0.9, 1.0, 1.0], [1.0, 1.0, 1.2]])
-        >>> views = gain[:, :, None, None, None] * image
+        >>> views = gain[:, :, None, None, None] * image[None, None]
         >>> found = rough_exposure(LightField(views)).gain
         >>> [round(float(found[v, u]), 2) for v, u in ((0, 1), (1, 0))]
         [1.1, 0.9]
@@ -135,7 +135,7 @@ def exposure_along(
         >>> import jax, jax.numpy as jnp
         >>> image = jax.random.uniform(jax.random.key(0), (64, 64, 3), minval=0.2, maxval=0.6)
         >>> gain = jnp.asarray([[1.0, 1.1, 1.0], [0.9, 1.0, 1.0], [1.0, 1.0, 1.2]])
-        >>> views = gain[:, :, None, None, None] * image
+        >>> views = gain[:, :, None, None, None] * image[None, None]
         >>> found = exposure_along(LightField(views), jnp.ones(()), jnp.zeros((64, 64))).gain
         >>> [round(float(found[v, u]), 3) for v, u in ((0, 1), (1, 0))]
         [1.1, 0.9]
