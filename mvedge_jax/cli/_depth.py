@@ -16,7 +16,7 @@ from .. import plotting
 from ..datasets import load_light_field, write_pfm
 from ..lightfield import LightField
 from ..metrics import boundary_scores, depth_scores
-from ..reconstruct import DepthResult, Parameters, Sizes, edge_to_depth
+from ..reconstruct import DepthResult, DepthStats, Parameters, Sizes, edge_to_depth
 from ._common import compiled, note, stage, warn
 from ._output import output_folder
 from ._points import valid_points, write_points
@@ -154,6 +154,19 @@ def _score(folder: Path, light_field: LightField, result: DepthResult) -> dict[s
     return scores
 
 
+def _photometry(stats: DepthStats) -> dict[str, Any]:
+    """What was taken out of the views, and the noise that was left."""
+    gain = np.asarray(stats.exposure.gain)
+    row, column = (count // 2 for count in gain.shape)
+    return {
+        "noise of 255": 255 * float(stats.noise.deviation),
+        "share that noise rules": float(stats.noise.alpha),
+        "brightened by": float(stats.exposure.scale),
+        "gain of the centre row of views": gain[row].tolist(),
+        "gain of the centre column of views": gain[:, column].tolist(),
+    }
+
+
 def _report(
     light_field: LightField,
     params: Parameters,
@@ -173,6 +186,7 @@ def _report(
         "shape [v, u, y, x]": list(light_field.views.shape[:4]),
         "disparity range": [float(disparity.min()), float(disparity.max())],
         "seconds": seconds,
+        "photometry": _photometry(stats),
         "counts": {
             **{name: int(value) for name, value in vars(stats.edges).items()},
             "labelled pixels": int(stats.points),

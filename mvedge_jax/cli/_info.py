@@ -3,12 +3,15 @@
 from pathlib import Path
 from typing import Annotated
 
+import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 import tyro
 
 from ..datasets import ConventionCheck, camera_spacing, check_convention, load_light_field
 from ..datasets._load import open_source
 from ..lightfield import Camera, GroundTruth, LightField
+from ..photometry import Exposure, Noise, expose, measure_noise, rough_exposure
 from ._common import note, stage, warn
 
 # A camera that is off by more than this many steps moves a point of disparity 1 as many pixels.
@@ -49,6 +52,7 @@ def info(
         ("disparity range", _range(light_field.disparity_range, "px per view step")),
         ("ground truth", _truth(light_field.truth)),
         ("camera", _camera(light_field.camera, light_field.disparity_range)),
+        *_photometry(light_field),
     ]
     if layout == "Stanford archive":
         lines.append(("camera spacing", _spacing(path, flip_u, flip_v)))
@@ -126,6 +130,25 @@ def _camera(camera: Camera | None, limits) -> str:
         return text
     far, near = (float(distance) for distance in camera.depth(limits))
     return text + f", range {near:.3g} .. {far:.3g} m"
+
+
+@eqx.filter_jit
+def _brightness(light_field: LightField) -> tuple[Exposure, Noise]:
+    exposure = rough_exposure(light_field)
+    centre = jnp.moveaxis(expose(light_field, exposure).centre_view, -1, 0)
+    return exposure, measure_noise(centre, exposure.scale)
+
+
+def _photometry(light_field: LightField) -> list[tuple[str, str]]:
+    exposure, noise = _brightness(light_field.without_truth())
+    scale, gain = float(exposure.scale), np.asarray(exposure.gain)
+    vc, uc = light_field.centre
+    cross = np.concatenate([gain[vc], gain[:, uc]])
+    return [
+        ("brightness", "as it is" if scale == 1 else f"dark; raised {scale:.2f} times"),
+        ("gain of the views", f"{cross.min():.3f} .. {cross.max():.3f} of the centre view's"),
+        ("noise", f"{255 * float(noise.deviation) / scale:.2f} of 255 at most"),
+    ]
 
 
 def _spacing(path: Path, flip_u: bool, flip_v: bool) -> str:

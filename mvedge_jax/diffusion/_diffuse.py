@@ -24,8 +24,8 @@ def diffuse(
 
     The preconditioner is a multigrid V-cycle, or exact elimination where the image is thin.
 
-    *Derivatives.* Forward mode solves $A \dot D = \dot w (s - D) + w \dot s - L_{\dot t} D$ (plus the
-    change of $\mathrm{div}(t r)$); its transpose is the adjoint solve
+    *Derivatives.* Forward mode solves $A \dot D = \dot w (s - D) + w \dot s - L_{\dot t} D$, plus
+    the change of $\mathrm{div}(t r)$; its transpose is the adjoint solve
     $A a = \partial L / \partial D$, with $\partial L/\partial s = w a$,
     $\partial L/\partial w = a (s - D)$,
     $\partial L/\partial t_{pq} = -(a_q - a_p)(D_q - D_p - r_{pq})$ and

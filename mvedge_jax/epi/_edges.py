@@ -12,6 +12,7 @@ from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 from .._params import cast
 from ..color import srgb_to_gray, srgb_to_lab
 from ..lightfield import LightField
+from ..photometry import Noise, expose, measure_noise, rough_exposure
 from ._bank import FilterBank, prewitt_bank
 from ._candidates import Candidates, contrast, find_candidates, subpixel, unit_gradient
 from ._noise import noise_variance
@@ -20,7 +21,7 @@ from ._points import EdgePoints, Edges, EdgeStats
 from ._refine import Refined, no_points, refine_chunks, refinement_reach
 from ._search import Maps, search
 from ._spline import spline_coefficients
-from ._support import neighbour_support
+from ._support import frontmost, neighbour_support
 from ._thesis import ThesisParams, thesis_points
 
 
@@ -34,6 +35,10 @@ def scene_banks(
     disparity = index.astype(params.saturation.dtype) * sizes.step
     radius = max(sizes.radius(count) for count in views)
     return prewitt_bank(disparity, views[1], radius), prewitt_bank(disparity, views[0], radius)
+
+
+# Weakest edge considered, in multiples of the noise: half of all pixels would be one without.
+_ABOVE_NOISE = 3.0
 
 
 class Measured(NamedTuple):
@@ -66,38 +71,23 @@ class _Attempts(NamedTuple):
     start: Float[Array, " n"]
 
 
-def _frontmost(
-    slot: Int[Array, "y x"], values: Float[Array, " n"]
-) -> tuple[Int[Array, "y x"], Float[Array, "y x"]]:
-    """The slot of the largest value within 5x5 pixels, and that value; -inf where there is none.
-
-    Comparing slots keeps the value differentiable; a maximum over windows is not, twice.
-    """
-    nobody = values.shape[0]
-    known = jnp.append(lax.stop_gradient(values), -jnp.inf)
-    best = known[slot]
-    for axis in (0, 1):
-        margin = [(0, 0), (0, 0)]
-        margin[axis] = (2, 2)
-        slots = jnp.pad(slot, margin, constant_values=nobody)
-        values_there = jnp.pad(best, margin, constant_values=-jnp.inf)
-        size = slot.shape[axis]
-        for offset in (0, 1, 3, 4):
-            other = lax.slice_in_dim(values_there, offset, offset + size, axis=axis)
-            index = lax.slice_in_dim(slots, offset, offset + size, axis=axis)
-            wins = other > best
-            slot, best = jnp.where(wins, index, slot), jnp.where(wins, other, best)
-    return slot, best
-
-
 def _highest(values: Float[Array, "y x"]) -> Float[Array, "y x"]:
     """Maximum over 5x5 pixels."""
     return lax.reduce_window(values, -jnp.inf, lax.max, (5, 5), (1, 1), "SAME")
 
 
-def measure_candidates(light_field: LightField, params: EdgeParams, sizes: EdgeSizes) -> Measured:
+def measure_candidates(
+    light_field: LightField,
+    params: EdgeParams,
+    sizes: EdgeSizes,
+    *,
+    scene_noise: Noise | None = None,
+) -> Measured:
     """Searches and refines, but judges nothing: the first half of `multiview_edges`."""
     params = cast(params, light_field.views.dtype)
+    if scene_noise is None:
+        view = jnp.moveaxis(light_field.centre_view, -1, 0)
+        scene_noise = measure_noise(view, jnp.ones((), view.dtype))
     across = light_field.horizontal_arm
     down = jnp.swapaxes(light_field.vertical_arm, 1, 2)
     gray = (100 * srgb_to_gray(across), 100 * srgb_to_gray(down))
@@ -115,10 +105,9 @@ def measure_candidates(light_field: LightField, params: EdgeParams, sizes: EdgeS
     )
     centre = contrast(srgb_to_lab(light_field.centre_view))
     # The difference of two noisy values in three channels; two standard deviations.
-    centre_floor = params.strength_floor + 2 * jnp.sqrt(6 * noise)
-    candidates = find_candidates(
-        maps, centre, params.strength_floor, centre_floor, capacity=sizes.capacity
-    )
+    floor = params.strength_floor + _ABOVE_NOISE * 100 * scene_noise.alpha * scene_noise.deviation
+    centre_floor = floor + 2 * jnp.sqrt(6 * noise)
+    candidates = find_candidates(maps, centre, floor, centre_floor, capacity=sizes.capacity)
     row, column = candidates.row, candidates.column
     shape = maps.disparity.shape
     coefficients = (
@@ -167,7 +156,7 @@ def measure_candidates(light_field: LightField, params: EdgeParams, sizes: EdgeS
             place = jnp.where(passes, row * shape[1] + column, shape[0] * shape[1])
             nobody = jnp.full(shape[0] * shape[1], sizes.capacity, jnp.int32)
             own = jnp.arange(sizes.capacity, dtype=jnp.int32)
-            slot, _ = _frontmost(
+            slot, _ = frontmost(
                 nobody.at[place].set(own, mode="drop").reshape(shape), refined.disparity
             )
             slot = slot[row, column]
@@ -237,6 +226,7 @@ def multiview_edges(
 ) -> Edges:
     """Finds edge points with accurate disparities, from the crosshair of a light field.
 
+    0. Exposure and gains of the views are taken out; edges have to stand above the noise.
     1. A bank of oriented Prewitt filters gives edge strength and position along every horizontal
        and vertical EPI (Thesis 4.1.1). Local maxima along either direction become points, one per
        pixel; so do those of the centre view's own contrast, which lines that cross a stronger one
@@ -271,10 +261,34 @@ def multiview_edges(
         >>> int(edges.stats.valid)
         0
     """
+    exposure = rough_exposure(light_field)
+    light_field = expose(light_field, exposure)
+    noise = measure_noise(jnp.moveaxis(light_field.centre_view, -1, 0), exposure.scale)
+    return exposed_edges(light_field, exposure.scale, noise, params, sizes, key=key)
+
+
+def exposed_edges(
+    light_field: LightField,
+    scale: Float[Array, ""],
+    noise: Noise,
+    params: EdgeParams,
+    sizes: EdgeSizes,
+    *,
+    key: PRNGKeyArray | None = None,
+) -> Edges:
+    """The work of `multiview_edges`, on views whose exposure and gains have been taken out."""
     params = cast(params, light_field.views.dtype)
+    # What belongs to the sensor is as much brighter as the views are.
+    params = eqx.tree_at(
+        lambda p: (p.dark_limit, p.noise_floor),
+        params,
+        (params.dark_limit * scale, params.noise_floor * scale**2),
+    )
     if sizes.thesis is not None:
         return _thesis_edges(light_field, params, sizes, key)
-    maps, centre, candidates, refined, error_limit = measure_candidates(light_field, params, sizes)
+    maps, centre, candidates, refined, error_limit = measure_candidates(
+        light_field, params, sizes, scene_noise=noise
+    )
     row, column = candidates.row, candidates.column
     error = standard_error(refined, params)
     mismatch = refined.mismatch

@@ -28,7 +28,7 @@ class EdgeParams(eqx.Module):
             `saturation`, `refine_saturation` and `contrast_floor`, and to 1 in the square of the
             factor on `error_limit`.
         robustness: residual of a view, relative to the contrast, that quarters its weight.
-        strength_floor: weakest edge considered, Lab units per px.
+        strength_floor: weakest edge considered in a scene without noise, Lab units per px.
         contrast_floor: added to the contrast where residuals are compared with it.
         residual_limit: largest residual, relative to the contrast, of an accepted point half of
             whose neighbours agree with it; in proportion for other shares.

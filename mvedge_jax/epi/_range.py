@@ -8,6 +8,7 @@ from jaxtyping import Array
 
 from ..color import srgb_to_gray, srgb_to_lab
 from ..lightfield import LightField
+from ..photometry import Exposure, Noise, expose, measure_noise, rough_exposure
 from ._bank import bank_radius, prewitt_bank
 from ._candidates import contrast
 from ._search import Maps, search
@@ -15,10 +16,21 @@ from ._search import Maps, search
 _STEP = 0.1
 # Beyond this a scene point leaves most views; nothing in the literature is wider.
 _WIDEST = 12.0
+# Noise in the shrunk views, grey levels of 100, from which single pixels are not believed.
+_GRAINY = 0.4
 
 
 @eqx.filter_jit
-def _coarse(across: Array, down: Array, disparity: Array, radius: int, tile: int) -> Maps:
+def _brightness(light_field: LightField) -> tuple[Exposure, Noise]:
+    exposure = rough_exposure(light_field)
+    centre = jnp.moveaxis(light_field.centre_view, -1, 0)
+    return exposure, measure_noise(exposure.scale * centre, exposure.scale)
+
+
+@eqx.filter_jit
+def _coarse(
+    across: Array, down: Array, disparity: Array, saturation: Array, radius: int, tile: int
+) -> Maps:
     down = jnp.swapaxes(down, 1, 2)
     banks = (
         prewitt_bank(disparity, across.shape[0], radius),
@@ -28,7 +40,7 @@ def _coarse(across: Array, down: Array, disparity: Array, radius: int, tile: int
         (srgb_to_lab(across), srgb_to_lab(down)),
         (100 * srgb_to_gray(across), 100 * srgb_to_gray(down)),
         banks,
-        jnp.asarray(0.2, across.dtype),
+        saturation,
         window=5,
         tile=tile,
     )
@@ -37,9 +49,9 @@ def _coarse(across: Array, down: Array, disparity: Array, radius: int, tile: int
 def disparity_range(light_field: LightField, *, start: float = 4.0) -> tuple[float, float]:
     """Measures the disparity range of a scene from the crosshair of views, on the host.
 
-    The search of `multiview_edges` runs on shrunk views over a wide range, which is doubled as
-    long as the best disparities lie at its ends. Textureless pixels have no say, and the margin
-    covers what shrinking loses.
+    The search of `multiview_edges` runs on shrunk views, their brightness made alike, over a wide
+    range, which is doubled as long as the best disparities lie at its ends. Textureless pixels, and
+    what the noise may have drawn, have no say; the margin covers what shrinking loses.
 
     Args:
         light_field: a `disparity_range` it may have is not looked at.
@@ -62,18 +74,26 @@ def disparity_range(light_field: LightField, *, start: float = 4.0) -> tuple[flo
     # 128 px keep fine structure measurable; smaller views are searched as they are.
     factor = max(1, side // 128)
     vc, uc = light_field.centre
-    coarse = light_field.without_truth().downsample(factor)
+    light_field = light_field.without_truth()
+    exposure, noise = _brightness(light_field)
+    coarse = expose(light_field.downsample(factor), exposure)
     across, down = coarse.views[vc], coarse.views[:, uc]
-    shown = np.asarray(contrast(srgb_to_lab(coarse.centre_view))).max(0) > 1.0
+    # Grey levels of 100 in the shrunk views; a fifth to a half of what colours in Lab show of it.
+    grain = 100 / factor * float(noise.alpha * noise.deviation)
+    saturation = jnp.asarray(0.2 + 1.8 * grain**2, across.dtype)
+    slope = np.asarray(contrast(srgb_to_lab(coarse.centre_view))).max(0)
     reach = start
     while True:
         count = int(np.ceil(reach / factor / _STEP))
         disparity = _STEP * jnp.arange(-count, count + 1, dtype=across.dtype)
         radius = bank_radius(_STEP * count, max(across.shape[0], down.shape[0]))
         tile = min(64, -(-max(across.shape[1:3]) // 8) * 8)
-        maps = jax.tree.map(np.asarray, _coarse(across, down, disparity, radius, tile))
+        maps = jax.tree.map(np.asarray, _coarse(across, down, disparity, saturation, radius, tile))
         # Filters of a wrong disparity respond beside an edge, too, where the centre view has none.
-        edge = (maps.strength.max(0) > 1.0) & shown
+        strength = maps.strength.max(0)
+        edge = (strength > 1 + 3 * grain) & (slope > 1 + 6 * grain)
+        if not edge.any():
+            edge = (strength > 1) & (slope > 1)
         # The end filters win by accident in places without contrast or depth: leave those out.
         sure = edge & (maps.cost < 0.6)
         if not edge.any():
@@ -81,7 +101,13 @@ def disparity_range(light_field: LightField, *, start: float = 4.0) -> tuple[flo
                 "`light_field` shows no edges from which to measure the disparity range; give "
                 "`disparity_range`."
             )
-        values = factor * maps.disparity[sure if sure.sum() > 0.05 * edge.sum() else edge]
+        disparities = maps.disparity
+        if grain > _GRAINY:
+            # What noise adds to single pixels would make the tails.
+            around = np.pad(disparities, 2, mode="edge")
+            windows = np.lib.stride_tricks.sliding_window_view(around, (5, 5))
+            disparities = np.median(windows, axis=(2, 3))
+        values = factor * disparities[sure if sure.sum() > 0.05 * edge.sum() else edge]
         low, high = np.quantile(values, [0.002, 0.998])
         wide = factor * _STEP * count
         outermost = (np.abs(values) > 0.95 * wide).mean()

@@ -56,3 +56,27 @@ def neighbour_support(
     nothing = jnp.zeros_like(disparity)
     (agree, total), _ = lax.scan(add, (nothing, nothing), jnp.asarray(np.array(offsets), jnp.int32))
     return jnp.where(total > 1e-6, agree / jnp.where(total > 1e-6, total, 1), 0)
+
+
+def frontmost(
+    slot: Int[Array, "y x"], values: Float[Array, " n"]
+) -> tuple[Int[Array, "y x"], Float[Array, "y x"]]:
+    """The slot of the largest value within 5x5 pixels, and that value; -inf where there is none.
+
+    Comparing slots keeps the value differentiable; a maximum over windows is not, twice.
+    """
+    nobody = values.shape[0]
+    known = jnp.append(lax.stop_gradient(values), -jnp.inf)
+    best = known[slot]
+    for axis in (0, 1):
+        margin = [(0, 0), (0, 0)]
+        margin[axis] = (2, 2)
+        slots = jnp.pad(slot, margin, constant_values=nobody)
+        values_there = jnp.pad(best, margin, constant_values=-jnp.inf)
+        size = slot.shape[axis]
+        for offset in (0, 1, 3, 4):
+            other = lax.slice_in_dim(values_there, offset, offset + size, axis=axis)
+            index = lax.slice_in_dim(slots, offset, offset + size, axis=axis)
+            wins = other > best
+            slot, best = jnp.where(wins, index, slot), jnp.where(wins, other, best)
+    return slot, best

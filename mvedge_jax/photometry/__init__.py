@@ -1,9 +1,12 @@
-"""What the views say about disparity: matching costs, their paths, the dense measurement."""
+"""What the colours of the views say: brightness, noise, matching costs, the dense measurement."""
 
-from ._cost import (
-    VolumeParams as VolumeParams,
-    hypotheses as hypotheses,
-    residual_variance as residual_variance,
+from ._cost import VolumeParams as VolumeParams, hypotheses as hypotheses
+from ._denoise import Smoothed as Smoothed, denoised as denoised, low_pass as low_pass
+from ._exposure import (
+    Exposure as Exposure,
+    expose as expose,
+    exposure_along as exposure_along,
+    rough_exposure as rough_exposure,
 )
 from ._measure import (
     Look as Look,
@@ -14,5 +17,7 @@ from ._measure import (
     mismatch as mismatch,
     photometric_labels as photometric_labels,
 )
+from ._noise import Noise as Noise, measure_noise as measure_noise
 from ._paths import aggregate as aggregate
+from ._pooling import pooled as pooled
 from ._reach import occlusion_reach as occlusion_reach

@@ -14,7 +14,9 @@ from mvedge_jax._crosshair import Arm
 from mvedge_jax._fence import fenced
 from mvedge_jax._params import cast, number
 
+from ._noise import Noise
 from ._paths import aggregate
+from ._pooling import pooled
 from ._window import colour_weights, contrast, weighted_sum
 
 # Gradients are looked for within this distance, px: the reach of a window and of its drift.
@@ -31,13 +33,14 @@ class VolumeParams(eqx.Module):
         colour: neighbours whose CIELAB colour differs by much more than this do not take part.
         drift: the mean colour of a window may change by this much, sRGB, from the centre view to
             the last one without speaking against a hypothesis: gloss and shading slide over a
-            surface. 0 where noise would pass for drift.
+            surface. Noise would pass for drift: the more it rules, the less is granted.
         outline: gradient, CIELAB per px, near which half of that is granted, and soon nothing:
             beside an outline, a change of mean colour is what shows the wrong hypothesis.
         slant: price of a change by one hypothesis between neighbouring pixels; of 2, the cost of a
             pixel that no view confirms.
         jump: price of a larger change between pixels of the same colour.
         jump_colour: step of CIELAB colour that halves the price of a jump.
+        pooling: how far costs are averaged along a surface where noise rules, px.
     """
 
     truncation: Float[Array, ""] = number(4.0)
@@ -48,6 +51,7 @@ class VolumeParams(eqx.Module):
     slant: Float[Array, ""] = number(0.05)
     jump: Float[Array, ""] = number(0.8)
     jump_colour: Float[Array, ""] = number(4.0)
+    pooling: Float[Array, ""] = number(20.0)
 
 
 class _Half(NamedTuple):
@@ -77,6 +81,7 @@ def hypotheses(
     params: VolumeParams,
     *,
     window: int,
+    noise: Noise | None = None,
 ) -> Float[Array, "y x"]:
     r"""Per pixel, the disparity at which the views agree best.
 
@@ -90,24 +95,31 @@ def hypotheses(
     window changes in proportion to the view step is therefore taken out, per half, up to a limit.
 
     These costs are summed along paths through the image, so that pixels that the views say little
-    about follow their surroundings; see `aggregate`.
+    about follow their surroundings; see `aggregate`. Noise makes jumps cheaper, softens the choice
+    of the half, and has costs pooled along surfaces first.
 
     Args:
-        horizontal: the horizontal arm.
-        vertical: the vertical arm, transposed.
-        lab: the centre view in CIELAB, `[c, y, x]`.
+        horizontal: the horizontal arm, low-passed as the noise asks.
+        vertical: the vertical arm, likewise, transposed.
+        lab: the centre view in CIELAB, denoised, `[c, y, x]`.
         disparities: what to try, px per view step, increasing, evenly spaced.
         params: see `VolumeParams`.
         window: half the width of the window, px.
+        noise: of the views before any low-pass; None for none.
 
     Returns:
         Disparity per pixel, between the hypotheses by a parabola. Differentiable in all but
         `disparities`' number, at the hypothesis chosen.
     """
     params = cast(params, lab.dtype)
-    noise = residual_variance((horizontal, vertical), disparities, params.noise_floor)
-    truncation = params.truncation * horizontal.planes.shape[1] * noise
-    share = 1 / (1 + (contrast(lab, radius=_OUTLINE) / params.outline) ** 4)
+    noise = Noise.of(jnp.zeros((), lab.dtype)) if noise is None else noise
+    alpha = noise.alpha
+    # Of views without noise, two thirds of what was measured: texture is in it.
+    deviation = noise.deviation * (alpha + (1 - alpha) / 1.45)
+    variance = jnp.maximum(deviation, params.noise_floor) ** 2
+    truncation = params.truncation * horizontal.planes.shape[1] * variance
+    cheaper = 1 - 0.75 * alpha
+    share = (1 - alpha) / (1 + (contrast(lab, radius=_OUTLINE) / params.outline) ** 4)
     across = _swept(horizontal, lab, share, params, window)
     down = _swept(vertical, jnp.swapaxes(lab, 1, 2), share.T, params, window)
 
@@ -115,15 +127,16 @@ def hypotheses(
     def cost(disparity: Array) -> Array:
         # Stored before the transposition, or the windows are summed across the rows in memory.
         along_rows, along_columns = (
-            fenced(_arm_cost, arm, disparity, truncation, params.drift) for arm in (across, down)
+            fenced(_arm_cost, arm, disparity, truncation, params.drift, alpha)
+            for arm in (across, down)
         )
         return along_rows + along_columns.T
 
     total = aggregate(
-        lax.map(cost, disparities),
+        pooled(lax.map(cost, disparities), lab, noise, params.pooling),
         lab,
-        slant=params.slant,
-        jump=params.jump,
+        slant=cheaper * params.slant,
+        jump=cheaper * params.jump,
         colour=params.jump_colour,
     )
     return _cheapest(total, disparities)
@@ -140,7 +153,9 @@ def _swept(arm: Arm, lab: Array, share: Array, params: VolumeParams, window: int
     )
 
 
-def _arm_cost(arm: _Swept, disparity: Array, truncation: Array, limit: Array) -> Array:
+def _arm_cost(
+    arm: _Swept, disparity: Array, truncation: Array, limit: Array, alpha: Array
+) -> Array:
     """Cost of the half that agrees better, in units of the truncation."""
 
     def cost(half: _Half) -> Array:
@@ -157,7 +172,19 @@ def _arm_cost(arm: _Swept, disparity: Array, truncation: Array, limit: Array) ->
         return weighted_sum(mean, arm.support)
 
     first, second = (cost(half) for half in arm.halves)
-    return jnp.minimum(first, second)
+    return _better(first, second, alpha)
+
+
+def _better(first: Array, second: Array, alpha: Array) -> Array:
+    """The smaller of two costs; under noise softly, for the least of two is biased."""
+    scale = 0.05 * jnp.where(alpha > 0, alpha, 1)
+
+    def soft(first: Array, second: Array) -> Array:
+        return jnp.minimum(first, second) - scale * jnp.log(
+            0.5 * (1 + jnp.exp(-jnp.abs(first - second) / scale))
+        )
+
+    return lax.cond(alpha > 0, soft, jnp.minimum, first, second)
 
 
 def _drift(half: _Half, changes: list[list[Array]], weights: Array, limit: Array) -> Array:
@@ -232,49 +259,6 @@ def _cheapest(total: Float[Array, "d y x"], disparities: Float[Array, " d"]) -> 
     shift = jnp.where((bend > 0) & (winner == inner)[0], jnp.clip(shift, -0.5, 0.5), 0)
     spacing = (disparities[-1] - disparities[0]) / (count - 1)
     return disparities[winner[0]] + spacing * shift
-
-
-def residual_variance(
-    arms: tuple[Arm, Arm], disparities: Float[Array, " d"], floor: Float[Array, ""]
-) -> Float[Array, ""]:
-    """Variance of a colour channel that the best disparity leaves unexplained.
-
-    The median over every eighth row of the smallest mean squared difference between two views of
-    the longer arm, over two.
-
-    Args:
-        arms: both arms of the crosshair.
-        disparities: what to try, px per view step, `[d]`.
-        floor: the least noise assumed, standard deviation, sRGB.
-
-    Returns:
-        The variance, squared sRGB, at least `floor` squared and at most a tenth squared.
-        Differentiable.
-    """
-    arm = max(arms, key=lambda a: a.planes.shape[0])
-    rows = arm._replace(planes=arm.planes[:, :, ::8])
-    halves, centre = _halves(rows), rows.planes[rows.centre]
-
-    def unexplained(half: _Half, disparity: Array) -> Array:
-        total = jnp.zeros_like(centre[0])
-        for change, there in zip(_changes(half, centre, disparity), half.there, strict=True):
-            for colour in change:
-                total = total + there * colour**2
-        count = jnp.sum(half.there)
-        return jnp.where(count > 0, total / jnp.maximum(count, 1), jnp.inf)
-
-    def consider(best: Array, disparity: Array) -> tuple[Array, None]:
-        first, second = (unexplained(half, disparity) for half in halves)
-        cost = jnp.minimum(first, second)
-        padded = jnp.pad(cost, ((0, 0), (3, 3)), mode="edge")
-        width = cost.shape[1]
-        smooth = sum(padded[:, i : i + width] for i in range(7)) / 7
-        return jnp.minimum(best, smooth), None
-
-    start = jnp.full(rows.planes.shape[2:], jnp.inf, arm.planes.dtype)
-    best, _ = lax.scan(consider, start, disparities)
-    variance = jnp.minimum(jnp.median(best) / (2 * arm.planes.shape[1]), 0.01)
-    return jnp.maximum(variance, floor**2)
 
 
 def sweep_views(count: int) -> tuple[int, ...]:

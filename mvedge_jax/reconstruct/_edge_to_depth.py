@@ -13,7 +13,8 @@ from mvedge_jax._crosshair import Arm, crosshair
 from mvedge_jax._params import cast
 from mvedge_jax.color import srgb_to_gray, srgb_to_lab
 from mvedge_jax.diffusion import Diffused, Solver, System, diffuse
-from mvedge_jax.epi import EdgePoints, EdgeStats, multiview_edges
+from mvedge_jax.epi import EdgePoints, EdgeStats
+from mvedge_jax.epi._edges import exposed_edges
 from mvedge_jax.epi._spline import spline_coefficients
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.occlusion import (
@@ -27,13 +28,21 @@ from mvedge_jax.occlusion import (
     surface_vectors,
 )
 from mvedge_jax.photometry import (
+    Exposure,
     Look,
+    Noise,
     PhotometricLabels,
+    Smoothed,
+    denoised,
+    expose,
+    exposure_along,
     hypotheses,
     labels,
     look,
+    low_pass,
+    measure_noise,
     mismatch,
-    residual_variance,
+    rough_exposure,
 )
 
 from ._parameters import CentreParams, Parameters, Sizes
@@ -51,6 +60,8 @@ class DepthStats(NamedTuple):
         sided: points with a surface vector.
         iterations: of every diffusion, in order.
         converged: whether every diffusion reached its tolerance.
+        noise: of the views, in their units after `exposure` was taken out.
+        exposure: what was taken out of the views before they were compared.
     """
 
     edges: EdgeStats
@@ -58,6 +69,8 @@ class DepthStats(NamedTuple):
     sided: Int[Array, ""]
     iterations: Int[Array, " solves"]
     converged: Bool[Array, ""]
+    noise: Noise
+    exposure: Exposure
 
 
 class DepthResult(NamedTuple):
@@ -98,6 +111,9 @@ def edge_to_depth(
 ) -> DepthResult:
     """Estimates the disparity of every pixel of the centre view.
 
+    0. Brightness and noise are measured once: gains of the views, again along the first map, are
+       taken out; noise above that of 8 bits has the guide denoised, views blurred, costs pooled
+       and points weigh less.
     1. Multi-view edges give precise disparities at image edges (Thesis 4.1).
     2. Hypotheses: per pixel, the disparity at which the unhidden half of either arm agrees best,
        along paths through the image where the pixel alone does not tell.
@@ -145,30 +161,36 @@ def edge_to_depth(
     dtype = light_field.views.dtype
     light_field = light_field.without_truth()
     params = cast(params, dtype)
-    edges = multiview_edges(light_field, params.edges, sizes.edges, key=key)
-    points = edges.points
+    low, high = sizes.edges.ends
+    step = sizes.edges.step
+    tried = jnp.linspace(low + step, high - step, sizes.hypotheses, dtype=dtype)
 
-    centre = light_field.centre_view
-    gray = srgb_to_gray(centre)
+    exposure = rough_exposure(light_field)
+    exposed = expose(light_field, exposure)
+    centre = jnp.moveaxis(exposed.centre_view, -1, 0)
+    arms = crosshair(exposed)
+    noise = measure_noise(centre, exposure.scale, arms=arms, disparities=tried)
+    guide = denoised(centre, noise)
+    gray = srgb_to_gray(jnp.moveaxis(guide, 0, -1))
     shape = (gray.shape[0], gray.shape[1])
-    lab = jnp.moveaxis(srgb_to_lab(centre), -1, 0)
-    guide = jnp.moveaxis(centre, -1, 0)
-    horizontal, vertical = crosshair(light_field)
-
+    lab = jnp.moveaxis(srgb_to_lab(jnp.moveaxis(guide, 0, -1)), -1, 0)
+    first = None
+    if sizes.dense:
+        sigma = jnp.clip(0.4 + 30 * noise.deviation, 0.5, 1.0)
+        soft = low_pass(arms, noise, sigma).arms
+        first = hypotheses(*soft, lab, tried, params.volume, noise=noise, window=sizes.window)
+        # The gains again, now that it is known what shows the same.
+        exposure = exposure_along(light_field, exposure.scale, first)
+        exposed = expose(light_field, exposure)
+        smooth = low_pass(crosshair(exposed), noise, jnp.minimum(30 * noise.deviation, 1))
+        arms, params = smooth.arms, _under_noise(params, noise, smooth)
+    horizontal, vertical = arms
+    edges = exposed_edges(exposed, exposure.scale, noise, params.edges, sizes.edges, key=key)
+    points = edges.points
     coarse = Solver(tolerance=10 * params.centre.tolerance)
     passes = bidirectional(
         points, gray, params.bidirectional, normalised=sizes.side == "thesis", solver=coarse
     )
-    first = None
-    if sizes.dense:
-        low, high = sizes.edges.ends
-        step = sizes.edges.step
-        tried = jnp.linspace(low + step, high - step, sizes.hypotheses, dtype=dtype)
-        floor = params.photometric.noise
-        arms = horizontal, vertical
-        noise = jnp.sqrt(residual_variance(arms, tried, floor))
-        params = eqx.tree_at(lambda p: p.photometric.noise, params, noise)
-        first = hypotheses(horizontal, vertical, lab, tried, params.volume, window=sizes.window)
     surface = _sides(points, passes, first, horizontal, vertical, params, sizes, shape)
     from_points, hits = _point_labels(points, surface, passes, params, sizes, shape)
 
@@ -196,9 +218,32 @@ def edge_to_depth(
         jnp.sum(points.valid & (surface.score != 0)),
         jnp.concatenate([passes.iterations, iterations]),
         converged,
+        noise,
+        exposure,
     )
     confidence = jnp.minimum(weight, 1)
     return DepthResult(disparity, confidence, passes.edge, points, surface, stats)
+
+
+def _under_noise(params: Parameters, noise: Noise, smooth: Smoothed) -> Parameters:
+    """Parameters of the measurement in blurred views of a noisy scene."""
+    measure, clear = params.photometric, 1 - noise.alpha
+    deviation = jnp.sqrt(smooth.kept) * noise.deviation
+    measure = eqx.tree_at(
+        lambda p: (p.noise, p.gradient_noise, p.stiffness, p.same_colour),
+        measure,
+        (
+            jnp.maximum(deviation, measure.noise),
+            # What noise is left in the mean gradients of all views is less than the residual says.
+            measure.gradient_noise * smooth.grain * (1 - 0.6 * noise.alpha**4),
+            # Drift cannot be told from noise, nor surfaces by their colours.
+            measure.stiffness / clear**2,
+            measure.same_colour / clear,
+        ),
+    )
+    # Points take their disparity from few pixels, which noise leaves little of.
+    points = params.centre.points * clear
+    return eqx.tree_at(lambda p: (p.photometric, p.centre.points), params, (measure, points))
 
 
 def _splines(arm: Arm) -> Arm:

@@ -45,6 +45,11 @@ def test_depth_writes_everything_and_is_right(scene, tmp_path, capsys):
     np.testing.assert_allclose(table["surface_y"], points["surface_vector"][:, 1], atol=1e-3)
     assert set(report["scores"]) == {"crop 0", "crop 15"}
     assert report["scores"]["crop 0"]["mse"] < 0.1
+    photometry = report["photometry"]
+    assert photometry["noise of 255"] > 0.28
+    assert 0 <= photometry["share that noise rules"] < 1
+    assert photometry["brightened by"] >= 1
+    assert np.allclose(photometry["gain of the centre row of views"], 1, atol=0.02)
     assert report["parameters"]["centre.precision"] == pytest.approx(0.006)
     for name in ("disparity.png", "confidence.png", "error_log.png", "error_signed.png"):
         assert cv2.imread(str(out / name)) is not None, name

@@ -48,6 +48,9 @@ def test_everything_that_is_known_is_said(tmp_path, capsys):
     assert lines["disparity range"] == "-1.500 .. 1.250 px per view step"
     assert lines["ground truth"] == "disparity -1.000 .. 1.000, 3 object ids"
     assert "focal length 22.9 px, baseline 25 mm, disparity 0 at 4.25 m" in lines["camera"]
+    assert lines["brightness"] == "as it is"
+    assert lines["gain of the views"].endswith("of the centre view's")
+    assert lines["noise"].endswith("of 255 at most")
     assert "convention" not in lines
 
 

@@ -1,0 +1,168 @@
+"""Depth from views that are noisy, dark, or of different brightness; ours and the plane sweep.
+
+python experiments/robustness.py ../shared/data/hci/cotton --out results/robustness
+"""
+
+import argparse
+import json
+import sys
+import time
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import cv2
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from experiments._depth import as_image
+from experiments._report import print_table, write_json
+from mvedge_jax.datasets import load_light_field, synthetic
+from mvedge_jax.epi import scene_range
+from mvedge_jax.lightfield import GroundTruth, LightField
+from mvedge_jax.metrics import depth_scores
+from mvedge_jax.reconstruct import Parameters, Sizes, edge_to_depth, plane_sweep
+
+
+class Change(NamedTuple):
+    """What is done to the views; then they are clipped and rounded to 8 bit."""
+
+    noise: float = 0.0
+    gain: float = 0.0
+    brightness: float = 1.0
+    gamma: float = 1.0
+
+
+CHANGES = {
+    "clean": Change(),
+    "noise .01": Change(noise=0.01),
+    "noise .02": Change(noise=0.02),
+    "noise .05": Change(noise=0.05),
+    "gain 5 %": Change(gain=0.05),
+    "brightness x .5": Change(brightness=0.5),
+    "brightness x .1": Change(brightness=0.1),
+    "gamma 2.2": Change(gamma=2.2),
+}
+
+
+def changed(light_field: LightField, change: Change) -> LightField:
+    """The crosshair of a light field after a change, its range and its truth forgotten.
+
+    Views are taken in the order horizontal arm, then the rest of the vertical one, with seed 0, so
+    that figures compare with those of other programs.
+    """
+    vc, uc = light_field.centre
+    rows, columns = light_field.views.shape[:2]
+    places = [(vc, u) for u in range(columns)] + [(v, uc) for v in range(rows) if v != vc]
+    views = np.stack([np.asarray(light_field.views[v, u], np.float64) for v, u in places])
+    rng = np.random.default_rng(0)
+    views = views**change.gamma * change.brightness
+    if change.gain:
+        views = views * (1 + rng.normal(0, change.gain, len(places)))[:, None, None, None]
+    if change.noise:
+        views = views + rng.normal(0, change.noise, views.shape)
+    if change != Change():
+        views = np.round(255 * np.clip(views, 0, 1)) / 255
+    grid = np.zeros(light_field.views.shape, np.float32)
+    there = np.zeros((rows, columns), bool)
+    for place, view in zip(places, views, strict=True):
+        grid[place], there[place] = view, True
+    return LightField(jnp.asarray(grid), available=there, name=light_field.name)
+
+
+def scene(name: str, size: int) -> LightField:
+    """A light field from a folder or file, or a synthetic one by its name."""
+    if Path(name).exists():
+        return load_light_field(Path(name))
+    return synthetic.render(
+        synthetic.scene(name), shape=(9, 9, size, size), samples=2, key=jax.random.key(0)
+    )
+
+
+class Row(NamedTuple):
+    """A row of the table with its maps."""
+
+    figures: dict[str, Any]
+    ours: jax.Array
+    sweep: jax.Array
+
+
+def measured(
+    light_field: LightField, truth: GroundTruth, label: str, ranges: dict[str, tuple[float, float]]
+) -> Row:
+    """Both methods on one changed light field, whose measured range is added to `ranges`."""
+    views = changed(light_field, CHANGES[label])
+    start = time.perf_counter()
+    low, high = scene_range(views)
+    searching = time.perf_counter() - start
+    views = eqx.tree_at(
+        lambda f: f.disparity_range,
+        views,
+        jnp.asarray((low, high)),
+        is_leaf=lambda leaf: leaf is None,
+    )
+    sizes = Sizes.for_light_field(views)
+    found = jax.block_until_ready(edge_to_depth(Parameters(), views, sizes))
+    start = time.perf_counter()
+    found = jax.block_until_ready(edge_to_depth(Parameters(), views, sizes))
+    seconds = time.perf_counter() - start
+    sweep = plane_sweep(views, disparity_range=(low, high)).disparity
+    ranges[label] = low, high
+    clean = ranges.get("clean", (low, high))
+    figures: dict[str, Any] = {"change": label}
+    for name, disparity in (("", found.disparity), ("sweep ", sweep)):
+        scores = depth_scores(disparity, truth.disparity, mask=truth.valid)
+        columns = {
+            "MSE*100": scores.mse,
+            "Q25*100": scores.q25,
+            "BP(.01)": scores.bad_01,
+            "BP(.03)": scores.bad_03,
+            "BP(.07)": scores.bad_07,
+        }
+        if name:
+            columns = {key: columns[key] for key in ("MSE*100", "BP(.07)")}
+        figures |= {name + key: float(value) for key, value in columns.items()}
+    figures |= {
+        "range": f"{low:.2f}..{high:.2f}",
+        "range off": max(abs(low - clean[0]), abs(high - clean[1])),
+        "noise": float(found.stats.noise.deviation),
+        "overflow": int(found.stats.edges.overflow),
+        "s": round(seconds, 2),
+        "range s": round(searching, 2),
+    }
+    return Row(figures, found.disparity, sweep)
+
+
+def main() -> None:
+    """Runs both methods on a scene under every change."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("scenes", nargs="+", help="paths of light fields, or synthetic names")
+    parser.add_argument("--out", type=Path, default=Path("results/robustness"))
+    parser.add_argument("--changes", nargs="*", choices=CHANGES, default=list(CHANGES))
+    parser.add_argument("--size", type=int, default=512, help="side of rendered scenes, px")
+    arguments = parser.parse_args()
+    for name in arguments.scenes:
+        light_field = scene(name, arguments.size)
+        truth = light_field.truth
+        if truth is None:
+            raise ValueError(f"{name} has no ground truth to score against.")
+        title, rows, strips, ranges = Path(name).name, [], [], {}
+        for label in arguments.changes:
+            row = measured(light_field, truth, label, ranges)
+            rows.append(row.figures)
+            print(json.dumps(row.figures), flush=True)
+            maps = [as_image(m, truth.disparity) for m in (row.ours, row.sweep)]
+            centre = changed(light_field, CHANGES[label]).centre_view
+            picture = np.round(255 * np.asarray(centre)).astype(np.uint8)[..., ::-1]
+            strips.append(np.concatenate([picture, *maps], axis=1)[::2, ::2])
+        print_table(rows, title=f"{title}: full frame; the view, ours and the plane sweep")
+        write_json(arguments.out / f"{title}.json", {"scene": title, "rows": rows})
+        cv2.imwrite(str(arguments.out / f"{title}.png"), np.concatenate(strips))
+        jax.clear_caches()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,213 @@
+"""Brightness of the views: exposure of the whole light field, gain of each view."""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Float
+
+from mvedge_jax._crosshair import Arm, crosshair
+from mvedge_jax.lightfield import LightField
+
+from ._filters import convolved, gaussian_taps
+
+# Where the 99th percentile of a bright, matt scene lies; floors are meant for such scenes.
+_BRIGHT = 0.56
+_BRIGHTEST = 16.0
+# A scene whose gains differ by no more than this owes it to the scene, not to the cameras.
+_GAIN_PRIOR = 0.002
+# Parallax errs alike over some 4x4 places: so many of them count as one.
+_ALIKE = 16
+
+
+class _Ratio(NamedTuple):
+    """Gains of the views of an arm and the variances of their errors."""
+
+    gain: Float[Array, " s"]
+    variance: Float[Array, " s"]
+
+
+class Exposure(NamedTuple):
+    """What the views are multiplied by before their colours are compared.
+
+    Attributes:
+        scale: factor for all views, which makes dark ones as bright as floors and weights expect,
+            1..16.
+        gain: brightness of each view of the crosshair relative to the centre view, `[v, u]`, by
+            which it is divided; 1 for the other views.
+    """
+
+    scale: Float[Array, ""]
+    gain: Float[Array, "v u"]
+
+
+def expose(light_field: LightField, exposure: Exposure) -> LightField:
+    """Takes exposure and gains out of the views.
+
+    Args:
+        light_field: the views as they came.
+        exposure: what to take out.
+
+    Returns:
+        The same with views whose colours compare; bright pixels may exceed 1. Differentiable.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> dark = LightField(jnp.full((3, 3, 8, 8, 3), 0.1))
+        >>> exposed = expose(dark, Exposure(jnp.asarray(5.0), jnp.ones((3, 3))))
+        >>> bool(jnp.allclose(exposed.views, 0.5))
+        True
+    """
+    factor = (exposure.scale / exposure.gain)[:, :, None, None, None]
+    return eqx.tree_at(lambda field: field.views, light_field, light_field.views * factor)
+
+
+def rough_exposure(light_field: LightField) -> Exposure:
+    """Exposure and gains without knowing any disparity.
+
+    The gain is the median ratio of the blurred views: what parallax adds to it goes both ways.
+
+    Args:
+        light_field: the crosshair of views is read.
+
+    Returns:
+        Gains to about 1 %. Differentiable in the views.
+
+    Example:
+        >>> import jax, jax.numpy as jnp
+        >>> image = jax.random.uniform(jax.random.key(0), (64, 64, 3), minval=0.2, maxval=0.6)
+        >>> gain = jnp.asarray([[1.0, 1.1, 1.0], [0.9, 1.0, 1.0], [1.0, 1.0, 1.2]])
+        >>> views = gain[:, :, None, None, None] * image[None, None]
+        >>> found = rough_exposure(LightField(views)).gain
+        >>> [round(float(found[v, u]), 2) for v, u in ((0, 1), (1, 0))]
+        [1.1, 0.9]
+    """
+    views = light_field.views
+    centre = light_field.centre_view
+    bright = jnp.sort(centre[::4, ::4].reshape(-1))
+    level = bright[int(0.99 * (bright.shape[0] - 1))]
+    scale = jnp.clip(_BRIGHT / jnp.maximum(level, _BRIGHT / _BRIGHTEST), 1, _BRIGHTEST)
+    block = min(8, max(1, min(views.shape[2:4]) // 16))
+
+    def blocks(images: Float[Array, "s y x c"]) -> Float[Array, "s n"]:
+        rows, columns = images.shape[1] // block, images.shape[2] // block
+        images = images[:, : rows * block, : columns * block]
+        shape = (images.shape[0], rows, block, columns, block * images.shape[3])
+        return images.reshape(shape).mean((2, 4)).reshape(images.shape[0], -1)
+
+    def ratios(images: Array, there: Array) -> _Ratio:
+        values = blocks(images)
+        own = values[images.shape[0] // 2][None]
+        shown = (own > 0.1 * jnp.median(own)) & (own < 0.95) & (own > 0)
+        ratio = jnp.where(values > 0, values, own) / jnp.where(shown, own, 1)
+        known = shown & there[:, None]
+        gain = _median(ratio, known)
+        # Of the median of so many values.
+        scatter = 1.25 * 1.48 * _median(jnp.abs(ratio - gain[:, None]), known)
+        count = jnp.sum(known, axis=1).astype(gain.dtype)
+        variance = _ALIKE * scatter**2 / jnp.maximum(count, 1)
+        return _Ratio(gain, jnp.where(count > 0, variance, 0))
+
+    vc, uc = light_field.centre
+    across = ratios(light_field.horizontal_arm, light_field.available[vc])
+    down = ratios(light_field.vertical_arm, light_field.available[:, uc])
+    return Exposure(scale, _gains(across, down, views))
+
+
+def exposure_along(
+    light_field: LightField, scale: Float[Array, ""], disparity: Float[Array, "y x"]
+) -> Exposure:
+    """Gains by robust regression of every view on the centre one, along a disparity map.
+
+    Of the views blurred by 2 px, every sixteenth pixel either way takes part: blurring keeps noise
+    from shrinking the gains, and what the map or an occlusion gets wrong is an outlier.
+
+    Args:
+        light_field: the views as they came; its crosshair is read.
+        scale: see `Exposure`.
+        disparity: px per view step, `[y, x]`.
+
+    Returns:
+        Gains to about 0.2 %. Differentiable in the views and the map.
+
+    Example:
+        >>> import jax, jax.numpy as jnp
+        >>> image = jax.random.uniform(jax.random.key(0), (64, 64, 3), minval=0.2, maxval=0.6)
+        >>> gain = jnp.asarray([[1.0, 1.1, 1.0], [0.9, 1.0, 1.0], [1.0, 1.0, 1.2]])
+        >>> views = gain[:, :, None, None, None] * image[None, None]
+        >>> found = exposure_along(LightField(views), jnp.ones(()), jnp.zeros((64, 64))).gain
+        >>> [round(float(found[v, u]), 3) for v, u in ((0, 1), (1, 0))]
+        [1.1, 0.9]
+    """
+    horizontal, vertical = crosshair(light_field)
+    return Exposure(
+        scale,
+        _gains(
+            _regressed(horizontal, disparity), _regressed(vertical, disparity.T), light_field.views
+        ),
+    )
+
+
+def _gains(across: _Ratio, down: _Ratio, views: Array) -> Float[Array, "v u"]:
+    """Gains on the grid of views, drawn to 1 where they hardly differ or are badly known."""
+    logs = jnp.log(jnp.concatenate([across.gain, down.gain]))
+    error = jnp.mean(jnp.concatenate([across.variance, down.variance]))
+    excess = jnp.maximum(jnp.mean(logs**2) - 2 * error, 0)
+    earned = excess / (excess + _GAIN_PRIOR**2)
+    row, column = jnp.split(jnp.exp(earned * logs), [across.gain.shape[0]])
+    gain = jnp.ones(views.shape[:2], views.dtype)
+    return gain.at[views.shape[0] // 2].set(row).at[:, views.shape[1] // 2].set(column)
+
+
+def _median(values: Float[Array, "s n"], known: Array) -> Float[Array, " s"]:
+    """Median of the known values of every row; 1 where none is known."""
+    ordered = jnp.sort(jnp.where(known, values, jnp.inf), axis=1)
+    count = jnp.sum(known, axis=1)
+    place = jnp.maximum(count - 1, 0) // 2
+    found = jnp.take_along_axis(ordered, place[:, None], axis=1)[:, 0]
+    return jnp.where(count > 0, jnp.where(count > 0, found, 1), 1)
+
+
+def _regressed(arm: Arm, disparity: Float[Array, "y x"]) -> _Ratio:
+    """Gain of every view of an arm."""
+    height, width = disparity.shape
+    stride = min(16, max(1, min(height, width) // 24))
+    taps = gaussian_taps(jnp.asarray(2.0, disparity.dtype), 5)
+    margin = ((0, 0), (0, 0), (5, 5), (0, 0))
+    tall = jnp.pad(arm.planes, margin, mode="edge")
+    rows = [
+        taps[i] * lax.slice_in_dim(tall, i, i + height, stride=stride, axis=2)
+        for i in range(taps.shape[0])
+    ]
+    blurred = convolved(sum(rows[1:], rows[0]), taps, -1)
+    columns = jnp.arange(0, width, stride)
+    place = columns.astype(disparity.dtype)[None, None] + (
+        arm.steps[:, None, None] * disparity[None, ::stride, ::stride]
+    )
+    whole = jnp.floor(place)
+    index = whole.astype(jnp.int32)
+    part = (place - whole)[:, None]
+
+    def at(position: Array) -> Array:
+        return jnp.take_along_axis(blurred, jnp.clip(position, 0, width - 1)[:, None], axis=3)
+
+    seen = (1 - part) * at(index) + part * at(index + 1)
+    own = seen[arm.centre]
+    inside = ((place >= 0) & (place <= width - 1))[:, None]
+    shown = (own > 0.1 * jnp.median(own)) & (own > 0) & (own < 0.97)
+    known = inside & shown[None] & (seen < 0.97) & arm.available[:, None, None, None]
+    views = arm.planes.shape[0]
+    seen, known = seen.reshape(views, -1), known.reshape(views, -1)
+    own = jnp.broadcast_to(own.reshape(1, -1), seen.shape)
+    gain = _median(seen / jnp.where(known, own, 1), known)
+    variance = jnp.zeros_like(gain)
+    for _ in range(3):
+        residual = jnp.abs(seen - gain[:, None] * own)
+        spread = 1.48 * _median(residual, known) + 1e-4
+        weight = known.astype(seen.dtype) / (1 + (residual / (2 * spread[:, None])) ** 2) ** 2
+        power = jnp.sum(weight * own * own, axis=1)
+        fitted = jnp.sum(weight * own * seen, axis=1) / jnp.where(power > 0, power, 1)
+        gain = jnp.where(power > 0, fitted, 1)
+        variance = jnp.where(power > 0, spread**2 / jnp.where(power > 0, power, 1), 0)
+    return _Ratio(gain, variance)

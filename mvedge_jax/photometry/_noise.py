@@ -1,0 +1,179 @@
+"""The noise of a scene, measured once."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Float
+
+from mvedge_jax._crosshair import Arm
+
+from ._filters import window_sum
+
+_STEP = 1.0 / 255  # of 8-bit views, the rule
+# Second differences in the smoothest fifth of an image, and the least of some thirty hypotheses
+# and two half arms, lie below the noise by these factors; measured on white noise.
+_SINGLE = 1 / 0.85
+_BETWEEN = 1.30
+
+
+class Noise(NamedTuple):
+    """How noisy the views of a scene are.
+
+    Attributes:
+        deviation: standard deviation of a colour channel, quantisation included, in units of the
+            views as they are compared (after exposure and gains): sRGB in [0, 1] or a multiple.
+        alpha: how much the noise rules the measurements, 0..1: 0 where it is no more than what
+            8 bits leave, one half at a standard deviation of about 1.5 of 255.
+    """
+
+    deviation: Float[Array, ""]
+    alpha: Float[Array, ""]
+
+    @staticmethod
+    def of(deviation: Float[Array, ""]) -> "Noise":
+        """The noise of a known standard deviation.
+
+        Args:
+            deviation: in units of the views.
+
+        Returns:
+            Noise whose `alpha` follows from it. Differentiable.
+
+        Example:
+            >>> import jax.numpy as jnp
+            >>> [round(float(Noise.of(jnp.asarray(s)).alpha), 2) for s in (0.003, 0.01, 0.05)]
+            [0.0, 0.83, 0.99]
+        """
+        excess = jnp.maximum(deviation**2 - (1.2 * _STEP) ** 2, 0)
+        return Noise(deviation, excess / (excess + 0.004**2))
+
+
+def measure_noise(
+    centre: Float[Array, "c y x"],
+    exposure: Float[Array, ""],
+    *,
+    arms: tuple[Arm, Arm] | None = None,
+    disparities: Float[Array, " d"] | None = None,
+) -> Noise:
+    """Measures the noise of a scene.
+
+    Two measurements, and the lower one counts: second differences in the smoothest places of the
+    centre view, which texture everywhere fools, and what the best disparity leaves unexplained
+    between views, which gloss fools. Neither may lie below the quantisation of 8 bits.
+
+    Args:
+        centre: the centre view, `[c, y, x]`, multiplied by `exposure`.
+        exposure: see `Exposure.scale`.
+        arms: the arms of the crosshair in the same units; None leaves the second measurement out.
+        disparities: those to try, px per view step; None likewise.
+
+    Returns:
+        The noise. Differentiable.
+
+    Example:
+        >>> import jax, jax.numpy as jnp
+        >>> noisy = 0.5 + 0.02 * jax.random.normal(jax.random.key(0), (3, 64, 64))
+        >>> 0.017 < float(measure_noise(noisy, jnp.asarray(1.0)).deviation) < 0.023
+        True
+    """
+    variance = _SINGLE**2 * single_view_variance(centre, exposure)
+    if arms is not None and disparities is not None:
+        longer = max(arms, key=lambda arm: arm.planes.shape[0])
+        between = _BETWEEN**2 * between_views_variance(longer, disparities)
+        variance = jnp.minimum(variance, between)
+    return Noise.of(jnp.sqrt(jnp.maximum(variance, (exposure * _STEP) ** 2 / 12)))
+
+
+def single_view_variance(
+    image: Float[Array, "c y x"], exposure: Float[Array, ""]
+) -> Float[Array, ""]:
+    """Local variance of mixed second differences that a fifth of the image stays below.
+
+    The product of second differences along x and y vanishes on planes and on straight edges along
+    either axis; its local mean square is the noise plus whatever texture there is. Clipped pixels,
+    which show no noise, have no say. The median over the channels; 0 for images below 9 px a side
+    and where nothing but clipped pixels is.
+    """
+    if min(image.shape[1:]) < 9:
+        return jnp.zeros((), image.dtype)
+    open_ = (image > 0.5 * _STEP * exposure) & (image < (1 - 0.5 * _STEP) * exposure)
+    open_ = open_.astype(image.dtype)
+
+    def mixed(values: Array) -> Array:
+        across = values[..., 2:] - 2 * values[..., 1:-1] + values[..., :-2]
+        return across[:, 2:] - 2 * across[:, 1:-1] + across[:, :-2]
+
+    def local(values: Array) -> Array:
+        sums = window_sum(window_sum(values, 3, 1), 3, 2)
+        return sums[:, 3:-3:3, 3:-3:3].reshape(values.shape[0], -1)
+
+    usable = open_[..., 2:] * open_[..., 1:-1] * open_[..., :-2]
+    usable = usable[:, 2:] * usable[:, 1:-1] * usable[:, :-2]
+    if min(usable.shape[1:]) < 7:
+        return jnp.zeros((), image.dtype)
+    count = local(usable)
+    known = count > 24
+    square = jnp.where(known, local(usable * mixed(image) ** 2) / jnp.maximum(36 * count, 1), 0)
+    ordered = jnp.sort(jnp.where(known, square, jnp.inf), axis=1)
+    found = jnp.sum(known, axis=1)
+    place = found // 5
+    values = jnp.take_along_axis(ordered, place[:, None], axis=1)[:, 0]
+    values = jnp.where(found > 0, jnp.where(found > 0, values, 0), 0)
+    return jnp.sort(values)[values.shape[0] // 2]
+
+
+def between_views_variance(arm: Arm, disparities: Float[Array, " d"]) -> Float[Array, ""]:
+    """Variance of a channel that the best disparity of the better half arm leaves unexplained.
+
+    Of every eighth row, over windows of 7 px; a fifth of the windows stays below it. Differences
+    of interpolated views are normalised by the noise that the interpolation keeps.
+    """
+    rows = arm.planes[:, :, ::8]
+    channels, _, width = rows.shape[1:]
+    centre = rows[arm.centre]
+    views = {0, arm.centre - arm.centre // 2, arm.centre + arm.centre // 2, rows.shape[0] - 1}
+    halves = tuple(
+        tuple(sorted(v for v in views if (v - arm.centre) * sign > 0)) for sign in (-1, 1)
+    )
+    padded = jnp.pad(rows, ((0, 0), (0, 0), (0, 0), (width, width + 3)), mode="edge")
+
+    def unexplained(disparity: Array) -> Array:
+        parts = []
+        for half in halves:
+            total, known = jnp.zeros_like(centre[0]), jnp.zeros((), rows.dtype)
+            for view in half:
+                shift = arm.steps[view] * disparity
+                whole = jnp.floor(shift)
+                weights = _keys(shift - whole)
+                first = jnp.clip(whole.astype(jnp.int32), -width, width) + width - 1
+                window = lax.dynamic_slice_in_dim(padded[view], first, width + 3, axis=2)
+                kept = 1 + sum(w * w for w in weights)
+                there = arm.available[view].astype(rows.dtype)
+                known = known + there
+                for c in range(channels):
+                    value = sum(w * window[c, :, j : j + width] for j, w in enumerate(weights))
+                    total = total + there / (channels * kept) * (value - centre[c]) ** 2
+            total = jnp.where(known > 0, total / jnp.maximum(known, 1), jnp.inf)
+            parts.append(window_sum(total, 3, 1) / 7)
+        return jnp.minimum(*parts)
+
+    def consider(best: Array, disparity: Array) -> tuple[Array, None]:
+        return jnp.minimum(best, unexplained(disparity)), None
+
+    start = jnp.full_like(centre[0], jnp.inf)
+    best, _ = lax.scan(jax.checkpoint(consider), start, disparities)
+    ordered = jnp.sort(best.reshape(-1))
+    return ordered[int(0.2 * ordered.shape[0])]
+
+
+def _keys(fraction: Array) -> tuple[Array, Array, Array, Array]:
+    """Taps of Keys' cubic interpolation at a fraction of a pixel."""
+    f, g = fraction, 1 - fraction
+    return (
+        -0.5 * f * g * g,
+        1 - f * f * (2.5 - 1.5 * f),
+        1 - g * g * (2.5 - 1.5 * g),
+        -0.5 * g * f * f,
+    )

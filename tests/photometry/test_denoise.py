@@ -1,0 +1,109 @@
+"""Guide, low-pass and pooling: strong under noise, absent without it, differentiable."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from helpers import check_gradient
+from photometry.scenes import changed, textured
+from scipy import ndimage
+
+from mvedge_jax._crosshair import crosshair
+from mvedge_jax.photometry import Noise, denoised, low_pass, pooled
+from mvedge_jax.photometry._filters import box_mean, gaussian, highest
+
+NONE = Noise.of(jnp.zeros(()))
+STRONG = Noise.of(jnp.asarray(0.05))
+
+
+def test_filters_agree_with_scipy():
+    image = np.random.default_rng(0).normal(size=(2, 13, 9))
+    np.testing.assert_allclose(
+        box_mean(jnp.asarray(image), 2),
+        np.stack([ndimage.uniform_filter(i, 5, mode="nearest") for i in image]),
+        atol=1e-12,
+    )
+    np.testing.assert_allclose(
+        gaussian(jnp.asarray(image), jnp.asarray(0.8), 3),
+        ndimage.gaussian_filter(image, (0, 0.8, 0.8), mode="nearest", radius=(0, 3, 3)),
+        atol=1e-12,
+    )
+    for radius in (1, 2, 5, 6):
+        np.testing.assert_array_equal(
+            highest(jnp.asarray(image[0]), radius),
+            ndimage.maximum_filter(image[0], 2 * radius + 1, mode="nearest"),
+        )
+
+
+def test_noise_is_taken_out_and_edges_stay():
+    rng = np.random.default_rng(1)
+    clean = np.where(np.arange(64) < 30, 0.2, 0.7) * np.ones((3, 48, 1))
+    noisy = jnp.asarray(clean + rng.normal(0, 0.05, clean.shape))
+    found = np.asarray(denoised(noisy, STRONG))
+    flat = np.r_[4:26, 36:60]
+    assert (found - clean)[:, :, flat].std() < 0.02
+    assert np.abs(found.mean(1) - clean[:, 0]).max() < 0.06
+
+
+def test_without_noise_nothing_changes():
+    field = textured(size=(20, 24), dtype=np.float64)
+    image = jnp.moveaxis(field.centre_view, -1, 0)
+    np.testing.assert_array_equal(denoised(image, NONE), image)
+    arms = crosshair(field)
+    same, kept = low_pass(arms, NONE, jnp.asarray(1.0))
+    np.testing.assert_array_equal(same[0].planes, arms[0].planes)
+    assert float(kept) == 1
+    cost = jax.random.uniform(jax.random.key(0), (4, 20, 24), jnp.float64)
+    np.testing.assert_array_equal(pooled(cost, image, NONE, jnp.asarray(20.0)), cost)
+
+
+@pytest.mark.parametrize("sigma", [0.3, 0.6, 1.0])
+def test_a_low_pass_keeps_the_share_of_noise_that_it_says(sigma):
+    field = textured(size=(64, 64), dtype=np.float64)
+    arms = crosshair(field)
+    white = arms[0]._replace(
+        planes=jax.random.normal(jax.random.key(0), arms[0].planes.shape, jnp.float64)
+    )
+    (soft, _), kept = low_pass((white, arms[1]), STRONG, jnp.asarray(sigma))
+    assert float(soft.planes[..., 4:-4, 4:-4].var()) == pytest.approx(float(kept), rel=0.03)
+
+
+def test_pooling_stays_on_a_surface_and_away_from_outlines():
+    # The left half costs 1, the right half 3; a strip of 4 px beside the outline lies.
+    cost = np.where(np.arange(80) < 40, 1.0, 3.0) * np.ones((1, 60, 1))
+    cost[..., 40:44] = 1.0
+    cost += np.random.default_rng(2).normal(0, 0.5, cost.shape)
+    lab = jnp.asarray(np.where(np.arange(80) < 40, 20.0, 70.0) * np.ones((3, 60, 1)))
+    found = np.asarray(pooled(jnp.asarray(cost), lab, STRONG, jnp.asarray(20.0)))[0]
+    assert np.abs(found[:, 5:35] - 1).max() < 0.3
+    assert np.abs(found[:, 44:75] - 3).max() < 0.3
+    constant = pooled(jnp.full((2, 60, 80), 0.7), lab, STRONG, jnp.asarray(20.0))
+    np.testing.assert_allclose(constant, 0.7, rtol=1e-9)
+
+
+def test_gradients_in_both_modes_jit_and_vmap():
+    field = changed(textured(size=(14, 17), dtype=np.float64), noise=0.03, bits=False)
+    image = jnp.moveaxis(field.centre_view, -1, 0)
+    cost = jax.random.uniform(jax.random.key(0), (3, 14, 17), jnp.float64)
+    weights = jax.random.normal(jax.random.key(1), (3, 14, 17), jnp.float64)
+
+    def loss(tree):
+        image, cost, deviation, length = tree
+        noise = Noise.of(deviation)
+        guide = denoised(image, noise)
+        (soft, _), kept = low_pass(crosshair(field), noise, 10 * deviation)
+        total = jnp.sum(weights * pooled(cost, 100 * guide, noise, length))
+        return total + jnp.sum(guide[0] * weights[0]) + kept * jnp.sum(soft.planes[1] ** 3)
+
+    tree = (image, cost, jnp.asarray(0.03), jnp.asarray(6.0))
+    check_gradient(loss, tree, rtol=1e-4, step=1e-7, key=jax.random.key(2))
+    gradient = jax.grad(loss)(tree)
+    _, tangent = jax.jvp(loss, (tree,), (tree,))
+    both = sum(jnp.vdot(g, t) for g, t in zip(gradient, tree, strict=True))
+    np.testing.assert_allclose(tangent, both, rtol=1e-8)
+    np.testing.assert_allclose(jax.jit(loss)(tree), loss(tree), rtol=1e-10)
+    deviations = jnp.asarray([0.0, 0.03])
+    several = jax.vmap(lambda s: loss((image, cost, s, tree[3])))(deviations)
+    np.testing.assert_allclose(
+        several, [loss((image, cost, s, tree[3])) for s in deviations], rtol=1e-9
+    )

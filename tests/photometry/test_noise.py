@@ -1,0 +1,96 @@
+"""The noise of a scene: recovered where it is known, undisturbed by clipping, differentiable."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from helpers import check_gradient
+from photometry.scenes import changed, textured
+
+from mvedge_jax._crosshair import crosshair
+from mvedge_jax.photometry import Noise, measure_noise
+
+TRIED = jnp.linspace(-1, 1, 17)
+
+
+def _measured(light_field, scale=1.0):
+    views = light_field.views * np.float32(scale)
+    across, down = (
+        arm._replace(planes=arm.planes * np.float32(scale)) for arm in crosshair(light_field)
+    )
+    centre = jnp.moveaxis(views[2, 2], -1, 0)
+    tried = TRIED.astype(views.dtype)
+    return measure_noise(
+        centre, jnp.asarray(scale, views.dtype), arms=(across, down), disparities=tried
+    )
+
+
+@pytest.mark.parametrize("sigma", [0.01, 0.02, 0.05])
+def test_known_noise_is_recovered(sigma):
+    found = _measured(changed(textured(), noise=sigma))
+    assert abs(float(found.deviation) / sigma - 1) < 0.1
+    single = measure_noise(
+        jnp.moveaxis(changed(textured(), noise=sigma).centre_view, -1, 0), jnp.float32(1)
+    )
+    assert abs(float(single.deviation) / sigma - 1) < 0.12
+
+
+def test_clean_views_have_the_noise_of_their_bits_and_no_alpha():
+    found = _measured(changed(textured()))
+    assert float(found.alpha) == 0
+    assert float(found.deviation) < 1 / 255
+    dark = _measured(changed(textured(), factor=0.1), scale=10.0)
+    assert float(dark.deviation) >= 10 / 255 / 12**0.5 - 1e-6
+    assert float(dark.alpha) > 0.8
+
+
+def test_clipped_pixels_have_no_say():
+    noisy = changed(textured(low=0.3), noise=0.02)
+    views = noisy.views.at[..., :60, :].set(1.0).at[..., :40, :, :].set(0.0)
+    found = measure_noise(jnp.moveaxis(views[2, 2], -1, 0), jnp.float32(1))
+    assert abs(float(found.deviation) / 0.02 - 1) < 0.15
+
+
+@pytest.mark.parametrize("shape", [(3, 8, 40), (3, 9, 9), (3, 12, 17)])
+def test_small_and_odd_images_give_at_least_the_quantisation(shape):
+    image = jnp.full(shape, 0.5, jnp.float32)
+    assert float(measure_noise(image, jnp.float32(1)).deviation) == pytest.approx(1 / 255 / 12**0.5)
+
+
+def test_a_missing_view_is_not_seen():
+    noisy = changed(textured(), noise=0.02)
+    arms = crosshair(noisy)
+    centre = jnp.moveaxis(noisy.centre_view, -1, 0)
+    found = []
+    for value in (0.0, 0.7):
+        arm = arms[0]._replace(
+            planes=arms[0].planes.at[0].set(value), available=arms[0].available.at[0].set(False)
+        )
+        noise = measure_noise(
+            centre, jnp.float32(1), arms=(arm, arm), disparities=TRIED.astype(jnp.float32)
+        )
+        found.append(float(noise.deviation))
+    assert found[0] == found[1]
+    assert abs(found[0] / 0.02 - 1) < 0.15
+
+
+def test_alpha_rises_with_the_noise():
+    values = [float(Noise.of(jnp.asarray(s)).alpha) for s in (0.0, 0.0047, 0.006, 0.01, 0.05)]
+    assert values[0] == values[1] == 0
+    assert values == sorted(values)
+    assert values[-1] > 0.98
+
+
+def test_gradient_and_jit():
+    field = textured(size=(32, 40), dtype=np.float64)
+    views = changed(field, noise=0.02, bits=False).views
+
+    def deviation(views):
+        arms = crosshair(type(field)(views))
+        centre = jnp.moveaxis(views[2, 2], -1, 0)
+        return measure_noise(
+            centre, jnp.ones(()), arms=arms, disparities=TRIED[::4].astype(views.dtype)
+        ).deviation
+
+    check_gradient(deviation, views, rtol=1e-4, step=1e-7, key=jax.random.key(0))
+    np.testing.assert_allclose(deviation(views), jax.jit(deviation)(views), rtol=1e-10)
