@@ -21,6 +21,8 @@ _Tree = TypeVar("_Tree")
 
 # Rounding to eight bits leaves this standard deviation, sRGB, in the best of images.
 _ROUNDING = 1 / 255 / 12**0.5
+# Where the signal is a smaller share of the information than this, it does not move the map.
+_LEAST_SHARE = 1e-4
 
 
 class PhotometricParams(eqx.Module):
@@ -244,11 +246,13 @@ def labels(
     spread = total.spread[0] + total.spread[1]
     gradient = params.gradient_noise * channels * spread / views
     signal = jnp.maximum(information - gradient * jnp.maximum(noise, _ROUNDING**2), 0)
-    # The right-hand side has the variance of the whole information, the step that of the signal.
-    step = right * signal / (signal * signal + tiny * tiny)
+    # Without any signal the step is 0. Shares instead of squares: these underflow in float32.
+    share = signal / (information + tiny)
+    step = right / (information + tiny) * share / (share**2 + _LEAST_SHARE**2)
     limit = params.largest_step
     step = limit * jnp.tanh(step / limit)
-    effective = signal * signal / (information + tiny)
+    # The right-hand side has the variance of the whole information, the step that of the signal.
+    effective = signal * share
     variance = jnp.maximum(noise, floor) / (effective + tiny)
     return PhotometricLabels(disparity + step, variance, residual)
 
