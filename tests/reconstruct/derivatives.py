@@ -21,6 +21,7 @@ class Row(NamedTuple):
         numeric: by central differences, the mean of the first two steps of the ladder that agree.
         spread: relative difference of those two.
         sides: the one-sided differences at the last step that was tried.
+        least: slopes below this are lost in the rounding of the differences.
     """
 
     name: str
@@ -29,11 +30,12 @@ class Row(NamedTuple):
     numeric: float
     spread: float
     sides: tuple[float, float]
+    least: float
 
     @property
     def error(self) -> float:
-        """Of either mode, relative; infinite if one is not a number."""
-        size = max(abs(self.numeric), abs(self.reverse), abs(self.forward), 1e-300)
+        """Of either mode, relative (to `least` where the slope is less); infinite if one is not a number."""
+        size = max(abs(self.numeric), abs(self.reverse), abs(self.forward), self.least)
         worst = max(abs(self.reverse - self.numeric), abs(self.forward - self.numeric)) / size
         return worst if np.isfinite(worst) else np.inf
 
@@ -97,11 +99,11 @@ def rows(
         def at(t: float) -> float:
             return float(value(*jax.tree.map(lambda a, b: a + t * b, (moving, views), direction)))
 
-        slopes, sides = [], (0.0, 0.0)
+        slopes, sides, least = [], (0.0, 0.0), 1e-7 * abs(centre) / size
         if reverse == forward == 0:  # constant around here, though perhaps not far from here
             for step in (1e-5, 1e-7, 1e-9):
                 if at(step * size) == at(-step * size) == centre:
-                    return Row(name, reverse, forward, 0.0, 0.0, sides)
+                    return Row(name, reverse, forward, 0.0, 0.0, sides, least)
         for relative in LADDER:
             step = relative * size
             above, below = at(step), at(-step)
@@ -110,9 +112,9 @@ def rows(
             for other in slopes:
                 spread = abs(slope - other) / max(abs(slope), abs(other), 1e-300)
                 if spread < agree:
-                    return Row(name, reverse, forward, 0.5 * (slope + other), spread, sides)
+                    return Row(name, reverse, forward, 0.5 * (slope + other), spread, sides, least)
             slopes.append(slope)
-        return Row(name, reverse, forward, float(np.median(slopes)), np.inf, sides)
+        return Row(name, reverse, forward, float(np.median(slopes)), np.inf, sides, least)
 
     for index, (path, leaf) in enumerate(leaves):
         if leaf.ndim:
