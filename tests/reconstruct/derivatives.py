@@ -34,7 +34,7 @@ class Row(NamedTuple):
 
     @property
     def error(self) -> float:
-        """Of either mode, relative (to `least` where the slope is less); infinite if one is not a number."""
+        """Of either mode, relative to the slope or to `least`; infinite if one is no number."""
         size = max(abs(self.numeric), abs(self.reverse), abs(self.forward), self.least)
         worst = max(abs(self.reverse - self.numeric), abs(self.forward - self.numeric)) / size
         return worst if np.isfinite(worst) else np.inf

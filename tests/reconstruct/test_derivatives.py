@@ -17,6 +17,16 @@ from mvedge_jax.datasets import synthetic
 from mvedge_jax.epi import ThesisParams, ThesisSteps
 from mvedge_jax.reconstruct import Parameters, Sizes, edge_to_depth
 
+
+@pytest.fixture(autouse=True)
+def _optimised():
+    """Hundreds of values are computed here: programs that run fast pay off."""
+    before = jax.config.values["jax_disable_most_optimizations"]
+    jax.config.update("jax_disable_most_optimizations", False)
+    yield
+    jax.config.update("jax_disable_most_optimizations", before)
+
+
 # Leaves that only select: which candidates are points, on which side of its edge a label lies,
 # whether a pixel follows the median. Their derivative is 0 almost everywhere, and rightly so.
 THRESHOLDS = {
