@@ -21,6 +21,7 @@ from _depth import scenes
 from _report import print_table, write_csv, write_json
 from matplotlib.figure import Figure
 
+from mvedge_jax.epi import scene_range
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.metrics import depth_scores
 from mvedge_jax.reconstruct import Parameters, Sizes, edge_to_depth
@@ -53,9 +54,9 @@ def main() -> None:
     """Learns, measures and draws."""
     arguments = tyro.cli(Arguments, description=__doc__)
     fields = dict(scenes(None, arguments.learn + arguments.unseen, size=arguments.size))
-    # One program serves all scenes: the widest range, no common range of the scene itself.
-    ranges = [field.disparity_range for field in fields.values()]
-    widest = jnp.stack([jnp.min(jnp.stack(ranges), 0)[0], jnp.max(jnp.stack(ranges), 0)[1]])
+    # The widest range for all, so that one program serves them.
+    lows, highs = zip(*(scene_range(field) for field in fields.values()), strict=True)
+    widest = (min(lows), max(highs))
     fields = {
         name: LightField(field.views, disparity_range=widest, truth=field.truth)
         for name, field in fields.items()

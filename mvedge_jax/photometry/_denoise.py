@@ -111,7 +111,9 @@ def _derivative_energy(taps: Float[Array, " k"], alpha: Float[Array, ""]) -> Flo
     """
     angles = jnp.asarray(2 * np.pi * np.arange(32) / 32, taps.dtype)
     radius = taps.shape[0] // 2
-    gain = sum(taps[radius + k] * jnp.cos(k * angles) for k in range(-radius, radius + 1))
+    gain = jnp.full_like(angles, taps[radius])
+    for k in range(1, radius + 1):
+        gain = gain + 2 * taps[radius + k] * jnp.cos(k * angles)
     passed = jnp.mean((1 - alpha + alpha * gain[:, None] * gain[None]) ** 2, axis=0)
 
     def spectrum(samples: tuple[float, ...]) -> Array:

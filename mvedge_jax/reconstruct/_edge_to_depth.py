@@ -382,6 +382,7 @@ def _dense_map(
                 stiffness=params.centre.slant,
                 steepest=params.centre.steepest,
                 flat=params.centre.flat,
+                tolerance=10 * params.centre.tolerance,
             ),
             lambda *_: jax.tree.map(jnp.zeros_like, edges),
             disparity,

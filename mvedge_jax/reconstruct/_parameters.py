@@ -39,8 +39,8 @@ class CentreParams(eqx.Module):
         blur: standard deviation of the Gaussian that the map passes before its steps cut edges,
             px.
         tolerance: where the diffusion stops, share of the range of its labels; the two directional
-            ones stop at ten times that. The gradient is that of the exact solution, whatever this
-            is.
+            ones and those of the slopes stop at ten times that. Derivatives are those of the exact
+            solution, whatever this is.
     """
 
     precision: Float[Array, ""] = number(0.006)

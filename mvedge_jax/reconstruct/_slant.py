@@ -7,9 +7,6 @@ from jaxtyping import Array, Float
 
 from mvedge_jax.diffusion import Solver, System, diffuse
 
-# Slopes need not be known better than to this share of their range.
-_TOLERANCE = 1e-3
-
 
 def rises(
     disparity: Float[Array, "y x"],
@@ -19,6 +16,7 @@ def rises(
     stiffness: Float[Array, ""],
     steepest: Float[Array, ""],
     flat: Float[Array, ""],
+    tolerance: Float[Array, ""],
 ) -> tuple[Float[Array, "y x-1"], Float[Array, "y-1 x"]]:
     r"""What neighbouring pixels should differ by: the slope of the surface around them.
 
@@ -33,6 +31,7 @@ def rises(
         stiffness: weight of an uncut edge between slopes against a perfectly known one.
         steepest: differences beyond this, px per px, are steps rather than slopes.
         flat: weight of the slope 0, against a perfectly known one.
+        tolerance: where the solves stop, share of the range of the slopes.
 
     Returns:
         Right minus left and lower minus upper neighbour, px, as `diffusion.System` takes them.
@@ -48,7 +47,7 @@ def rises(
     def smooth(known: tuple[Array, Array]) -> Array:
         weight, label = known
         system = System(weight, label, stiffness * edges[0], stiffness * edges[1])
-        return diffuse(system, solver=Solver(tolerance=_TOLERANCE)).value
+        return diffuse(system, solver=Solver(tolerance=tolerance)).value
 
     slope_x, slope_y = lax.map(smooth, (held, sums / held))
     return 0.5 * (slope_x[:, 1:] + slope_x[:, :-1]), 0.5 * (slope_y[1:] + slope_y[:-1])

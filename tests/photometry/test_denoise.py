@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from helpers import check_gradient
 from photometry.scenes import changed, textured
-from scipy import ndimage
+from scipy import interpolate, ndimage
 
 from mvedge_jax._crosshair import crosshair
 from mvedge_jax.photometry import Noise, denoised, low_pass, pooled
@@ -50,9 +50,9 @@ def test_without_noise_nothing_changes():
     image = jnp.moveaxis(field.centre_view, -1, 0)
     np.testing.assert_array_equal(denoised(image, NONE), image)
     arms = crosshair(field)
-    same, kept = low_pass(arms, NONE, jnp.asarray(1.0))
+    same, kept, grain = low_pass(arms, NONE, jnp.asarray(1.0))
     np.testing.assert_array_equal(same[0].planes, arms[0].planes)
-    assert float(kept) == 1
+    assert float(kept) == float(grain) == 1
     cost = jax.random.uniform(jax.random.key(0), (4, 20, 24), jnp.float64)
     np.testing.assert_array_equal(pooled(cost, image, NONE, jnp.asarray(20.0)), cost)
 
@@ -64,8 +64,18 @@ def test_a_low_pass_keeps_the_share_of_noise_that_it_says(sigma):
     white = arms[0]._replace(
         planes=jax.random.normal(jax.random.key(0), arms[0].planes.shape, jnp.float64)
     )
-    (soft, _), kept = low_pass((white, arms[1]), STRONG, jnp.asarray(sigma))
+    (soft, _), kept, grain = low_pass((white, arms[1]), STRONG, jnp.asarray(sigma))
     assert float(soft.planes[..., 4:-4, 4:-4].var()) == pytest.approx(float(kept), rel=0.03)
+
+    def roughness(planes):
+        """Energy of the derivative of the splines along x over that of the splines."""
+        rows = np.asarray(planes).reshape(-1, 64)
+        spline = interpolate.make_interp_spline(np.arange(64), rows, k=3, axis=1)
+        x = np.arange(8, 56, 0.125)
+        return (spline.derivative()(x) ** 2).mean() / (spline(x) ** 2).mean()
+
+    found = roughness(soft.planes) / roughness(white.planes)
+    assert found == pytest.approx(float(grain), rel=0.03)
 
 
 def test_pooling_stays_on_a_surface_and_away_from_outlines():
@@ -91,9 +101,9 @@ def test_gradients_in_both_modes_jit_and_vmap():
         image, cost, deviation, length = tree
         noise = Noise.of(deviation)
         guide = denoised(image, noise)
-        (soft, _), kept = low_pass(crosshair(field), noise, 10 * deviation)
+        (soft, _), kept, grain = low_pass(crosshair(field), noise, 10 * deviation)
         total = jnp.sum(weights * pooled(cost, 100 * guide, noise, length))
-        return total + jnp.sum(guide[0] * weights[0]) + kept * jnp.sum(soft.planes[1] ** 3)
+        return total + jnp.sum(guide[0] * weights[0]) + kept * grain * jnp.sum(soft.planes[1] ** 3)
 
     tree = (image, cost, jnp.asarray(0.03), jnp.asarray(6.0))
     check_gradient(loss, tree, rtol=1e-4, step=1e-7, key=jax.random.key(2))

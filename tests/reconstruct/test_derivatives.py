@@ -52,8 +52,7 @@ THRESHOLDS = {
     "centre.tolerance": "where solves stop: the derivative is that of the exact solution",
 }
 # Floors of the measured noise: the larger of both counts, which on these scenes is one of them.
-# `pooling` counts where noise does.
-FLOORS = {"volume.noise_floor", "photometric.noise", "volume.pooling"}
+FLOORS = {"volume.noise_floor", "photometric.noise"}
 # Other results than the map, or other modes, read these.
 UNREAD = {
     "edges.confidence_scale": "`EdgePoints.confidence`",
