@@ -99,7 +99,7 @@ def rows(
         def at(t: float) -> float:
             return float(value(*jax.tree.map(lambda a, b: a + t * b, (moving, views), direction)))
 
-        slopes, sides, least = [], (0.0, 0.0), 1e-7 * abs(centre) / size
+        slopes, sides, least = [], (0.0, 0.0), 1e-6 * abs(centre) / size
         if reverse == forward == 0:  # constant around here, though perhaps not far from here
             for step in (1e-5, 1e-7, 1e-9):
                 if at(step * size) == at(-step * size) == centre:

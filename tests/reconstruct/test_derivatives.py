@@ -15,6 +15,7 @@ from reconstruct.derivatives import rows, table
 
 from mvedge_jax.datasets import synthetic
 from mvedge_jax.epi import ThesisParams, ThesisSteps
+from mvedge_jax.photometry import PhotometricParams, VolumeParams
 from mvedge_jax.reconstruct import Parameters, Sizes, edge_to_depth
 
 
@@ -65,21 +66,17 @@ UNREAD = {
 
 # What the map needs no more when only points are diffused.
 _DENSE = {
-    "volume.truncation",
-    "volume.noise_floor",
-    "volume.colour",
-    "volume.slant",
-    "volume.jump",
-    "volume.jump_colour",
-    "photometric.noise",
-    "photometric.same_surface",
-    "photometric.largest_step",
-    "photometric.outlier",
+    *(f"volume.{name}" for name in vars(VolumeParams())),
+    *(f"photometric.{name}" for name in vars(PhotometricParams())),
     "centre.points",
     "centre.agreement",
     "centre.trust",
     "centre.anchor",
     "centre.worse",
+    "centre.worse_first",
+    "centre.slant",
+    "centre.steepest",
+    "centre.flat",
 }
 
 
@@ -173,12 +170,18 @@ def test_every_leaf_by_default(name, side):
     _check(name, side, _ALWAYS)
 
 
-@SCENES
-@SIDES
-@pytest.mark.parametrize("mode", MODES)
-def test_every_leaf_in_other_modes(name, side, mode):
-    if name != "edges" and side == 40:
-        pytest.skip("one scene per mode in the fast tier")
+@pytest.mark.parametrize(
+    ("mode", "name", "side"),
+    [
+        # The gradient of the whole chain takes minutes to compile: the fast tier has one of each.
+        pytest.param(mode, name, side, marks=[] if fast else [pytest.mark.slow])
+        for mode in MODES
+        for name in ("edges", "demo")
+        for side in (40, 64, 96)
+        for fast in [mode != "relaxed" and name == "edges" and side == 40]
+    ],
+)
+def test_every_leaf_in_other_modes(mode, name, side):
     choices, zero = MODES[mode]
     _check(name, side, zero, directions=1, **choices)
 
@@ -199,6 +202,7 @@ def test_second_derivatives_of_the_chain(name):
     check_modes(value, (logs, jnp.zeros_like(views)), rtol=1e-3, step=1e-6, key=jax.random.key(2))
 
 
+@pytest.mark.slow
 def test_the_chain_keeps_the_gradient_of_a_loss_of_any_size():
     """In float32; beyond 1e-20, derivatives of single pixels are below what the format can hold."""
     loss, params, views = _problem("edges", 32, dtype=np.float32, levels=12, median_radius=3)
