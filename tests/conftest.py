@@ -1,6 +1,7 @@
 """Strict numerics for every test: float64, no silent promotion, warnings are errors."""
 
 import warnings
+from pathlib import Path
 
 import jax
 import matplotlib as mpl
@@ -22,13 +23,21 @@ def pytest_configure(config):
     warnings.simplefilter("default")
 
 
+def _memory_maps() -> int:
+    """How many memory maps this process has; 0 where the system does not say."""
+    try:
+        return Path("/proc/self/maps").read_bytes().count(b"\n")
+    except OSError:
+        return 0
+
+
 @pytest.fixture(autouse=True)
-def _forget_large_programs(request):
-    """Drops compiled programs after a slow test.
+def _forget_programs(request):
+    """Drops compiled programs after a slow test, and when there are many.
 
     Those of the whole chain take thousands of memory maps each, and the compiler crashes when the
-    system's limit on maps is reached.
+    system's limit on maps, 65530 as a rule, is reached.
     """
     yield
-    if request.node.get_closest_marker("slow"):
+    if request.node.get_closest_marker("slow") or _memory_maps() > 25000:
         jax.clear_caches()
