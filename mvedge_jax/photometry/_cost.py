@@ -14,6 +14,7 @@ from mvedge_jax._crosshair import Arm
 from mvedge_jax._fence import fenced
 from mvedge_jax._params import cast, number
 
+from ._filters import keys_taps
 from ._noise import Noise
 from ._paths import aggregate
 from ._pooling import pooled
@@ -230,7 +231,7 @@ def _changes(half: _Half, centre: Array, disparity: Array) -> list[list[Array]]:
     for planes, step in zip(half.planes, half.steps, strict=True):
         shift = step * disparity
         whole = jnp.floor(shift)
-        weights = _cubic(shift - whole)
+        weights = keys_taps(shift - whole)
         first = jnp.clip(whole.astype(jnp.int32), -width, width) + width - 1
         part = lax.dynamic_slice_in_dim(planes, first, width + 3, axis=2)
         taps = [part[:, :, j : j + width] for j in range(4)]
@@ -267,14 +268,3 @@ def sweep_views(count: int) -> tuple[int, ...]:
     near = centre // 2
     picked = {0, centre - near, centre + near, count - 1} - {centre}
     return tuple(sorted(picked))
-
-
-def _cubic(fraction: Array) -> tuple[Array, Array, Array, Array]:
-    """Weights of Keys' cubic interpolation."""
-    f = fraction
-    return (
-        -0.5 * f * (1 - f) ** 2,
-        1 + 0.5 * f * f * (3 * f - 5),
-        0.5 * f * (1 + f * (4 - 3 * f)),
-        0.5 * f * f * (f - 1),
-    )

@@ -1,4 +1,4 @@
-"""Filters that the photometry shares: Gaussian, box, largest value around a pixel."""
+"""What the photometry shares: Gaussian, box, largest value around a pixel, interpolation."""
 
 import jax.numpy as jnp
 from jax import lax
@@ -70,3 +70,14 @@ def highest(image: Float[Array, "y x"], radius: int) -> Float[Array, "y x"]:
             image = jnp.maximum(image, jnp.maximum(below, above))
             reach += step
     return image
+
+
+def keys_taps(fraction: Array) -> tuple[Array, Array, Array, Array]:
+    """Taps of Keys' cubic interpolation at a fraction of a pixel."""
+    f = fraction
+    return (
+        -0.5 * f * (1 - f) ** 2,
+        1 + 0.5 * f * f * (3 * f - 5),
+        0.5 * f * (1 + f * (4 - 3 * f)),
+        0.5 * f * f * (f - 1),
+    )

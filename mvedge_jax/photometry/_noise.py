@@ -9,7 +9,7 @@ from jaxtyping import Array, Float
 
 from mvedge_jax._crosshair import Arm
 
-from ._filters import window_sum
+from ._filters import keys_taps, window_sum
 
 _STEP = 1.0 / 255  # of 8-bit views, the rule
 # Second differences in the smoothest fifth of an image, and the least of some thirty hypotheses
@@ -146,7 +146,7 @@ def between_views_variance(arm: Arm, disparities: Float[Array, " d"]) -> Float[A
             for view in half:
                 shift = arm.steps[view] * disparity
                 whole = jnp.floor(shift)
-                weights = _keys(shift - whole)
+                weights = keys_taps(shift - whole)
                 first = jnp.clip(whole.astype(jnp.int32), -width, width) + width - 1
                 window = lax.dynamic_slice_in_dim(padded[view], first, width + 3, axis=2)
                 kept = 1 + sum(w * w for w in weights)
@@ -166,14 +166,3 @@ def between_views_variance(arm: Arm, disparities: Float[Array, " d"]) -> Float[A
     best, _ = lax.scan(jax.checkpoint(consider), start, disparities)
     ordered = jnp.sort(best.reshape(-1))
     return ordered[int(0.2 * ordered.shape[0])]
-
-
-def _keys(fraction: Array) -> tuple[Array, Array, Array, Array]:
-    """Taps of Keys' cubic interpolation at a fraction of a pixel."""
-    f, g = fraction, 1 - fraction
-    return (
-        -0.5 * f * g * g,
-        1 - f * f * (2.5 - 1.5 * f),
-        1 - g * g * (2.5 - 1.5 * g),
-        -0.5 * g * f * f,
-    )
