@@ -165,11 +165,12 @@ def _stages(measure, params: Parameters, light_field, sizes: Sizes) -> None:
     labels = measure(
         "dense labels",
         eqx.filter_jit(
-            lambda a, b, d, p: photometric_labels(
-                a, b, d, p, radius=sizes.radius, passes=sizes.passes
+            lambda a, b, c, d, p: photometric_labels(
+                a, b, c, d, p, radius=sizes.radius, passes=sizes.passes
             )
         ),
         *splines,
+        lab,
         first,
         params.photometric,
     )
