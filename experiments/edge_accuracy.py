@@ -37,7 +37,6 @@ from mvedge_jax.epi import (
     joint_filter,
     multiview_edges,
 )
-from mvedge_jax.epi._edges import measure_candidates
 from mvedge_jax.lightfield import LightField
 
 
@@ -137,17 +136,12 @@ def steps(light_field: LightField, params: EdgeParams, sizes: EdgeSizes, *, thes
     assert light_field.truth is not None
     truth = np.asarray(light_field.truth.disparity)
     blind = light_field.without_truth()
-    measured = eqx.filter_jit(measure_candidates)(blind, params, sizes)
-    valid = np.asarray(measured.candidates.valid)
-    x = np.asarray(measured.candidates.column)[valid]
-    y = np.asarray(measured.candidates.row)[valid]
-    searched = np.asarray(measured.maps.disparity)[y, x]
-    refined = np.asarray(measured.refined.disparity)[valid]
     table = thesis_steps(light_field, params, sizes) if thesis else []
-    table.append({"step": "windowed photo-consistency", **score(truth, x, y, searched)})
-    table.append({"step": "  + Gauss-Newton", **score(truth, x, y, refined)})
+    everything = eqx.tree_at(lambda p: p.error_limit, params, jnp.asarray(jnp.inf))
+    row, _ = final(light_field, everything, sizes)
+    table.append({"step": "measured, all candidates", **row})
     row, points = final(light_field, params, sizes)
-    table.append({"step": "    + rejection: the result", **row})
+    table.append({"step": "  + those of small standard error: the result", **row})
     d, at = np.asarray(points.disparity), np.asarray(points.xy)
     keep = np.asarray(points.valid)
     px, py = np.clip(np.rint(at[keep]).astype(int).T, 0, np.array(truth.shape[::-1])[:, None] - 1)
@@ -162,7 +156,7 @@ def steps(light_field: LightField, params: EdgeParams, sizes: EdgeSizes, *, thes
         jnp.float32(0.5),
     )
     filtered = score(truth, px, py, np.asarray(smooth)[py, px])
-    table.append({"step": "      + joint filter (4.6)", **filtered})
+    table.append({"step": "    + joint filter (4.6)", **filtered})
     return table, points
 
 

@@ -1,6 +1,7 @@
 """Keeping XLA from fusing one computation into the next."""
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import jax
@@ -24,3 +25,19 @@ def fenced(function: Callable[..., Any], *arguments: Any) -> Any:
         lambda *_: jax.tree.map(lambda shape: jnp.zeros(shape.shape, shape.dtype), shapes),
         *arguments,
     )
+
+
+def staged(function: Callable[..., Any]) -> Callable[..., Any]:
+    """A stage of a long computation, of which reverse mode keeps the arguments only.
+
+    `jax.checkpoint` alone does not say when a stage is computed again: on the CPU, XLA is free to
+    do so for all stages at once, long before their cotangents are there, and to keep everything.
+    The arguments of a conditional have to be there first, and the cotangents are among them.
+
+    Args:
+        function: maps pytrees of arrays to such.
+
+    Returns:
+        The same function. Differentiable as it is, in both modes.
+    """
+    return partial(fenced, jax.checkpoint(function))

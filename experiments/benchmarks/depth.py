@@ -26,9 +26,8 @@ from mvedge_jax.color import srgb_to_gray, srgb_to_lab
 from mvedge_jax.datasets import load_light_field, synthetic
 from mvedge_jax.diffusion import System, diffuse
 from mvedge_jax.epi import multiview_edges
-from mvedge_jax.epi._spline import spline_coefficients
 from mvedge_jax.occlusion import bidirectional, surface_vectors
-from mvedge_jax.photometry import hypotheses, photometric_labels
+from mvedge_jax.photometry import hypotheses, photometric_labels, spline_coefficients
 from mvedge_jax.reconstruct import (
     Parameters,
     Sizes,

@@ -20,12 +20,12 @@ from scipy import ndimage
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from experiments._report import peak_memory, print_table, timed, write_json
-from mvedge_jax.color import srgb_to_gray, srgb_to_lab
+from mvedge_jax._params import cast
+from mvedge_jax.color import srgb_to_lab
 from mvedge_jax.datasets import load_light_field
-from mvedge_jax.epi import EdgeParams, EdgeSizes, bank_response, multiview_edges
-from mvedge_jax.epi._edges import measure_candidates, scene_banks
-from mvedge_jax.epi._search import search
+from mvedge_jax.epi import EdgeParams, EdgeSizes, multiview_edges, scene_banks, strongest_response
 from mvedge_jax.lightfield import LightField
+from mvedge_jax.photometry import VolumeParams, hypothesis_count, prepare
 
 
 def textured(size: int, views: int = 9) -> LightField:
@@ -53,34 +53,23 @@ def textured(size: int, views: int = 9) -> LightField:
 
 
 def _responses_only(light_field: LightField, params: EdgeParams, sizes: EdgeSizes) -> Any:
-    """The largest response over filters and channels at every pixel, both directions."""
-
-    def strongest(arm: Any, bank: Any) -> Any:
-        def row(one: Any) -> Any:
-            return jnp.abs(bank_response(one, bank)).max((-1, -2))
-
-        blocks = jnp.moveaxis(arm, 1, 0).reshape(-1, 16, *arm.shape[:1], *arm.shape[2:])
-        return jax.lax.map(lambda block: row(jnp.moveaxis(block, 0, 1)), blocks)
-
+    """The largest response over the filters at every pixel, both directions."""
     banks = scene_banks(params, sizes, light_field.views.shape[:2])
     down = jnp.swapaxes(light_field.vertical_arm, 1, 2)
     return (
-        strongest(srgb_to_lab(light_field.horizontal_arm), banks[0]),
-        strongest(srgb_to_lab(down), banks[1]),
+        strongest_response(srgb_to_lab(light_field.horizontal_arm), banks[0]),
+        strongest_response(srgb_to_lab(down), banks[1]),
     )
 
 
-def _search_only(light_field: LightField, params: EdgeParams, sizes: EdgeSizes) -> Any:
-    across = light_field.horizontal_arm
-    down = jnp.swapaxes(light_field.vertical_arm, 1, 2)
-    return search(
-        (srgb_to_lab(across), srgb_to_lab(down)),
-        (100 * srgb_to_gray(across), 100 * srgb_to_gray(down)),
-        scene_banks(params, sizes, light_field.views.shape[:2]),
-        params.saturation.astype(across.dtype),
-        window=sizes.window,
-        tile=sizes.tile,
-    )
+def _first_map(light_field: LightField, params: EdgeParams, sizes: EdgeSizes) -> Any:
+    """Exposure, noise and hypotheses."""
+    del params
+    low, high = sizes.ends
+    count = hypothesis_count(high - low - 2 * sizes.step, max(light_field.centre))
+    tried = sizes.hypotheses(count)
+    volume = cast(VolumeParams(), tried.dtype)
+    return prepare(light_field.without_truth(), tried, volume, window=2)
 
 
 def _peers(light_field: LightField, params: EdgeParams, sizes: EdgeSizes, rows: int) -> dict:
@@ -127,8 +116,7 @@ def main(
     rows = []
     for name, stage in (
         ("filter responses, both directions", _responses_only),
-        ("search: responses and photo-consistency", _search_only),
-        ("search and refinement", measure_candidates),
+        ("brightness, noise, first map", _first_map),
         ("multiview_edges: everything", multiview_edges),
     ):
         _, t = timed(eqx.filter_jit(stage), light_field, params, sizes, repeats=repeats)

@@ -13,7 +13,12 @@ from ._bank import (
     line_taps as line_taps,
     prewitt_bank as prewitt_bank,
 )
-from ._edges import multiview_edges as multiview_edges
+from ._edges import (
+    measured_edges as measured_edges,
+    multiview_edges as multiview_edges,
+    scene_banks as scene_banks,
+    thesis_edges as thesis_edges,
+)
 from ._entropy import entropy_search as entropy_search, line_entropy as line_entropy
 from ._joint_filter import joint_filter as joint_filter
 from ._lines import (
@@ -22,12 +27,13 @@ from ._lines import (
     fit_lines as fit_lines,
     merge_scales as merge_scales,
 )
-from ._noise import noise_variance as noise_variance
 from ._params import EdgeParams as EdgeParams, EdgeSizes as EdgeSizes
 from ._points import EdgePoints as EdgePoints, Edges as Edges, EdgeStats as EdgeStats
 from ._range import disparity_range as disparity_range, scene_range as scene_range
-from ._refine import Refined as Refined, refine_points as refine_points
-from ._response import bank_response as bank_response, sheared_response as sheared_response
-from ._support import neighbour_support as neighbour_support
+from ._response import (
+    bank_response as bank_response,
+    sheared_response as sheared_response,
+    strongest_response as strongest_response,
+)
 from ._thesis import ThesisParams as ThesisParams, ThesisSteps as ThesisSteps
 from ._vote import spatial_vote as spatial_vote

@@ -6,8 +6,6 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from ._search import Maps, vertex
-
 
 class Candidates(NamedTuple):
     """Pixels on an edge, in raster order: the gathers of the refinement then stay local.
@@ -29,6 +27,14 @@ class Candidates(NamedTuple):
     alone: Bool[Array, "2 n"]
     total: Int[Array, ""]
     overflow: Int[Array, ""]
+
+
+def vertex(below: Array, middle: Array, above: Array) -> Array:
+    """Offset of the extremum of the parabola through three values at -1, 0 and 1, in [-1, 1]."""
+    bend = below - 2 * middle + above
+    flat = jnp.abs(bend) <= 1e-6 * (jnp.abs(below) + jnp.abs(above)) + 1e-30
+    offset = 0.5 * (below - above) / jnp.where(flat, 1, bend)
+    return jnp.where(flat, 0, jnp.clip(offset, -1, 1))
 
 
 def line_maxima(strength: Float[Array, "y x"], floor: Float[Array, ""]) -> Bool[Array, "y x"]:
@@ -54,7 +60,7 @@ def contrast(colour: Float[Array, "y x c"]) -> Float[Array, "2 y x"]:
 
 
 def find_candidates(
-    maps: Maps,
+    strength: Float[Array, "2 y x"],
     centre: Float[Array, "2 y x"],
     floor: Float[Array, ""],
     centre_floor: Float[Array, ""],
@@ -67,7 +73,7 @@ def find_candidates(
     around: the weaker one is not a maximum there, although the centre view shows it clearly.
 
     Args:
-        maps: filter responses.
+        strength: filter responses along x and along y.
         centre: see `contrast`.
         floor: weakest response.
         centre_floor: weakest contrast of the centre view alone, whose noise is not averaged.
@@ -80,15 +86,15 @@ def find_candidates(
     def maxima(values: Array, least: Array) -> Array:
         return jnp.stack([line_maxima(values[0], least), line_maxima(values[1].T, least).T])
 
-    own = maxima(maps.strength, floor)
+    own = maxima(strength, floor)
     single = maxima(centre, centre_floor)
-    strength = jnp.where(own, maps.strength, jnp.where(single, centre, 0)).max(0)
+    strongest = jnp.where(own, strength, jnp.where(single, centre, 0)).max(0)
     either = (own | single).any(0)
     count = either.sum()
     # The weakest go first where there are more candidates than slots, not the last ones.
-    if capacity < strength.size:
-        cut = jnp.sort(strength.reshape(-1))[strength.size - capacity - 1]
-        either = either & ((count <= capacity) | (strength > cut))
+    if capacity < strongest.size:
+        cut = jnp.sort(strongest.reshape(-1))[strongest.size - capacity - 1]
+        either = either & ((count <= capacity) | (strongest > cut))
     row, column = (
         axis.astype(jnp.int32) for axis in jnp.nonzero(either, size=capacity, fill_value=0)
     )
@@ -100,11 +106,11 @@ def find_candidates(
 
 
 def subpixel(
-    maps: Maps, centre: Float[Array, "2 y x"], candidates: Candidates
+    strength: Float[Array, "2 y x"], centre: Float[Array, "2 y x"], candidates: Candidates
 ) -> Float[Array, "n 2"]:
     """Vertex of the response along the direction, or directions, in which it is a maximum."""
     row, column = candidates.row, candidates.column
-    height, width = maps.disparity.shape
+    height, width = strength.shape[1:]
 
     def shift(values: Array) -> Array:
         def at(arm: int, down: int, right: int) -> Array:
@@ -117,7 +123,7 @@ def subpixel(
         shift_y = jnp.clip(vertex(at(1, -1, 0), middle_y, at(1, 1, 0)), -0.5, 0.5)
         return jnp.stack([shift_x, shift_y])
 
-    moved = jnp.where(candidates.found, shift(maps.strength), 0)
+    moved = jnp.where(candidates.found, shift(strength), 0)
     moved = jnp.where(candidates.alone, shift(centre), moved)
     return jnp.stack([column.astype(moved.dtype), row.astype(moved.dtype)], -1) + moved.T
 

@@ -37,8 +37,8 @@ class EdgeStats(eqx.Module):
     Attributes:
         candidates: pixels at which the filter bank found an edge along a row or a column.
         overflow: candidates that found no slot; the weakest are left out.
-        consistent: points whose views agree at the refined disparity.
-        valid: points returned: precise, and consistent as far as their neighbours' support asks.
+        consistent: those whose disparity the views determine.
+        valid: points returned: those of them that are lit.
     """
 
     candidates: Int[Array, ""]

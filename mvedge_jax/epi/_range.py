@@ -1,19 +1,29 @@
 """The disparity range of a scene, measured where it is not given."""
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from ..color import srgb_to_gray, srgb_to_lab
+from .._crosshair import crosshair
+from .._params import cast
+from ..color import srgb_to_lab
 from ..lightfield import LightField
-from ..photometry import Exposure, Noise, expose, measure_noise, rough_exposure
-from ._bank import bank_radius, prewitt_bank
+from ..photometry import (
+    Exposure,
+    Noise,
+    VolumeParams,
+    best_match,
+    expose,
+    measure_noise,
+    rough_exposure,
+)
 from ._candidates import contrast
-from ._search import Maps, search
 
 _STEP = 0.1
+_WINDOW = 2
+# Of 2: the better halves of both arms agree half-way at least.
+_SURE = 1.0
 # Beyond this a scene point leaves most views; nothing in the literature is wider.
 _WIDEST = 12.0
 # Noise in the shrunk views, grey levels of 100, from which single pixels are not believed.
@@ -28,28 +38,21 @@ def _brightness(light_field: LightField) -> tuple[Exposure, Noise]:
 
 
 @eqx.filter_jit
-def _coarse(
-    across: Array, down: Array, disparity: Array, saturation: Array, radius: int, tile: int
-) -> Maps:
-    down = jnp.swapaxes(down, 1, 2)
-    banks = (
-        prewitt_bank(disparity, across.shape[0], radius),
-        prewitt_bank(disparity, down.shape[0], radius),
+def _coarse(light_field: LightField, disparities: Array, noise: Noise) -> tuple[Array, ...]:
+    """Best disparity, its cost, and the contrast of the centre view, per pixel."""
+    lab = srgb_to_lab(light_field.centre_view)
+    params = cast(VolumeParams(), lab.dtype)
+    planes = jnp.moveaxis(lab, -1, 0)
+    found = best_match(
+        *crosshair(light_field), planes, disparities, params, window=_WINDOW, noise=noise
     )
-    return search(
-        (srgb_to_lab(across), srgb_to_lab(down)),
-        (100 * srgb_to_gray(across), 100 * srgb_to_gray(down)),
-        banks,
-        saturation,
-        window=5,
-        tile=tile,
-    )
+    return *found, contrast(lab).max(0)
 
 
 def disparity_range(light_field: LightField, *, start: float = 4.0) -> tuple[float, float]:
     """Measures the disparity range of a scene from the crosshair of views, on the host.
 
-    The search of `multiview_edges` runs on shrunk views, their brightness made alike, over a wide
+    The cost of `hypotheses` is looked up in shrunk views, their brightness made alike, over a wide
     range, which is doubled as long as the best disparities lie at its ends. Textureless pixels, and
     what the noise may have drawn, have no say; the margin covers what shrinking loses.
 
@@ -73,35 +76,27 @@ def disparity_range(light_field: LightField, *, start: float = 4.0) -> tuple[flo
     side = min(light_field.views.shape[2:4])
     # 128 px keep fine structure measurable; smaller views are searched as they are.
     factor = max(1, side // 128)
-    vc, uc = light_field.centre
     light_field = light_field.without_truth()
     exposure, noise = _brightness(light_field)
     coarse = expose(light_field.downsample(factor), exposure)
-    across, down = coarse.views[vc], coarse.views[:, uc]
     # Grey levels of 100 in the shrunk views; a fifth to a half of what colours in Lab show of it.
     grain = 100 / factor * float(noise.alpha * noise.deviation)
-    saturation = jnp.asarray(0.2 + 1.8 * grain**2, across.dtype)
-    slope = np.asarray(contrast(srgb_to_lab(coarse.centre_view))).max(0)
+    noise = Noise.of(noise.deviation / factor)
     reach = start
     while True:
         count = int(np.ceil(reach / factor / _STEP))
-        disparity = _STEP * jnp.arange(-count, count + 1, dtype=across.dtype)
-        radius = bank_radius(_STEP * count, max(across.shape[0], down.shape[0]))
-        tile = min(64, -(-max(across.shape[1:3]) // 8) * 8)
-        maps = jax.tree.map(np.asarray, _coarse(across, down, disparity, saturation, radius, tile))
-        # Filters of a wrong disparity respond beside an edge, too, where the centre view has none.
-        strength = maps.strength.max(0)
-        edge = (strength > 1 + 3 * grain) & (slope > 1 + 6 * grain)
+        tried = _STEP * jnp.arange(-count, count + 1, dtype=coarse.views.dtype)
+        disparities, cost, slope = map(np.asarray, _coarse(coarse, tried, noise))
+        edge = slope > 1 + 6 * grain
         if not edge.any():
-            edge = (strength > 1) & (slope > 1)
-        # The end filters win by accident in places without contrast or depth: leave those out.
-        sure = edge & (maps.cost < 0.6)
+            edge = slope > 1
+        # The outermost disparities win by accident where there is no contrast: leave those out.
+        sure = edge & (cost < _SURE)
         if not edge.any():
             raise ValueError(
                 "`light_field` shows no edges from which to measure the disparity range; give "
                 "`disparity_range`."
             )
-        disparities = maps.disparity
         if grain > _GRAINY:
             # What noise adds to single pixels would make the tails.
             around = np.pad(disparities, 2, mode="edge")

@@ -10,7 +10,7 @@ from ._bidirectional import (
 )
 from ._evidence import map_evidence as map_evidence, neighbour_evidence as neighbour_evidence
 from ._profile import profiles as profiles, step_response as step_response
-from ._raster import Raster as Raster, rasterise as rasterise
+from ._raster import Raster as Raster, rasterise as rasterise, share as share
 from ._reprojection import reprojection_score as reprojection_score
 from ._surface import (
     Side as Side,

@@ -1,5 +1,6 @@
 """Which side of an edge looks like the surface that the label was measured on."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
@@ -43,6 +44,7 @@ def neighbour_evidence(
     stencil = jnp.asarray(np.stack([across.ravel(), along.ravel()], -1), dtype)
 
     def side(sign: float) -> tuple[Array, Array]:
+        @jax.checkpoint
         def add(total: tuple[Array, Array], place: Array) -> tuple[tuple[Array, Array], None]:
             xy = points.xy + sign * place[0] * points.normal + place[1] * tangent
             column = jnp.round(lax.stop_gradient(xy[:, 0])).astype(jnp.int32)

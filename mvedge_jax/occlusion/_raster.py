@@ -1,4 +1,4 @@
-"""Points onto pixels: the nearest label wins."""
+"""Points onto pixels: the nearest label wins, or all are shared by the pixels around them."""
 
 from typing import NamedTuple
 
@@ -60,3 +60,51 @@ def rasterise(
     )
     hit = chosen >= 0
     return Raster(jnp.where(hit, chosen, count).reshape(shape), hit.reshape(shape))
+
+
+def share(
+    xy: Float[Array, "n 2"],
+    disparity: Float[Array, " n"],
+    weight: Float[Array, " n"],
+    surface: Float[Array, "y x"],
+    tolerance: Float[Array, ""],
+) -> tuple[Float[Array, "y x"], Float[Array, "y x"]]:
+    """Shares every label bilinearly among the four pixels around it that lie on its surface.
+
+    Plain bilinear splatting would mix the two sides of an edge. Here the share of a pixel also
+    falls with the distance of the label from a map that knows the surfaces.
+
+    Args:
+        xy: positions `(x, y)`, px; what falls outside of the image is lost.
+        disparity: of the labels, px per view step.
+        weight: of the labels, 0 for empty slots.
+        surface: a map of the surfaces, px per view step, `[y, x]`.
+        tolerance: distance from the map, px, that quarters a share.
+
+    Returns:
+        Sum of weights and weighted mean of labels per pixel, `[y, x]`; the mean is that of the map
+        where no label is. Differentiable in everything, positions included.
+    """
+    height, width = surface.shape
+    whole = jnp.floor(lax.stop_gradient(xy))
+    part = xy - whole
+    first = whole.astype(jnp.int32)
+    places, shares = [], []
+    for down in (0, 1):
+        for right in (0, 1):
+            x, y = first[:, 0] + right, first[:, 1] + down
+            inside = (x >= 0) & (x < width) & (y >= 0) & (y < height) & (weight > 0)
+            place = jnp.where(inside, y * width + x, 0)
+            there = surface.reshape(-1)[place]
+            across = part[:, 0] if right else 1 - part[:, 0]
+            along = part[:, 1] if down else 1 - part[:, 1]
+            agreed = 1 / (1 + ((disparity - there) / tolerance) ** 2) ** 2
+            places.append(place)
+            shares.append(jnp.where(inside, weight * across * along * agreed, 0))
+    place, amount = jnp.concatenate(places), jnp.concatenate(shares)
+    # Relative to the map, so that rounding does not grow with the disparity.
+    change = amount * (jnp.tile(disparity, 4) - surface.reshape(-1)[place])
+    both = jnp.zeros((height * width, 2), amount.dtype)
+    total, moved = both.at[place].add(jnp.stack([amount, change], axis=1)).T
+    mean = moved / jnp.where(total > 0, total, 1)
+    return total.reshape(height, width), surface + mean.reshape(height, width)

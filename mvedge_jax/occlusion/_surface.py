@@ -152,6 +152,7 @@ def along_edge(
     padded_disparity = jnp.concatenate([points.disparity, jnp.zeros_like(score[:1])])
     tangent = jnp.stack([-points.normal[:, 1], points.normal[:, 0]], -1)
 
+    @jax.checkpoint
     def add(total: tuple[Array, Array], step: Array) -> tuple[tuple[Array, Array], None]:
         xy = lax.stop_gradient(points.xy + step * tangent)
         column = jnp.round(xy[:, 0]).astype(jnp.int32)

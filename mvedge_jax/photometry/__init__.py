@@ -1,10 +1,15 @@
 """What the colours of the views say: brightness, noise, matching costs, the dense measurement."""
 
-from ._cost import VolumeParams as VolumeParams, hypotheses as hypotheses
+from ._cost import (
+    VolumeParams as VolumeParams,
+    best_match as best_match,
+    hypotheses as hypotheses,
+)
 from ._denoise import Smoothed as Smoothed, denoised as denoised, low_pass as low_pass
 from ._exposure import (
     Exposure as Exposure,
     expose as expose,
+    exposed_arms as exposed_arms,
     exposure_along as exposure_along,
     rough_exposure as rough_exposure,
 )
@@ -16,8 +21,20 @@ from ._measure import (
     look as look,
     mismatch as mismatch,
     photometric_labels as photometric_labels,
+    shared as shared,
+    view_weights as view_weights,
 )
 from ._noise import Noise as Noise, measure_noise as measure_noise
 from ._paths import aggregate as aggregate
 from ._pooling import pooled as pooled
 from ._reach import occlusion_reach as occlusion_reach
+from ._scene import (
+    Scene as Scene,
+    Sight as Sight,
+    first_labels as first_labels,
+    hypothesis_count as hypothesis_count,
+    occluder_radius as occluder_radius,
+    prepare as prepare,
+    sight as sight,
+)
+from ._spline import spline_coefficients as spline_coefficients

@@ -1,5 +1,6 @@
 """Hypotheses: per pixel, the disparity whose views agree best, whatever hides some of them."""
 
+from collections.abc import Callable
 from functools import partial
 from typing import NamedTuple
 
@@ -13,6 +14,7 @@ from jaxtyping import Array, Float
 from mvedge_jax._crosshair import Arm
 from mvedge_jax._fence import fenced
 from mvedge_jax._params import cast, number
+from mvedge_jax._unstack import unstack
 
 from ._filters import keys_taps
 from ._noise import Noise
@@ -114,12 +116,59 @@ def hypotheses(
     """
     params = cast(params, lab.dtype)
     noise = Noise.of(jnp.zeros((), lab.dtype)) if noise is None else noise
+    cost = _matching_cost(horizontal, vertical, lab, params, noise, window)
+    cheaper = 1 - 0.75 * noise.alpha
+    total = aggregate(
+        pooled(lax.map(cost, disparities), lab, noise, params.pooling),
+        lab,
+        slant=cheaper * params.slant,
+        jump=cheaper * params.jump,
+        colour=params.jump_colour,
+    )
+    return _cheapest(total, disparities)
+
+
+@partial(jax.jit, static_argnames="window")
+def best_match(
+    horizontal: Arm,
+    vertical: Arm,
+    lab: Float[Array, "c y x"],
+    disparities: Float[Array, " d"],
+    params: VolumeParams,
+    *,
+    window: int,
+    noise: Noise | None = None,
+) -> tuple[Float[Array, "y x"], Float[Array, "y x"]]:
+    """The cheapest hypothesis of every pixel by itself: `hypotheses` without paths and pooling.
+
+    Args:
+        horizontal: the horizontal arm.
+        vertical: the vertical arm, transposed.
+        lab: the centre view in CIELAB, `[c, y, x]`.
+        disparities: what to try, px per view step, increasing, evenly spaced.
+        params: see `VolumeParams`.
+        window: half the width of the window, px.
+        noise: of the views; None for none.
+
+    Returns:
+        Disparity and its cost per pixel: 0 where the better halves of both arms agree, 2 where no
+        view does. Differentiable as `hypotheses`.
+    """
+    params = cast(params, lab.dtype)
+    noise = Noise.of(jnp.zeros((), lab.dtype)) if noise is None else noise
+    total = lax.map(_matching_cost(horizontal, vertical, lab, params, noise, window), disparities)
+    return _cheapest(total, disparities), jnp.min(total, axis=0)
+
+
+def _matching_cost(
+    horizontal: Arm, vertical: Arm, lab: Array, params: VolumeParams, noise: Noise, window: int
+) -> Callable[[Array], Array]:
+    """The cost of a disparity at every pixel, `[y, x]`, over both arms."""
     alpha = noise.alpha
     # Of views without noise, two thirds of what was measured: texture is in it.
     deviation = noise.deviation * (alpha + (1 - alpha) / 1.45)
     variance = jnp.maximum(deviation, params.noise_floor) ** 2
     truncation = params.truncation * horizontal.planes.shape[1] * variance
-    cheaper = 1 - 0.75 * alpha
     share = (1 - alpha) / (1 + (contrast(lab, radius=_OUTLINE) / params.outline) ** 4)
     across = _swept(horizontal, lab, share, params, window)
     down = _swept(vertical, jnp.swapaxes(lab, 1, 2), share.T, params, window)
@@ -133,14 +182,7 @@ def hypotheses(
         )
         return along_rows + along_columns.T
 
-    total = aggregate(
-        pooled(lax.map(cost, disparities), lab, noise, params.pooling),
-        lab,
-        slant=cheaper * params.slant,
-        jump=cheaper * params.jump,
-        colour=params.jump_colour,
-    )
-    return _cheapest(total, disparities)
+    return cost
 
 
 def _swept(arm: Arm, lab: Array, share: Array, params: VolumeParams, window: int) -> _Swept:
@@ -158,21 +200,21 @@ def _arm_cost(
     arm: _Swept, disparity: Array, truncation: Array, limit: Array, alpha: Array
 ) -> Array:
     """Cost of the half that agrees better, in units of the truncation."""
+    # Stored, because both the drift and the cost read them.
+    changes = [fenced(_changes, half, arm.centre, disparity) for half in arm.halves]
+    drifts = arm.share[None] * _drift(arm.halves, changes, arm.wide, limit)
 
-    def cost(half: _Half) -> Array:
-        # Stored, because both the drift and the cost read them.
-        changes = fenced(_changes, half, arm.centre, disparity)
-        drift = arm.share * _drift(half, changes, arm.wide, limit)
+    def cost(half: _Half, changes: list[list[Array]], drift: Array) -> Array:
         total = jnp.zeros_like(drift)
         for change, step, there in zip(changes, half.steps, half.there, strict=True):
             rest = [colour - step * drift for colour in change]
             total = total + there * _truncated(rest, truncation)
         count = jnp.sum(half.there)
         # A half without views confirms nothing.
-        mean = jnp.where(count > 0, total / jnp.maximum(count, 1), 1)
-        return weighted_sum(mean, arm.support)
+        return jnp.where(count > 0, total / jnp.maximum(count, 1), 1)
 
-    first, second = (cost(half) for half in arm.halves)
+    means = jnp.stack([cost(*of) for of in zip(arm.halves, changes, unstack(drifts), strict=True)])
+    first, second = unstack(weighted_sum(means, arm.support))
     return _better(first, second, alpha)
 
 
@@ -188,18 +230,24 @@ def _better(first: Array, second: Array, alpha: Array) -> Array:
     return lax.cond(alpha > 0, soft, jnp.minimum, first, second)
 
 
-def _drift(half: _Half, changes: list[list[Array]], weights: Array, limit: Array) -> Array:
+def _drift(
+    halves: tuple[_Half, _Half], changes: list[list[list[Array]]], weights: Array, limit: Array
+) -> Float[Array, "h y x"]:
     """Change of the grey of a window per view step, by regression through the centre view."""
-    last = jnp.max(jnp.abs(half.steps))
-    total = jnp.zeros_like(changes[0][0])
-    square = jnp.zeros_like(last)
-    for change, step, there in zip(changes, half.steps, half.there, strict=True):
-        gray = sum(change[1:], change[0]) / len(change)
-        # What is far beyond any drift is another surface, and says nothing about this one.
-        total = total + there * step * jnp.clip(gray, -3 * limit, 3 * limit)
-        square = square + there * step**2
-    change = weighted_sum(total * (last / jnp.maximum(square, 1)), weights, spacing=2)
-    return jnp.clip(change, -limit, limit) / last
+    ends = [jnp.max(jnp.abs(half.steps), initial=1) for half in halves]
+
+    def trend(half: _Half, changes: list[list[Array]], last: Array) -> Array:
+        total, square = jnp.zeros_like(weights[0]), jnp.zeros_like(last)
+        for change, step, there in zip(changes, half.steps, half.there, strict=True):
+            gray = sum(change[1:], change[0]) / len(change)
+            # What is far beyond any drift is another surface, and says nothing about this one.
+            total = total + there * step * jnp.clip(gray, -3 * limit, 3 * limit)
+            square = square + there * step**2
+        return total * (last / jnp.maximum(square, 1))
+
+    trends = jnp.stack([trend(*of) for of in zip(halves, changes, ends, strict=True)])
+    change = weighted_sum(trends, weights, spacing=2)
+    return jnp.clip(change, -limit, limit) / jnp.stack(ends)[:, None, None]
 
 
 def _truncated(change: list[Array], truncation: Array) -> Array:
@@ -228,18 +276,18 @@ def _changes(half: _Half, centre: Array, disparity: Array) -> list[list[Array]]:
     """Colours of every view of a half at a disparity, less those of the centre view."""
     width = centre.shape[2]
     result = []
-    for planes, step in zip(half.planes, half.steps, strict=True):
+    for planes, step in zip(unstack(half.planes), half.steps, strict=True):
         shift = step * disparity
         whole = jnp.floor(shift)
         weights = keys_taps(shift - whole)
         first = jnp.clip(whole.astype(jnp.int32), -width, width) + width - 1
         part = lax.dynamic_slice_in_dim(planes, first, width + 3, axis=2)
-        taps = [part[:, :, j : j + width] for j in range(4)]
+        taps = [unstack(part[:, :, j : j + width]) for j in range(4)]
         result.append(
             [
                 sum((weights[j] * taps[j][c] for j in range(1, 4)), weights[0] * taps[0][c])
                 - reference
-                for c, reference in enumerate(centre)
+                for c, reference in enumerate(unstack(centre))
             ]
         )
     return result

@@ -63,6 +63,25 @@ def expose(light_field: LightField, exposure: Exposure) -> LightField:
     return eqx.tree_at(lambda field: field.views, light_field, light_field.views * factor)
 
 
+def exposed_arms(arms: tuple[Arm, Arm], exposure: Exposure) -> tuple[Arm, Arm]:
+    """`expose` for the crosshair alone.
+
+    Args:
+        arms: horizontal and vertical, as they came.
+        exposure: what to take out.
+
+    Returns:
+        The same, whose colours compare. Differentiable.
+    """
+    horizontal, vertical = arms
+    gains = exposure.gain[vertical.centre], exposure.gain[:, horizontal.centre]
+    across, down = (
+        arm._replace(planes=arm.planes * (exposure.scale / gain)[:, None, None, None])
+        for arm, gain in zip(arms, gains, strict=True)
+    )
+    return across, down
+
+
 def rough_exposure(light_field: LightField) -> Exposure:
     """Exposure and gains without knowing any disparity.
 

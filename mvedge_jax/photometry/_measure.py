@@ -1,5 +1,6 @@
 """Dense labels: where the views themselves put the surface, and how well they know it."""
 
+from collections.abc import Sequence
 from functools import partial
 from typing import NamedTuple, TypeVar
 
@@ -13,6 +14,7 @@ from jaxtyping import Array, Float
 from mvedge_jax._crosshair import Arm
 from mvedge_jax._fence import fenced
 from mvedge_jax._params import cast, number
+from mvedge_jax._unstack import unstack
 
 from ._reach import occlusion_reach
 from ._window import weighted_sum
@@ -23,6 +25,8 @@ _Tree = TypeVar("_Tree")
 _ROUNDING = 1 / 255 / 12**0.5
 # Where the signal is a smaller share of the information than this, it does not move the map.
 _LEAST_SHARE = 1e-4
+# Standard error, px, below which neighbours count alike.
+_SHARPEST = 0.003
 
 
 class PhotometricParams(eqx.Module):
@@ -258,6 +262,37 @@ def labels(
 
 
 @partial(jax.jit, static_argnames="passes")
+def shared(
+    measured: PhotometricLabels,
+    lab: Float[Array, "c y x"],
+    params: PhotometricParams,
+    *,
+    passes: int,
+) -> PhotometricLabels:
+    """Labels averaged with those of neighbours on the same surface, by their precision.
+
+    A step of `labels` is that of a window, taken from every pixel's own start: what the starts
+    scatter by is still in the labels.
+
+    Args:
+        measured: of `labels`.
+        lab: the centre view in CIELAB, `[c, y, x]`.
+        params: see `PhotometricParams`.
+        passes: over the neighbourhood, see `labels`.
+
+    Returns:
+        The averages; variance and residual are those of the pixel itself, since neighbours were
+        measured in windows that overlap. Differentiable.
+    """
+    params = cast(params, lab.dtype)
+    own = measured.disparity
+    # So that no label is so good that nothing else counts.
+    weight = 1 / (measured.variance + _SHARPEST**2)
+    total, mean = _gather((weight, weight * own), lab, own, params, passes)
+    return measured._replace(disparity=mean / total)
+
+
+@partial(jax.jit, static_argnames="passes")
 def mismatch(
     found: Look,
     lab: Float[Array, "c y x"],
@@ -293,15 +328,19 @@ def _gather(
     Passes over 3x3 pixels, each twice as far apart as the one before: the window of the second is
     7x7, that of the third 15x15, for 9 terms a pass.
     """
-    total = own
+    fields, tree = jax.tree.flatten(own)
+    total = jnp.stack(fields)
     for spacing in (2**i for i in range(passes)):
-        total = _gather3(total, lab, disparity, params, spacing)
-    return total
+        weights = _alike(lab, disparity, params, spacing)
+        # Nothing is known beyond the border.
+        total = weighted_sum(total, weights, spacing=spacing, mode="constant")
+    return tree.unflatten(unstack(total))
 
 
-def _gather3(
-    own: _Tree, lab: Array, disparity: Array, params: PhotometricParams, spacing: int
-) -> _Tree:
+def _alike(
+    lab: Array, disparity: Array, params: PhotometricParams, spacing: int
+) -> Float[Array, "o y x"]:
+    """Weights of 3x3 neighbours by their likeness."""
     height, width = disparity.shape
     margin = (spacing, spacing)
     padded = jnp.pad(jnp.concatenate([disparity[None], lab]), ((0, 0), margin, margin), mode="edge")
@@ -318,15 +357,64 @@ def _gather3(
             distance = distance + ((other - own) / scale) ** 2
         return taps[row] * taps[column] * jnp.exp(-distance)
 
-    weights = lax.map(weigh, jnp.arange(9))
-    # Nothing is known beyond the border.
-    return jax.tree.map(
-        lambda field: weighted_sum(field, weights, spacing=spacing, mode="constant"), own
-    )
+    return lax.map(weigh, jnp.arange(9))
+
+
+@partial(jax.jit, static_argnames="radius")
+def view_weights(
+    horizontal: Arm,
+    vertical: Arm,
+    disparity: Float[Array, "y x"],
+    params: PhotometricParams,
+    *,
+    radius: int,
+) -> Float[Array, "s y x"]:
+    """How far each view shows what the centre view shows: the weights that `look` gives them.
+
+    Args:
+        horizontal: the horizontal arm, planes holding spline coefficients.
+        vertical: the vertical arm, likewise, transposed.
+        disparity: px per view step, `[y, x]`.
+        params: see `PhotometricParams`.
+        radius: how far occluders are looked for, px.
+
+    Returns:
+        In [0, 1]: 0 where a nearer surface of the map hides a pixel or the image ends, less than
+        one half where colours are further from those of the other views than these are from each
+        other. The vertical arm first. Differentiable at the occlusions found.
+    """
+    params = cast(params, disparity.dtype)
+
+    def weights(arm: Arm, disparity: Array) -> Array:
+        found = _arm_views(arm, disparity, params, radius)
+        return jnp.insert(found.weight, arm.centre, found.own, axis=0)
+
+    down = jnp.swapaxes(fenced(weights, vertical, disparity.T), 1, 2)
+    return jnp.concatenate([down, fenced(weights, horizontal, disparity)])
+
+
+class _ArmViews(NamedTuple):
+    """What the views of an arm but the centre one show, and how far they are trusted."""
+
+    own: Array
+    weight: Array
+    relative: list[Array]
+    gradients: list[Array]
+    slopes: list[Array]
 
 
 def _arm_look(arm: Arm, disparity: Array, params: PhotometricParams, radius: int) -> _ArmLook:
     """The sums of one arm, per pixel."""
+    seen = _arm_views(arm, disparity, params, radius)
+    steps = arm.steps[_others(arm)]
+    return _sums(_moments(seen.weight, steps, seen.relative, seen.gradients, seen.own, seen.slopes))
+
+
+def _others(arm: Arm) -> np.ndarray:
+    return np.delete(np.arange(arm.planes.shape[0]), arm.centre)
+
+
+def _arm_views(arm: Arm, disparity: Array, params: PhotometricParams, radius: int) -> _ArmViews:
     negative, positive = occlusion_reach(disparity, radius=radius, step=0.05)
     columns = jnp.arange(disparity.shape[1], dtype=disparity.dtype)[None, :]
     last = disparity.shape[1] - 1
@@ -344,12 +432,12 @@ def _arm_look(arm: Arm, disparity: Array, params: PhotometricParams, radius: int
         return (seen.astype(disparity.dtype), *relative, *slopes)
 
     # Colours are relative to the centre view, whose own are therefore 0.
-    others = np.delete(np.arange(arm.planes.shape[0]), arm.centre)
+    others = _others(arm)
     seen, *rest = lax.map(one, (arm.planes[others], arm.steps[others], arm.available[others]))
     relative, gradients = rest[: len(centre)], rest[len(centre) :]
     first = _moments(seen, arm.steps[others], relative, gradients, jnp.ones_like(disparity), slopes)
     own, weight = _trusted(seen, relative, first, params)
-    return _sums(_moments(weight, arm.steps[others], relative, gradients, own, slopes))
+    return _ArmViews(own, weight, relative, gradients, slopes)
 
 
 def _moments(
@@ -361,25 +449,31 @@ def _moments(
     slopes: list[Array],
 ) -> _Moments:
     """Sums over the views; `own` and `slopes` are weight and gradients of the centre view."""
-    count = weight.shape[0]
+    weights, colours = unstack(weight), [unstack(v) for v in values]
 
-    def total(factors: list[Array], images: Array | None = None) -> Array:
-        terms = factors if images is None else [f * images[i] for i, f in enumerate(factors)]
+    def total(factors: Sequence[Array], images: Sequence[Array] | None = None) -> Array:
+        terms = factors if images is None else [f * i for f, i in zip(factors, images, strict=True)]
         return sum(terms[1:], terms[0])
 
-    plain = [weight[i] for i in range(count)]
-    first = [weight[i] * steps[i] for i in range(count)]
-    second = [weight[i] * steps[i] ** 2 for i in range(count)]
-    squares = [sum((v[i] ** 2 for v in values[1:]), values[0][i] ** 2) for i in range(count)]
+    first = [w * step for w, step in zip(weights, steps, strict=True)]
+    second = [w * step**2 for w, step in zip(weights, steps, strict=True)]
+    squares = [_square(of) for of in zip(*colours, strict=True)]
     return _Moments(
-        own + total(plain),
+        own + total(weights),
         total(first),
         total(second),
-        [total(plain, value) for value in values],
-        [total(first, value) for value in values],
-        total([weight[i] * squares[i] for i in range(count)]),
-        [own * s + total(plain, g) for s, g in zip(slopes, gradients, strict=True)],
+        [total(weights, colour) for colour in colours],
+        [total(first, colour) for colour in colours],
+        total(weights, squares),
+        [own * s + total(weights, unstack(g)) for s, g in zip(slopes, gradients, strict=True)],
     )
+
+
+def _square(colour: Sequence[Array]) -> Array:
+    total = colour[0] ** 2
+    for channel in colour[1:]:
+        total = total + channel**2
+    return total
 
 
 def _trusted(

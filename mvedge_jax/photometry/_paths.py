@@ -1,5 +1,6 @@
 """Aggregation of matching costs along paths: the disparity of a pixel is seldom its own affair."""
 
+import jax
 import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
@@ -58,6 +59,7 @@ def _both_ways(cost: Array, lab: Array, slant: Array, jump: Array, colour: Array
     free = jnp.zeros_like(lab[:1, 0])
     wall = jnp.full_like(cost[0, :1], jnp.inf)
 
+    @jax.checkpoint
     def visit(before: Array, item: tuple[Array, Array]) -> tuple[Array, Array]:
         own, price = item
         least = _least(before)

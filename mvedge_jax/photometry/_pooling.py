@@ -12,6 +12,8 @@ from ._noise import Noise
 _STEP = 400.0
 # How far from an outline its costs are those of the nearer surface, px.
 _REACH = 6
+# Disparities that are filtered together.
+_SLAB = 8
 
 
 def pooled(
@@ -52,7 +54,17 @@ def pooled(
         steps = unit * _distance(lab, 0), unit * _distance(lab, 1)
         trust = 1 / (1 + highest(_gradient(lab), _REACH) ** 4) + 1e-6
         total = _smooth(trust[None], steps, reach)
-        return _smooth(trust[None] * cost, steps, reach) / total
+
+        @jax.checkpoint
+        def some(cost: Array) -> Array:
+            return _smooth(trust[None] * cost, steps, reach) / total
+
+        # In slabs, for the sake of what reverse mode keeps of a filter.
+        slabs = -(-cost.shape[0] // _SLAB)
+        spare = slabs * _SLAB - cost.shape[0]
+        padded = jnp.pad(cost, ((0, spare), (0, 0), (0, 0)))
+        out = lax.map(some, padded.reshape(slabs, _SLAB, *cost.shape[1:]))
+        return out.reshape(padded.shape)[: cost.shape[0]]
 
     return lax.cond(noise.alpha > 0, jax.checkpoint(filtered), lambda cost: cost, cost)
 

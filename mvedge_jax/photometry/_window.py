@@ -1,44 +1,108 @@
 """Windows that follow an image: sums over neighbours, largest values, contrast."""
 
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import jax
 import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
 from mvedge_jax._fence import fenced
+from mvedge_jax._linear_map import linear_map
 
 
 def weighted_sum(
-    image: Float[Array, "y x"],
+    images: Float[Array, "n y x"],
     weights: Float[Array, "o y x"],
     *,
     spacing: int = 1,
     mode: str = "edge",
-) -> Float[Array, "y x"]:
-    """Sum over a window with weights of one's own at every pixel.
+) -> Float[Array, "n y x"]:
+    """Sums over a window with weights of one's own at every pixel.
 
     Args:
-        image: `[y, x]`.
+        images: planes that share their weights, `[n, y, x]`.
         weights: of the offsets of a square window, row by row.
         spacing: px between the pixels of the window.
         mode: beyond the border: `"edge"` repeats the border, `"constant"` is zero.
 
     Returns:
-        The sum. Differentiable.
+        The sums. Differentiable.
     """
-    size, (height, width) = round(weights.shape[0] ** 0.5), image.shape
-    span = (size - 1) * spacing
-
-    def add(image: Array, weights: Array) -> Array:
-        padded = lax.optimization_barrier(jnp.pad(image, span // 2, mode=mode))
-        total = jnp.zeros_like(image)
-        for o in range(size * size):
-            dy, dx = o // size * spacing, o % size * spacing
-            total = total + weights[o] * padded[dy : dy + height, dx : dx + width]
-        return total
-
-    # Unrolled, this is one fused pass over the image, three times as fast on a CPU as a scan over
+    # Unrolled, this is one fused pass over the images, three times as fast on a CPU as a scan over
     # the offsets, as long as nothing before or after it is drawn into the loop.
-    return fenced(add, image, weights)
+    return fenced(partial(_summed, _Window(spacing, mode)), images, weights)
+
+
+@dataclass(frozen=True)
+class _Window:
+    """Where the pixels of a window lie."""
+
+    spacing: int
+    mode: str
+
+    def padded(self, images: Array, count: int) -> Array:
+        margin = (self.size(count) - 1) * self.spacing // 2
+        return jnp.pad(images, ((0, 0), (margin, margin), (margin, margin)), mode=self.mode)
+
+    def start(self, offset: Array | int, count: int) -> tuple[Any, ...]:
+        size = self.size(count)
+        # The first one is of the type of the others, as slices ask.
+        return 0 * offset, offset // size * self.spacing, offset % size * self.spacing
+
+    @staticmethod
+    def size(count: int) -> int:
+        return round(count**0.5)
+
+
+@partial(jax.custom_jvp, nondiff_argnums=(0,))
+def _summed(window: _Window, images: Array, weights: Array) -> Array:
+    count, (height, width) = weights.shape[0], images.shape[1:]
+    padded = lax.optimization_barrier(window.padded(images, count))
+    total = jnp.zeros_like(images)
+    for o in range(count):
+        _, y, x = window.start(o, count)
+        total = total + weights[o][None] * padded[:, y : y + height, x : x + width]
+    return total
+
+
+@_summed.defjvp
+def _summed_jvp(window: _Window, primals: Any, tangents: Any) -> tuple[Array, Array]:
+    """Transposes are loops: unrolled, too, they would make up most of any gradient's program."""
+    (images, weights), (images_dot, weights_dot) = primals, tangents
+    count, shape = weights.shape[0], images.shape
+
+    def images_from(weights: Array, out: Array) -> Array:
+        canvas, unpad = jax.vjp(lambda i: window.padded(i, count), jnp.zeros(shape, out.dtype))
+
+        def add(canvas: Array, item: tuple[Array, Array]) -> tuple[Array, None]:
+            weight, offset = item
+            start = window.start(offset, count)
+            sums = lax.dynamic_slice(canvas, start, shape) + weight[None] * out
+            return lax.dynamic_update_slice(canvas, sums, start), None
+
+        offsets = jnp.arange(count, dtype=jnp.int32)
+        canvas, _ = lax.scan(add, jnp.zeros_like(canvas), (weights, offsets))
+        return unpad(canvas)[0]
+
+    def weights_from(images: Array, out: Array) -> Array:
+        padded = window.padded(images, count)
+
+        def weight(offset: Array) -> Array:
+            part = lax.dynamic_slice(padded, window.start(offset, count), shape)
+            # By hand: XLA on CPU does not vectorise a sum over a leading axis.
+            total = part[0] * out[0]
+            for a, b in zip(part[1:], out[1:], strict=True):
+                total = total + a * b
+            return total
+
+        return lax.map(weight, jnp.arange(count, dtype=jnp.int32))
+
+    along = linear_map(lambda w, i: _summed(window, i, w), images_from, weights, images_dot)
+    turned = linear_map(partial(_summed, window), weights_from, images, weights_dot)
+    return _summed(window, images, weights), along + turned
 
 
 def colour_weights(

@@ -1,6 +1,7 @@
 """The whole chain: light field in, dense disparity of the centre view out."""
 
 from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 import equinox as eqx
@@ -9,13 +10,12 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
-from mvedge_jax._crosshair import Arm, crosshair
+from mvedge_jax._crosshair import Arm
+from mvedge_jax._fence import staged
 from mvedge_jax._params import cast
-from mvedge_jax.color import srgb_to_gray, srgb_to_lab
+from mvedge_jax.color import srgb_to_gray
 from mvedge_jax.diffusion import Diffused, Solver, System, diffuse
-from mvedge_jax.epi import EdgePoints, EdgeStats
-from mvedge_jax.epi._edges import exposed_edges
-from mvedge_jax.epi._spline import spline_coefficients
+from mvedge_jax.epi import EdgePoints, EdgeStats, measured_edges, thesis_edges
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.occlusion import (
     Bidirectional,
@@ -25,6 +25,7 @@ from mvedge_jax.occlusion import (
     point_weight,
     rasterise,
     reprojection_score,
+    share,
     surface_vectors,
 )
 from mvedge_jax.photometry import (
@@ -32,17 +33,13 @@ from mvedge_jax.photometry import (
     Look,
     Noise,
     PhotometricLabels,
-    Smoothed,
-    denoised,
-    expose,
-    exposure_along,
-    hypotheses,
+    Sight,
+    first_labels,
     labels,
     look,
-    low_pass,
-    measure_noise,
     mismatch,
-    rough_exposure,
+    prepare,
+    sight,
 )
 
 from ._parameters import CentreParams, Parameters, Sizes
@@ -161,38 +158,43 @@ def edge_to_depth(
     dtype = light_field.views.dtype
     light_field = light_field.without_truth()
     params = cast(params, dtype)
-    low, high = sizes.edges.ends
-    step = sizes.edges.step
-    tried = jnp.linspace(low + step, high - step, sizes.hypotheses, dtype=dtype)
-
-    exposure = rough_exposure(light_field)
-    exposed = expose(light_field, exposure)
-    centre = jnp.moveaxis(exposed.centre_view, -1, 0)
-    arms = crosshair(exposed)
-    noise = measure_noise(centre, exposure.scale, arms=arms, disparities=tried)
-    guide = denoised(centre, noise)
+    thesis = sizes.edges.thesis is not None
+    scene = prepare(
+        light_field,
+        sizes.edges.hypotheses(sizes.hypotheses, dtype),
+        params.volume,
+        window=sizes.window,
+        search=sizes.dense or not thesis,
+    )
+    noise, guide, lab = scene.noise, scene.guide, scene.lab
     gray = srgb_to_gray(jnp.moveaxis(guide, 0, -1))
     shape = (gray.shape[0], gray.shape[1])
-    lab = jnp.moveaxis(srgb_to_lab(jnp.moveaxis(guide, 0, -1)), -1, 0)
-    first = None
-    if sizes.dense:
-        sigma = jnp.clip(0.4 + 30 * noise.deviation, 0.5, 1.0)
-        soft = low_pass(arms, noise, sigma).arms
-        first = hypotheses(*soft, lab, tried, params.volume, noise=noise, window=sizes.window)
-        # The gains again, now that it is known what shows the same.
-        exposure = exposure_along(light_field, exposure.scale, first)
-        exposed = expose(light_field, exposure)
-        smooth = low_pass(crosshair(exposed), noise, jnp.minimum(30 * noise.deviation, 1))
-        arms, params = smooth.arms, _under_noise(params, noise, smooth)
-    horizontal, vertical = arms
-    edges = exposed_edges(exposed, exposure.scale, noise, params.edges, sizes.edges, key=key)
-    points = edges.points
-    coarse = Solver(tolerance=10 * params.centre.tolerance)
-    passes = bidirectional(
-        points, gray, params.bidirectional, normalised=sizes.side == "thesis", solver=coarse
+    views = staged(sight)(scene, params.photometric)
+    # Points take their disparity from few pixels, which noise leaves little of.
+    params = eqx.tree_at(
+        lambda p: (p.photometric, p.centre.points),
+        params,
+        (views.params, params.centre.points * (1 - noise.alpha)),
     )
-    surface = _sides(points, passes, first, horizontal, vertical, params, sizes, shape)
-    from_points, hits = _point_labels(points, surface, passes, params, sizes, shape)
+    measure = partial(first_labels, radius=sizes.radius, passes=sizes.passes)
+    if thesis:
+        edges = thesis_edges(scene, params.edges, sizes.edges, key=key)
+        first = measure(scene, views).disparity if sizes.dense else None
+    else:
+        measured = staged(measure)(scene, views)
+        edges = staged(lambda *of: measured_edges(*of, sizes=sizes.edges, radius=sizes.radius))(
+            scene, views, measured, params.edges
+        )
+        first = measured.disparity if sizes.dense else None
+    points = edges.points
+
+    coarse = Solver(tolerance=10 * params.centre.tolerance)
+    directed = partial(bidirectional, normalised=sizes.side == "thesis", solver=coarse)
+    passes = staged(directed)(points, gray, params.bidirectional)
+    surface = staged(lambda *of: _sides(*of, sizes=sizes, shape=shape))(
+        points, passes, first, views.arms, params
+    )
+    from_points, hits = _point_labels(points, surface, passes, first, params, sizes, shape)
 
     def sharper(disparity: Array) -> Array:
         return sharpen(
@@ -209,8 +211,7 @@ def edge_to_depth(
         found = _sparse_map(from_points, lab, start, params, sizes)
         found = found._replace(disparity=sharper(found.disparity))
     else:
-        splines = _splines(horizontal), _splines(vertical)
-        found = _dense_map(from_points, splines, lab, first, sharper, params, sizes)
+        found = _dense_map(from_points, views, lab, first, sharper, params, sizes)
     disparity, weight, iterations, converged = found
     stats = DepthStats(
         edges.stats,
@@ -219,44 +220,19 @@ def edge_to_depth(
         jnp.concatenate([passes.iterations, iterations]),
         converged,
         noise,
-        exposure,
+        scene.exposure,
     )
     confidence = jnp.minimum(weight, 1)
     return DepthResult(disparity, confidence, passes.edge, points, surface, stats)
-
-
-def _under_noise(params: Parameters, noise: Noise, smooth: Smoothed) -> Parameters:
-    """Parameters of the measurement in blurred views of a noisy scene."""
-    measure, clear = params.photometric, 1 - noise.alpha
-    deviation = jnp.sqrt(smooth.kept) * noise.deviation
-    measure = eqx.tree_at(
-        lambda p: (p.noise, p.gradient_noise, p.stiffness, p.same_colour),
-        measure,
-        (
-            jnp.maximum(deviation, measure.noise),
-            # What noise is left in the mean gradients of all views is less than the residual says.
-            measure.gradient_noise * smooth.grain * (1 - 0.6 * noise.alpha**4),
-            # Drift cannot be told from noise, nor surfaces by their colours.
-            measure.stiffness / clear**2,
-            measure.same_colour / clear,
-        ),
-    )
-    # Points take their disparity from few pixels, which noise leaves little of.
-    points = params.centre.points * clear
-    return eqx.tree_at(lambda p: (p.photometric, p.centre.points), params, (measure, points))
-
-
-def _splines(arm: Arm) -> Arm:
-    return arm._replace(planes=spline_coefficients(arm.planes, axis=-1))
 
 
 def _sides(
     points: EdgePoints,
     passes: Bidirectional,
     first: Array | None,
-    horizontal: Arm,
-    vertical: Arm,
+    arms: tuple[Arm, Arm],
     params: Parameters,
+    *,
     sizes: Sizes,
     shape: tuple[int, int],
 ) -> SurfaceVectors:
@@ -269,7 +245,7 @@ def _sides(
         score = passes.response
     elif sizes.side == "reprojection":
         score = reprojection_score(
-            points, passes.forward, passes.backward, horizontal, vertical, radius=sizes.radius
+            points, passes.forward, passes.backward, *arms, radius=sizes.radius
         )
     else:
         score = jnp.zeros_like(points.disparity)
@@ -280,32 +256,36 @@ def _point_labels(
     points: EdgePoints,
     surface: SurfaceVectors,
     passes: Bidirectional,
+    first: Array | None,
     params: Parameters,
     sizes: Sizes,
     shape: tuple[int, int],
 ) -> tuple[_Labels, Array]:
     """The points' labels on their surfaces, and which pixels have one."""
     precise = _precision_weight(points.error**2, params.centre)
-    if sizes.dense:
-        weight = params.centre.points * precise
-    else:
+    if first is None:
         # As in (6.3), scaled so that the strongest weight is 1.
         limit = jnp.exp(params.bidirectional.limit)
         weight = precise * (
             0.5 + 0.5 * point_weight(passes.confidence, points.valid, params.bidirectional) / limit
         )
+    else:
+        weight = params.centre.points * points.confidence * precise
     weight = jnp.where(points.valid, weight, 0)
     if not sizes.relaxed:
         raster = rasterise(points.xy + surface.offset, points.disparity, points.valid, shape)
         return _Labels(raster.values(weight), raster.values(points.disparity)), raster.hit
+    total, mean = jnp.zeros(shape, weight.dtype), jnp.zeros(shape, weight.dtype)
     shift = params.surface.offset * points.normal
-    total, mean, hits = jnp.zeros(shape, weight.dtype), jnp.zeros(shape, weight.dtype), False
-    for sign, share in ((1.0, surface.forward), (-1.0, 1 - surface.forward)):
-        raster = rasterise(points.xy + sign * shift, points.disparity, points.valid, shape)
-        part = raster.values(weight * share)
-        total, mean = total + part, mean + part * raster.values(points.disparity)
-        hits = hits | raster.hit
-    return _Labels(total, mean / jnp.where(total > 0, total, 1)), jnp.asarray(hits)
+    for sign, share_of in ((1.0, surface.forward), (-1.0, 1 - surface.forward)):
+        place, part = points.xy + sign * shift, weight * share_of
+        if first is None:
+            raster = rasterise(place, points.disparity, points.valid, shape)
+            amount, value = raster.values(part), raster.values(points.disparity)
+        else:
+            amount, value = share(place, points.disparity, part, first, params.centre.agreement)
+        total, mean = total + amount, mean + amount * value
+    return _Labels(total, mean / jnp.where(total > 0, total, 1)), total > 0
 
 
 class _Map(NamedTuple):
@@ -333,7 +313,7 @@ def _sparse_map(
 
 def _dense_map(
     from_points: _Labels,
-    splines: tuple[Arm, Arm],
+    views: Sight,
     lab: Array,
     first: Array,
     sharper: Callable[[Array], Array],
@@ -341,11 +321,9 @@ def _dense_map(
     sizes: Sizes,
 ) -> _Map:
     """Repeated measurement in the views and diffusion, with slopes from the second solve on."""
-    there = jnp.concatenate([arm.available for arm in splines])
-    views = 0.5 * jnp.sum(there.astype(first.dtype))
 
     def seen(disparity: Array) -> tuple[Look, Array]:
-        found = look(*splines, disparity, params.photometric, radius=sizes.radius)
+        found = look(*views.splines, disparity, params.photometric, radius=sizes.radius)
         residual = mismatch(found, lab, disparity, params.photometric, passes=sizes.passes)
         return found, residual
 
@@ -370,7 +348,9 @@ def _dense_map(
         else:
             due = turn % sizes.solves == 0
             disparity, found = lax.cond(due, sharpened, plain, disparity, turn)
-        measured = labels(found, lab, disparity, params.photometric, views, passes=sizes.passes)
+        measured = labels(
+            found, lab, disparity, params.photometric, views.views, passes=sizes.passes
+        )
         both = _with_dense(from_points, measured, disparity, params)
         edges = edge_smoothness(lab, _blur(disparity, params.centre.blur), params.smoothness)
         slopes = lax.cond(

@@ -11,8 +11,8 @@ from jaxtyping import Array, Bool, Float
 from mvedge_jax._params import cast, number
 from mvedge_jax.color import srgb_to_lab
 from mvedge_jax.diffusion import Solver, System, diffuse
-from mvedge_jax.epi._spline import spline_coefficients
 from mvedge_jax.losses import Views
+from mvedge_jax.photometry import spline_coefficients
 from mvedge_jax.warping import visible
 
 from ._smoothness import SmoothnessParams, edge_smoothness

@@ -1,6 +1,5 @@
 """Parameters (traced) and sizes (static) of the whole chain from views to depth."""
 
-import math
 from dataclasses import dataclass
 from typing import get_args
 
@@ -11,7 +10,12 @@ from mvedge_jax._params import number
 from mvedge_jax.epi import EdgeParams, EdgeSizes, scene_range
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.occlusion import BidirectionalParams, Side, SurfaceParams
-from mvedge_jax.photometry import PhotometricParams, VolumeParams
+from mvedge_jax.photometry import (
+    PhotometricParams,
+    VolumeParams,
+    hypothesis_count,
+    occluder_radius,
+)
 
 from ._sharpen import MedianParams, Sharpening
 from ._smoothness import SmoothnessParams
@@ -96,7 +100,9 @@ class Sizes:
             directional solves, evidence of the neighbours and of the hypotheses; `"thesis"`:
             normalised step response alone; `"reprojection"`: the map that reprojects better (Tab.
             6.2); `"naive"`: no surface vectors, labels stay on their edges (Fig. B.1).
-        relaxed: keep both sides of an edge with probabilities instead of choosing one.
+        relaxed: keep both sides of an edge with probabilities, and share labels between the pixels
+            around them that lie on their surface; else each label goes to one pixel on the side
+            chosen, as in the thesis.
         solves: diffusions before the sharpening, and again after it.
         window: half the width of the windows in which hypotheses are compared, px.
         passes: over the neighbours whose measurements are shared, see `photometric_labels`.
@@ -110,7 +116,7 @@ class Sizes:
     radius: int
     dense: bool = True
     side: Side = "bidirectional"
-    relaxed: bool = False
+    relaxed: bool = True
     solves: int = 2
     window: int = 2
     passes: int = 2
@@ -168,14 +174,11 @@ class Sizes:
                 disparity_range=(low, high),
                 name=light_field.name,
             )
-        # Neighbouring hypotheses differ by half a pixel in the outermost view.
-        hypotheses = math.ceil(2 * steps * (high - low + 0.2)) + 1
-        # An occluder farther away than this is no longer over the pixel in any view.
-        radius = max(1, min(math.ceil(steps * (high - low)), max(light_field.views.shape[2:4])))
+        height, width = light_field.views.shape[2:4]
         # Ranges of nearly equal length share a program.
         defaults = {
             "edges": EdgeSizes.for_light_field(light_field),
-            "hypotheses": max(hypotheses, 2),
-            "radius": radius,
+            "hypotheses": hypothesis_count(high - low + 0.2, steps),
+            "radius": occluder_radius(high - low, steps, (height, width)),
         }
         return Sizes(**{**defaults, **choices})

@@ -18,12 +18,11 @@ from mvedge_jax.epi import (
     ThesisSteps,
     disparity_range,
     multiview_edges,
-    neighbour_support,
     prewitt_bank,
 )
 from mvedge_jax.lightfield import LightField
 
-_SIZES = EdgeSizes(first=0, filters=8, capacity=320, tile=16, chunk=64)
+_SIZES = EdgeSizes(first=0, filters=8, capacity=320)
 
 
 @pytest.fixture(scope="module")
@@ -41,7 +40,7 @@ def test_points_of_a_plane_are_precise(found):
     keep = np.asarray(points.valid)
     error = np.abs(np.asarray(points.disparity)[keep] - 0.37)
     assert keep.sum() > 60
-    assert np.median(error) < 0.002
+    assert np.median(error) < 0.003
     assert np.quantile(error, 0.99) < 0.02
     # The standard error is honest within a factor of a few, and never optimistic by orders.
     assert np.median(error / np.asarray(points.error)[keep]) < 1.5
@@ -85,7 +84,7 @@ def test_float32_stays_float32_and_is_close_to_float64(flat_plane, found):
 
 
 def test_overflow_keeps_the_strongest_and_is_counted(flat_plane, found):
-    few = EdgeSizes(first=0, filters=8, capacity=64, tile=16, chunk=64)
+    few = EdgeSizes(first=0, filters=8, capacity=64)
     edges = multiview_edges(flat_plane, EdgeParams(), few)
     assert int(edges.stats.candidates) == int(found.stats.candidates)
     assert int(edges.stats.overflow) == int(edges.stats.candidates) - 64
@@ -198,7 +197,7 @@ def _scalar(points, keep):
 @pytest.fixture(scope="module")
 def tiny():
     """Few strong edges, so that no selection flips under the difference steps."""
-    sizes = EdgeSizes(first=0, filters=6, capacity=64, tile=16, chunk=32)
+    sizes = EdgeSizes(first=0, filters=6, capacity=64)
     light_field = plane(0.27, views=3, size=(9, 13), dtype=jnp.float64)
     edges = multiview_edges(light_field, EdgeParams(), sizes)
     assert int(edges.stats.valid) > 5
@@ -222,46 +221,16 @@ def test_gradient_with_respect_to_views_taps_and_every_parameter(tiny):
 def test_one_trace_for_many_values_and_vmap_is_a_loop(flat_plane):
     sizes = _SIZES
     run, traces = count_traces(multiview_edges)
-    floors = [0.1, 0.5, 1.0]
+    limits = [0.001, 0.003, 0.03]
     loop = [
-        run(flat_plane, EdgeParams(residual_limit=jnp.asarray(value)), sizes).points.valid
-        for value in floors
+        run(flat_plane, EdgeParams(error_limit=jnp.asarray(value)), sizes).points.valid
+        for value in limits
     ]
     assert traces() == 1
     together = jax.vmap(
-        lambda value: multiview_edges(flat_plane, EdgeParams(residual_limit=value), sizes)
-    )(jnp.asarray(floors))
+        lambda value: multiview_edges(flat_plane, EdgeParams(error_limit=value), sizes)
+    )(jnp.asarray(limits))
     np.testing.assert_array_equal(together.points.valid, jnp.stack(loop))
-
-
-def test_support_counts_agreeing_neighbours():
-    disparity = jnp.zeros((11, 11)).at[:, 6:].set(1.0).at[5, 2].set(1.0)
-    present = jnp.ones((11, 11), bool).at[0, 0].set(False)
-    support = neighbour_support(
-        disparity, present, jnp.ones((11, 11)), jnp.asarray(2.0), jnp.asarray(0.1)
-    )
-    assert float(support[5, 0]) > 0.9
-    assert float(support[5, 2]) < 0.1
-    alone = jnp.zeros((11, 11), bool).at[5, 5].set(True)
-    nothing = neighbour_support(
-        disparity, alone, jnp.ones((11, 11)), jnp.asarray(2.0), jnp.asarray(0.1)
-    )
-    assert float(nothing[5, 5]) == 0
-
-
-def test_points_that_are_absent_have_no_vote_and_no_gradient():
-    present = jnp.ones((7, 7), bool).at[3, 4].set(False)
-
-    def total(disparity):
-        return neighbour_support(
-            disparity, present, jnp.ones((7, 7)), jnp.asarray(2.0), jnp.asarray(0.1)
-        )[3, 3]
-
-    disparity = 0.05 * jax.random.normal(jax.random.key(0), (7, 7))
-    assert float(total(disparity)) == float(total(disparity.at[3, 4].set(5.0)))
-    gradient = jax.grad(total)(disparity)
-    assert float(gradient[3, 4]) == 0
-    assert float(jnp.abs(gradient).max()) > 0
 
 
 def test_the_range_is_found_from_the_data():
@@ -302,10 +271,8 @@ def test_a_scene_without_edges_says_so():
     ("change", "message"),
     [
         ({"filters": 2}, "`filters` must be at least 3, got 2"),
-        ({"window": 4}, "`window` must be odd and at least 3, got 4"),
-        ({"capacity": 100}, "multiple of `chunk`, got capacity 100"),
-        ({"iterations": -1}, "`iterations` must not be negative"),
-        ({"tile": 4}, "`tile` must be at least 8 px, got 4"),
+        ({"capacity": 0}, "`capacity` must be positive, got 0"),
+        ({"spacing": 0}, "`spacing` must be positive, got 0"),
     ],
 )
 def test_impossible_sizes_are_refused(change, message):
@@ -338,7 +305,7 @@ def test_precision_on_the_benchmark(name, least):
 def test_the_chain_of_the_thesis_is_an_option():
     light_field = plane(0.37, views=9, size=(16, 40))
     steps = ThesisSteps(lines=16)
-    sizes = EdgeSizes(first=0, filters=8, capacity=512, tile=16, chunk=64, thesis=steps)
+    sizes = EdgeSizes(first=0, filters=8, capacity=512, thesis=steps)
     edges = multiview_edges(light_field, EdgeParams(), sizes, key=jax.random.key(0))
     keep = np.asarray(edges.points.valid)
     error = np.abs(np.asarray(edges.points.disparity)[keep] - 0.37)
@@ -352,7 +319,7 @@ def test_the_chain_of_the_thesis_is_an_option():
 
 def test_steps_of_the_thesis_that_cannot_be_are_refused():
     light_field = plane(0.37, size=(16, 16))
-    sizes = EdgeSizes(first=0, filters=8, capacity=64, tile=16, chunk=64, thesis=ThesisSteps())
+    sizes = EdgeSizes(first=0, filters=8, capacity=64, thesis=ThesisSteps())
     with pytest.raises(ValueError, match=r"`key` must be given for the entropy search"):
         multiview_edges(light_field, EdgeParams(), sizes)
     with pytest.raises(ValueError, match=r"`lines` must be positive, got 0"):

@@ -7,7 +7,6 @@ import pytest
 from helpers import check_gradient, random_like
 from photometry.planes import plane_arms
 
-from mvedge_jax.epi._spline import spline_coefficients
 from mvedge_jax.photometry import (
     Look,
     PhotometricParams,
@@ -15,6 +14,7 @@ from mvedge_jax.photometry import (
     look,
     mismatch,
     photometric_labels,
+    spline_coefficients,
 )
 
 # Of one colour, so that no neighbour is left out for its own.

@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers import check_gradient
+from helpers import check_gradient, check_modes
 from scipy import ndimage
 
 from mvedge_jax.photometry._window import colour_weights, contrast, length, weighted_sum
@@ -15,7 +15,7 @@ def test_mean_over_neighbours_of_like_colour(spacing):
     rng = np.random.default_rng(spacing)
     image, lab = rng.standard_normal((9, 11)), 5 * rng.standard_normal((3, 9, 11))
     weights = colour_weights(jnp.asarray(lab), jnp.asarray(4.0), reach=1, spacing=spacing)
-    found = weighted_sum(jnp.asarray(image), weights, spacing=spacing)
+    found = weighted_sum(jnp.asarray(image)[None], weights, spacing=spacing)[0]
     for y, x in np.ndindex(9, 11):
         total = sums = 0.0
         for dy, dx in np.ndindex(3, 3):
@@ -48,8 +48,19 @@ def test_gradients_match_differences_and_are_finite_where_all_is_equal():
 
     def loss(lab):
         weights = colour_weights(lab, jnp.asarray(4.0), reach=1)
-        return jnp.sum(weighted_sum(lab[0], weights) ** 2) + jnp.sum(contrast(lab, radius=2))
+        return jnp.sum(weighted_sum(lab, weights) ** 2) + jnp.sum(contrast(lab, radius=2))
 
     check_gradient(loss, 9 * jax.random.normal(key, (3, 6, 7)), rtol=1e-6, step=1e-6, key=key)
     assert bool(jnp.isfinite(jax.grad(loss)(jnp.ones((3, 6, 7)))).all())
     assert float(jax.grad(length)(0.0)) == 0
+
+
+@pytest.mark.parametrize("mode", ["edge", "constant"])
+def test_derivatives_of_the_sum_in_images_and_weights_in_every_mode(mode):
+    key = jax.random.split(jax.random.key(1))
+    images, weights = jax.random.normal(key[0], (2, 7, 8)), jax.random.normal(key[1], (9, 7, 8))
+
+    def loss(tree):
+        return jnp.sum(jnp.sin(weighted_sum(*tree, spacing=2, mode=mode)))
+
+    check_modes(loss, (images, weights), rtol=1e-6, key=key[0])

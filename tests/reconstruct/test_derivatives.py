@@ -28,26 +28,14 @@ def _optimised():
     jax.config.update("jax_disable_most_optimizations", before)
 
 
-# Leaves that only select: which candidates are points, on which side of its edge a label lies,
-# whether a pixel follows the median. Their derivative is 0 almost everywhere, and rightly so.
+# Leaves that only select: which candidates are points, whether a pixel follows the median. Their
+# derivative is 0 almost everywhere, and rightly so.
 THRESHOLDS = {
     "edges.strength_floor": "which pixels are candidates",
-    "edges.contrast_floor": "which refined points are accepted",
-    "edges.residual_limit": "which refined points are accepted",
-    "edges.error_limit": "which refined points are accepted",
+    "edges.error_limit": "which points are accepted",
     "edges.dark_limit": "which points are lit",
-    "edges.support_radius": "which points their neighbours support",
-    "edges.support_tolerance": "which points their neighbours support",
-    "bidirectional.offset": "the sides of edges, by their response",
-    "bidirectional.data": "the sides of edges, by their response",
-    "bidirectional.gradient": "the sides of edges, by their response",
-    "bidirectional.floor": "the sides of edges, by their response",
-    "surface.offset": "which pixel a label is rounded to",
-    "surface.response": "the sides of edges",
-    "surface.neighbours": "the sides of edges",
-    "surface.dense": "the sides of edges",
-    "surface.radius": "the sides of edges",
-    "surface.cap": "the sides of edges",
+    "bidirectional.offset": "which pixel a label is rounded to",
+    "bidirectional.floor": "the least smoothness of the directional solves",
     "centre.worse": "which pixels follow the median",
     "centre.worse_first": "which pixels follow the first median",
     "centre.tolerance": "where solves stop: the derivative is that of the exact solution",
@@ -56,18 +44,27 @@ THRESHOLDS = {
 FLOORS = {"volume.noise_floor", "photometric.noise"}
 # Other results than the map, or other modes, read these.
 UNREAD = {
-    "edges.confidence_scale": "`EdgePoints.confidence`",
     "edges.visibility_limit": "`EdgePoints.visible`",
     "bidirectional.gain": "the map with `dense=False`",
     "bidirectional.limit": "the map with `dense=False`",
-    "surface.temperature": "the map with `relaxed=True`",
+}
+# The choice of one side per edge, with `relaxed=False`: weights of what it is made from.
+_SIDED = {
+    "surface.offset",
+    "surface.response",
+    "surface.neighbours",
+    "surface.dense",
+    "surface.radius",
+    "surface.cap",
+    "surface.temperature",
+    "bidirectional.data",
+    "bidirectional.gradient",
 }
 
 
 # What the map needs no more when only points are diffused.
 _DENSE = {
-    *(f"volume.{name}" for name in vars(VolumeParams())),
-    *(f"photometric.{name}" for name in vars(PhotometricParams())),
+    "surface.dense",
     "centre.points",
     "centre.agreement",
     "centre.trust",
@@ -77,6 +74,7 @@ _DENSE = {
     "centre.slant",
     "centre.steepest",
     "centre.flat",
+    "edges.confidence_scale",
 }
 
 
@@ -128,40 +126,22 @@ SIDES = pytest.mark.parametrize(
 )
 # The thesis' points have none of ours, and which of its lines are points is a choice, too.
 _OURS = {
-    f"edges.{name}"
-    for name in (
-        "saturation",
-        "refine_saturation",
-        "noise_gain",
-        "robustness",
-        "noise_floor",
-        "error_floor",
-        "thesis.smoothing",
-        "thesis.suppression",
-        "thesis.vote",
-    )
+    *(f"volume.{name}" for name in vars(VolumeParams())),
+    *(f"photometric.{name}" for name in vars(PhotometricParams())),
+    "edges.error_floor",
+    "edges.thesis.smoothing",
+    "edges.thesis.suppression",
+    "edges.thesis.vote",
 }
 _ALWAYS = {*THRESHOLDS, *FLOORS, *UNREAD}
-_POINTS = (_ALWAYS | _DENSE) - {
-    "bidirectional.data",
-    "bidirectional.gradient",
-    "bidirectional.gain",
-    "bidirectional.limit",
-}
-_SOFT = {
-    "surface.temperature",
-    "surface.response",
-    "surface.neighbours",
-    "surface.dense",
-    "surface.radius",
-    "surface.cap",
-    "bidirectional.data",
-    "bidirectional.gradient",
-}
+_POINTS = (_ALWAYS | _DENSE) - {"bidirectional.gain", "bidirectional.limit"} | {"surface.offset"}
 MODES = {
     "points only": ({"dense": False}, _POINTS),
-    "relaxed": ({"relaxed": True}, _ALWAYS - _SOFT),
-    "thesis": ({"dense": False, "side": "thesis", "edges": ThesisSteps()}, _POINTS | _OURS),
+    "one side": ({"relaxed": False}, _ALWAYS | _SIDED),
+    "thesis": (
+        {"dense": False, "relaxed": False, "side": "thesis", "edges": ThesisSteps()},
+        (_POINTS | _OURS | _SIDED) - {"bidirectional.data", "bidirectional.gradient"},
+    ),
 }
 
 

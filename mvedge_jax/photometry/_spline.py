@@ -1,4 +1,4 @@
-"""Cubic B-spline interpolation along one axis: coefficients and weights."""
+"""Cubic B-spline interpolation along one axis: the coefficients."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -35,19 +35,3 @@ def spline_coefficients(values: Float[Array, "*s"], *, axis: int) -> Float[Array
         kernel[0] * padded[..., :size],
     )
     return jnp.moveaxis(total, -1, axis)
-
-
-def spline_weight(offset: Float[Array, "*s"]) -> Float[Array, "*s"]:
-    """The cubic B-spline at a distance, px; zero from 2 on. Twice differentiable."""
-    t = jnp.abs(offset)
-    near = 2 / 3 - t * t + 0.5 * t * t * t
-    far = jnp.maximum(2 - t, 0)
-    return jnp.where(t < 1, near, far * far * far / 6)
-
-
-def spline_slope(offset: Float[Array, "*s"]) -> Float[Array, "*s"]:
-    """Derivative of `spline_weight`."""
-    t = jnp.abs(offset)
-    near = -2 * t + 1.5 * t * t
-    far = jnp.maximum(2 - t, 0)
-    return jnp.sign(offset) * jnp.where(t < 1, near, -0.5 * far * far)

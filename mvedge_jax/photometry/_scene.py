@@ -1,0 +1,190 @@
+"""What is found out about a scene before anything is measured in it."""
+
+import math
+from typing import NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from mvedge_jax._crosshair import Arm, crosshair
+from mvedge_jax._fence import staged
+from mvedge_jax.color import srgb_to_lab
+from mvedge_jax.lightfield import LightField
+
+from ._cost import VolumeParams, hypotheses
+from ._denoise import denoised, low_pass
+from ._exposure import Exposure, exposed_arms, exposure_along, rough_exposure
+from ._measure import PhotometricLabels, PhotometricParams, labels, look, shared
+from ._noise import Noise, measure_noise
+from ._spline import spline_coefficients
+
+
+class Scene(NamedTuple):
+    """The crosshair of a light field whose brightness and noise are known.
+
+    Attributes:
+        arms: horizontal and vertical, exposure and gains taken out.
+        exposure: what was taken out.
+        noise: of the views, in their units now.
+        guide: the centre view, denoised, `[c, y, x]`.
+        lab: the same in CIELAB.
+        first: per pixel, the disparity at which the views agree best; None if not asked for.
+    """
+
+    arms: tuple[Arm, Arm]
+    exposure: Exposure
+    noise: Noise
+    guide: Float[Array, "c y x"]
+    lab: Float[Array, "c y x"]
+    first: Float[Array, "y x"] | None
+
+    @property
+    def centre(self) -> Float[Array, "c y x"]:
+        """The centre view, exposure taken out."""
+        return self.arms[0].planes[self.arms[0].centre]
+
+
+class Sight(NamedTuple):
+    """Views made ready for being measured in.
+
+    Attributes:
+        arms: of the crosshair, low-passed as the noise asks.
+        splines: the same as coefficients of cubic splines along the arms.
+        params: of the measurement in views of this noise.
+        views: number of views in an arm, the mean of both.
+    """
+
+    arms: tuple[Arm, Arm]
+    splines: tuple[Arm, Arm]
+    params: PhotometricParams
+    views: Float[Array, ""]
+
+
+def hypothesis_count(span: float, steps: int) -> int:
+    """Disparities to try: neighbours differ by half a pixel in the outermost view.
+
+    Args:
+        span: width of the range, px per view step.
+        steps: from the centre view to the outermost one.
+
+    Returns:
+        Their number, at least 2.
+    """
+    return max(math.ceil(2 * steps * span) + 1, 2)
+
+
+def occluder_radius(span: float, steps: int, shape: tuple[int, int]) -> int:
+    """How far away an occluder can be that is over a pixel in some view, px.
+
+    Args:
+        span: width of the range, px per view step.
+        steps: from the centre view to the outermost one.
+        shape: of the views, px.
+
+    Returns:
+        Pixels, at least 1.
+    """
+    return max(1, min(math.ceil(steps * span), max(shape)))
+
+
+def prepare(
+    light_field: LightField,
+    disparities: Float[Array, " d"],
+    params: VolumeParams,
+    *,
+    window: int,
+    search: bool = True,
+) -> Scene:
+    """Measures exposure, gains and noise, and finds the first map.
+
+    Gains are measured twice: roughly, and again along the first map, when it is known what shows
+    the same.
+
+    Args:
+        light_field: the crosshair of views is read.
+        disparities: what to try, px per view step, increasing, evenly spaced.
+        params: of the hypotheses.
+        window: half the width of their windows, px.
+        search: find a first map.
+
+    Returns:
+        The scene. Differentiable in views and parameters at the hypotheses chosen.
+    """
+    own = crosshair(light_field)
+    exposure = rough_exposure(light_field)
+    arms = exposed_arms(own, exposure)
+    centre = arms[0].planes[arms[0].centre]
+    noise = measure_noise(centre, exposure.scale, arms=arms, disparities=disparities)
+    guide = denoised(centre, noise)
+    lab = jnp.moveaxis(srgb_to_lab(jnp.moveaxis(guide, 0, -1)), -1, 0)
+    if not search:
+        return Scene(arms, exposure, noise, guide, lab, None)
+
+    @staged
+    def searched(
+        arms: tuple[Arm, Arm], lab: Array, noise: Noise, params: VolumeParams
+    ) -> Float[Array, "y x"]:
+        sigma = jnp.clip(0.4 + 30 * noise.deviation, 0.5, 1.0)
+        soft = low_pass(arms, noise, sigma).arms
+        return hypotheses(*soft, lab, disparities, params, noise=noise, window=window)
+
+    first = searched(arms, lab, noise, params)
+    exposure = exposure_along(light_field, exposure.scale, first)
+    return Scene(exposed_arms(own, exposure), exposure, noise, guide, lab, first)
+
+
+def sight(scene: Scene, params: PhotometricParams) -> Sight:
+    """Low-passes the views as far as their noise asks, and says what that does to measurements.
+
+    Args:
+        scene: see `prepare`.
+        params: of the measurement in views without noise.
+
+    Returns:
+        Views and parameters for `look` and `labels`. Differentiable.
+    """
+    noise, clear = scene.noise, 1 - scene.noise.alpha
+    sigma = jnp.minimum(30 * noise.deviation, 1)
+    arms, kept, grain = low_pass(scene.arms, noise, sigma)
+    changed = eqx.tree_at(
+        lambda p: (p.noise, p.gradient_noise, p.stiffness, p.same_colour),
+        params,
+        (
+            jnp.maximum(jnp.sqrt(kept) * noise.deviation, params.noise),
+            # What noise is left in the mean gradients of all views is less than the residual says.
+            params.gradient_noise * grain * (1 - 0.6 * noise.alpha**4),
+            # Drift cannot be told from noise, nor surfaces by their colours.
+            params.stiffness / clear**2,
+            params.same_colour / clear,
+        ),
+    )
+    horizontal, vertical = (
+        arm._replace(planes=spline_coefficients(arm.planes, axis=-1)) for arm in arms
+    )
+    there = jnp.concatenate([arm.available for arm in arms])
+    views = 0.5 * jnp.sum(there.astype(scene.lab.dtype))
+    return Sight(arms, (horizontal, vertical), changed, views)
+
+
+def first_labels(scene: Scene, seen: Sight, *, radius: int, passes: int) -> PhotometricLabels:
+    """Measures every pixel around the first map.
+
+    Args:
+        scene: with a first map.
+        seen: its views.
+        radius: how far occluders are looked for, px.
+        passes: over the neighbourhood, see `labels`.
+
+    Returns:
+        Labels, shared between neighbours. Differentiable.
+
+    Raises:
+        ValueError: the scene was prepared without a first map.
+    """
+    first, lab = scene.first, scene.lab
+    if first is None:
+        raise ValueError("`scene` has no first map; prepare it with `search=True`.")
+    found = look(*seen.splines, first, seen.params, radius=radius)
+    measured = labels(found, lab, first, seen.params, seen.views, passes=passes)
+    return shared(measured, lab, seen.params, passes=passes)
