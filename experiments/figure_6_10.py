@@ -28,8 +28,8 @@ SWEEPS = {
     "volume.truncation": lambda p: p.volume.truncation,
     "volume.colour": lambda p: p.volume.colour,
     "median.slack": lambda p: p.median.slack,
-    "edges.residual_limit": lambda p: p.edges.residual_limit,
-    "edges.support_limit": lambda p: p.edges.support_limit,
+    "edges.error_limit": lambda p: p.edges.error_limit,
+    "edges.confidence_scale": lambda p: p.edges.confidence_scale,
 }
 
 

@@ -108,18 +108,19 @@ def edge_to_depth(
 ) -> DepthResult:
     """Estimates the disparity of every pixel of the centre view.
 
-    0. Brightness and noise are measured once: gains of the views, again along the first map, are
+    1. Brightness and noise are measured once: gains of the views, again along the first map, are
        taken out; noise above that of 8 bits has the guide denoised, views blurred, costs pooled
        and points weigh less.
-    1. Multi-view edges give precise disparities at image edges (Thesis 4.1).
     2. Hypotheses: per pixel, the disparity at which the unhidden half of either arm agrees best,
-       along paths through the image where the pixel alone does not tell.
-    3. Bidirectional diffusion and what surrounds each edge give its surface vector, which
+       along paths through the image where the pixel alone does not tell. Around it, every pixel is
+       measured in the views that show it.
+    3. Multi-view edges: filters in EPIs say where (Thesis 4.1), the measurement at which disparity.
+    4. Bidirectional diffusion and what surrounds each edge give its surface vector, which
        moves the label onto the surface that it was measured on (4.2.2).
-    4. Diffusion (6.1), repeated, between labels weighted by their standard errors: those of the
+    5. Diffusion (6.1), repeated, between labels weighted by their standard errors: those of the
        edges, and one per pixel measured in the views around the previous map, occluded views left
        out. Smoothness ends where a colour step and a depth step of that map meet.
-    5. A weighted median moves blurred depth steps onto colour steps; more solves follow.
+    6. A weighted median moves blurred depth steps onto colour steps; more solves follow.
 
     Every light-field shape and every `sizes` is a program of its own, of some 2400 memory maps. A
     process that compiles more than about 25 should call `jax.clear_caches()` now and then: Linux

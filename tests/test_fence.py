@@ -1,0 +1,62 @@
+"""Stages and stacks: what they are for is speed, what they must not change is any value."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from helpers import check_modes
+
+from mvedge_jax._fence import fenced, staged
+from mvedge_jax._unstack import unstack
+
+
+def _stage(tree, shift):
+    a, b = tree
+    return {"sine": jnp.sin(a) * b + shift, "whole": jnp.floor(a).astype(jnp.int32), "none": None}
+
+
+def test_a_stage_is_its_function_in_value_and_in_every_derivative():
+    key = jax.random.split(jax.random.key(0))
+    tree = tuple(jax.random.normal(k, (3, 4)) for k in key)
+    shift = jnp.asarray(0.3)
+    for wrapped in (staged(_stage), lambda *of: fenced(_stage, *of)):
+        found, expected = jax.jit(wrapped)(tree, shift), _stage(tree, shift)
+        np.testing.assert_allclose(found["sine"], expected["sine"], rtol=1e-15)
+        np.testing.assert_array_equal(found["whole"], expected["whole"])
+        assert found["none"] is None
+
+        def loss(of, wrapped=wrapped):
+            return jnp.sum(wrapped(*of)["sine"] ** 3)
+
+        check_modes(loss, (tree, shift), rtol=1e-6, key=key[0])
+
+
+def test_stages_in_a_row_compute_each_again_once():
+    calls = []
+
+    def noted(x):
+        jax.debug.callback(lambda: calls.append(1))
+        return jnp.sin(x)
+
+    def chain(x):
+        for _ in range(3):
+            x = staged(noted)(x)
+        return jnp.sum(x)
+
+    jax.block_until_ready(jax.jit(jax.grad(chain))(jnp.ones(4)))
+    jax.effects_barrier()
+    assert len(calls) == 6
+
+
+def test_unstacking_is_a_list_whose_transpose_is_one_concatenation():
+    stack = jax.random.normal(jax.random.key(0), (5, 3, 2))
+    for found, expected in zip(unstack(stack), list(stack), strict=True):
+        np.testing.assert_array_equal(found, expected)
+    assert unstack(stack[:0]) == []
+
+    def loss(stack):
+        return sum(jnp.sum(jnp.sin((i + 1) * plane)) for i, plane in enumerate(unstack(stack)))
+
+    pulled = str(jax.make_jaxpr(jax.vjp(loss, stack)[1])(1.0))
+    assert pulled.count("concatenate") == 1
+    assert "pad" not in pulled
+    check_modes(loss, stack, rtol=1e-6, key=jax.random.key(1))
