@@ -41,7 +41,16 @@ _WINDOW, _PASSES = 2, 2
 def scene_banks(
     params: EdgeParams, sizes: EdgeSizes, views: tuple[int, ...]
 ) -> tuple[FilterBank, FilterBank]:
-    """The filters of both arms: those of `params`, or Prewitt filters on the grid of `sizes`."""
+    """The filters of both arms: those of `params`, or Prewitt filters on the grid of `sizes`.
+
+    Args:
+        params: see `EdgeParams`.
+        sizes: see `EdgeSizes`.
+        views: rows and columns of the grid of views.
+
+    Returns:
+        The bank of the horizontal arm and that of the vertical one.
+    """
     if params.banks is not None:
         return params.banks
     index = sizes.first + jnp.arange(sizes.filters, dtype=jnp.int32)

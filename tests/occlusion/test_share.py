@@ -17,7 +17,8 @@ def labels():
     xy = rng.uniform(-1.5, 8.5, (40, 2))
     disparity, weight = rng.normal(size=40), rng.uniform(0.1, 1, 40)
     weight[::7] = 0
-    return tuple(map(jnp.asarray, (xy, disparity, weight, 0.3 * rng.normal(size=(6, 8)))))
+    surface = 0.3 * rng.normal(size=(6, 8))
+    return jnp.asarray(xy), jnp.asarray(disparity), jnp.asarray(weight), jnp.asarray(surface)
 
 
 def test_shares_are_those_of_a_loop(labels):
