@@ -30,7 +30,7 @@ def test_shares_are_those_of_a_loop(labels):
             part = w * bilinear / (1 + ((d - surface[row, column]) / _TOLERANCE) ** 2) ** 2
             total[row, column] += part
             moved[row, column] += part * d
-    found, mean = share(*labels, jnp.asarray(_TOLERANCE))
+    found, mean = share(*labels, tolerance=jnp.asarray(_TOLERANCE))
     np.testing.assert_allclose(found, total, atol=1e-12)
     hit = total > 1e-9
     np.testing.assert_allclose(np.asarray(mean)[hit], moved[hit] / total[hit], atol=1e-9)
