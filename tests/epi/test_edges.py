@@ -35,16 +35,22 @@ def found(flat_plane):
     return multiview_edges(flat_plane, EdgeParams(), _SIZES)
 
 
-def test_points_of_a_plane_are_precise(found):
-    points = found.points
-    keep = np.asarray(points.valid)
-    error = np.abs(np.asarray(points.disparity)[keep] - 0.37)
-    assert keep.sum() > 60
-    assert np.median(error) < 0.003
-    assert np.quantile(error, 0.99) < 0.02
+def test_points_of_a_plane_are_precise():
+    light_field = plane(0.37, size=(32, 40))
+    points = multiview_edges(
+        light_field, EdgeParams(), EdgeSizes(first=0, filters=8, capacity=700)
+    ).points
+    keep, xy = np.asarray(points.valid), np.asarray(points.xy)
+    error = np.abs(np.asarray(points.disparity) - 0.37)
+    assert keep.sum() > 400
+    assert np.median(error[keep]) < 0.001
+    # At the border, half of the views of an arm do not show a point, nor half of its window.
+    assert np.quantile(error[keep], 0.99) < 0.03
+    inner = keep & np.all(np.abs(xy - [19.5, 15.5]) < [16, 12], axis=1)
+    assert np.quantile(error[inner], 0.99) < 0.01
     # The standard error is honest within a factor of a few, and never optimistic by orders.
-    assert np.median(error / np.asarray(points.error)[keep]) < 1.5
-    inner = keep & np.all(np.abs(np.asarray(points.xy) - [13.5, 9.5]) < [9, 5], axis=1)
+    assert np.median(error[keep] / np.asarray(points.error)[keep]) < 1.5
+    assert np.quantile(error[keep] / np.asarray(points.error)[keep], 0.99) < 5
     assert np.asarray(points.visible)[inner].mean() > 0.98
 
 
