@@ -136,7 +136,7 @@ def _changes(logs: Any, most: int = 12) -> list[dict[str, Any]]:
 
 def _plot(losses: list[float], rows: list[dict[str, Any]]) -> Figure:
     """The loss curve, and the scores before and after per scene."""
-    figure = Figure(figsize=(10, 3.6), layout="constrained")
+    figure = Figure(figsize=(13, 3.6), layout="constrained")
     curve, *axes = figure.subplots(1, 3)
     curve.plot(losses, "o-", markersize=3)
     curve.set(xlabel="step of Adam", ylabel="loss of the scenes learned from")
@@ -146,7 +146,7 @@ def _plot(losses: list[float], rows: list[dict[str, Any]]) -> Figure:
         for shift, label in ((-0.2, "default"), (0.2, "learned")):
             heights = [row[column] for row in rows if row["parameters"] == label]
             axis.bar([k + shift for k in range(len(names))], heights, 0.38, label=label)
-        axis.set_xticks(range(len(names)), [titles[name] for name in names], fontsize=8)
+        axis.set_xticks(range(len(names)), [titles[name] for name in names], fontsize=7)
         axis.set(ylabel=column)
     axes[0].legend()
     return figure
