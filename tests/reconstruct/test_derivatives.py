@@ -135,12 +135,14 @@ _OURS = {
 }
 _ALWAYS = {*THRESHOLDS, *BY_NOISE, *UNREAD}
 _POINTS = (_ALWAYS | _DENSE) - {"bidirectional.gain", "bidirectional.limit"} | {"surface.offset"}
+_CHOSEN = _POINTS | _SIDED - {"bidirectional.data", "bidirectional.gradient"}
 MODES = {
-    "points only": ({"dense": False}, _POINTS),
+    "points only": ({"dense": False}, _CHOSEN),
+    "points on both sides": ({"dense": False, "relaxed": True}, _POINTS),
     "one side": ({"relaxed": False}, _ALWAYS | _SIDED),
     "thesis": (
-        {"dense": False, "relaxed": False, "side": "thesis", "edges": ThesisSteps()},
-        (_POINTS | _OURS | _SIDED) - {"bidirectional.data", "bidirectional.gradient"},
+        {"dense": False, "side": "thesis", "edges": ThesisSteps()},
+        _CHOSEN | _OURS,
     ),
 }
 

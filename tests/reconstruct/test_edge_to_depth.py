@@ -102,6 +102,17 @@ def test_every_mode_gives_a_map(edges_scene, mode, dense):
 
 
 @pytest.mark.slow
+def test_both_sides_are_kept_where_a_dense_map_tells_the_surfaces(edges_scene):
+    def kept(**choices):
+        return Sizes.for_light_field(edges_scene, **choices).relaxed
+
+    assert kept()
+    assert not kept(dense=False)
+    assert not kept(side="naive")
+    assert kept(dense=False, relaxed=True)
+    assert not kept(relaxed=False)
+
+
 def test_relaxed_sides_pass_a_gradient_to_the_temperature(edges_scene):
     sizes = Sizes.for_light_field(edges_scene, relaxed=True, dense=False, **SMALL)
     truth = edges_scene.truth.disparity
