@@ -18,6 +18,7 @@ from ..photometry import (
     Sight,
     VolumeParams,
     first_labels,
+    highest,
     hypothesis_count,
     occluder_radius,
     prepare,
@@ -33,6 +34,8 @@ from ._thesis import ThesisParams, thesis_points
 
 # Weakest edge considered, in multiples of the noise: half of all pixels would be one without.
 _ABOVE_NOISE = 3.0
+# Standard deviation of a grey value over that of its three channels.
+_OF_GRAY = 0.65
 # Half the width, px, of the windows in which hypotheses are compared, and passes over the
 # neighbourhood of a measurement: those of `Sizes`.
 _WINDOW, _PASSES = 2, 2
@@ -59,17 +62,12 @@ def scene_banks(
     return prewitt_bank(disparity, views[1], radius), prewitt_bank(disparity, views[0], radius)
 
 
-def _highest(values: Float[Array, "y x"]) -> Float[Array, "y x"]:
-    """Maximum over 5x5 pixels."""
-    return lax.reduce_window(values, -jnp.inf, lax.max, (5, 5), (1, 1), "SAME")
-
-
 def _frontmost(
     measured: PhotometricLabels, limit: Array, step: float
 ) -> tuple[Float[Array, "y x"], Float[Array, "y x"]]:
     """Labels, on the borders of surfaces those of the nearer one, and their variances.
 
-    A border belongs to the nearer surface, but shows half of either: it is itself measured much
+    A border belongs to the nearer surface, but shows half of either: it is itself measured
     worse than that surface is one pixel further on. Surfaces less than `step` apart, px per view
     step, are one; variances beyond `limit` tell none.
     """
@@ -250,20 +248,21 @@ def measured_edges(
     centre = contrast(srgb_to_lab(view))
     grain = 100 * noise.deviation
     floor = params.strength_floor + _ABOVE_NOISE * noise.alpha * grain
-    # The difference of two noisy values in three channels; two standard deviations.
+    # A single view is noisier than what a filter averages.
     centre_floor = floor + _ABOVE_NOISE * grain
     candidates = find_candidates(strength, centre, floor, centre_floor, capacity=sizes.capacity)
     row, column = candidates.row, candidates.column
 
-    limit = params.error_limit * jnp.sqrt(1 + noise.alpha * (0.65 * grain) ** 2)
+    limit = params.error_limit * jnp.sqrt(1 + noise.alpha * (_OF_GRAY * grain) ** 2)
     label, variance = _frontmost(measured, limit**2, 2 / max(across.shape[0] // 2, 1))
     disparity = label[row, column]
     error = jnp.sqrt(variance[row, column] + params.error_floor**2)
     # Where a lens gives no light at all, only the sensor's own pattern agrees between the views.
     # What belongs to the sensor is as much brighter as the views are.
-    light = _highest(100 * srgb_to_gray(view))[row, column]
+    light = highest(100 * srgb_to_gray(view), 2)[row, column]
     lit = light > params.dark_limit * scene.exposure.scale
-    valid = candidates.valid & lit & (error < limit)
+    consistent = candidates.valid & (error < limit)
+    valid = consistent & lit
 
     height = jnp.where(candidates.alone, centre[:, row, column], 0)
     height = jnp.where(candidates.found, strength[:, row, column], height).max(0)
@@ -283,6 +282,5 @@ def measured_edges(
         visible=only((weights[:, row, column] > 1 / (1 + params.visibility_limit)).T),
         valid=valid,
     )
-    consistent = candidates.valid & (error < limit)
     stats = EdgeStats(candidates.total, candidates.overflow, consistent.sum(), valid.sum())
     return Edges(points, stats)

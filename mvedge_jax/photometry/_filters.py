@@ -56,7 +56,15 @@ def gaussian(
 
 
 def highest(image: Float[Array, "y x"], radius: int) -> Float[Array, "y x"]:
-    """Largest value within a square of `2 radius + 1` px a side."""
+    """Largest value within a square of `2 radius + 1` px a side.
+
+    Args:
+        image: `[y, x]`.
+        radius: px to either side.
+
+    Returns:
+        The maxima, `[y, x]`. Differentiable, at the place chosen.
+    """
     for axis in (0, 1):
         reach = 0
         while reach < radius:
