@@ -14,7 +14,7 @@ from mvedge_jax._crosshair import Arm
 from mvedge_jax._fence import staged
 from mvedge_jax._params import cast
 from mvedge_jax.color import srgb_to_gray
-from mvedge_jax.diffusion import Diffused, Solver, System, diffuse
+from mvedge_jax.diffusion import Solver, System, diffuse
 from mvedge_jax.epi import EdgePoints, EdgeStats, measured_edges, thesis_edges
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.occlusion import (
@@ -44,7 +44,7 @@ from mvedge_jax.photometry import (
 
 from ._parameters import CentreParams, Parameters, Sizes
 from ._sharpen import sharpen
-from ._slant import rises
+from ._slant import rises, slope_labels
 from ._smoothness import edge_smoothness
 
 
@@ -305,7 +305,9 @@ def _sparse_map(
 
     def solve(disparity: Array, _: None) -> tuple[Array, tuple[Array, Array]]:
         edges = edge_smoothness(lab, _blur(disparity, params.centre.blur), params.smoothness)
-        found = _diffused(labels, edges, disparity, params.centre)
+        tx, ty = (params.centre.smoothness * t for t in edges)
+        system = System(labels.weight, labels.value, tx, ty)
+        found = diffuse(system, start=disparity, solver=Solver(tolerance=params.centre.tolerance))
         return found.value, (found.stats.iterations, found.stats.converged)
 
     disparity, (iterations, converged) = lax.scan(jax.checkpoint(solve), start, length=sizes.solves)
@@ -354,23 +356,8 @@ def _dense_map(
         )
         both = _with_dense(from_points, measured, disparity, params)
         edges = edge_smoothness(lab, _blur(disparity, params.centre.blur), params.smoothness)
-        slopes = lax.cond(
-            turn > 0,
-            lambda disparity, weight: rises(
-                disparity,
-                weight,
-                edges,
-                stiffness=params.centre.slant,
-                steepest=params.centre.steepest,
-                flat=params.centre.flat,
-                tolerance=10 * params.centre.tolerance,
-            ),
-            lambda *_: jax.tree.map(jnp.zeros_like, edges),
-            disparity,
-            both.weight,
-        )
-        solved = _diffused(both, edges, disparity, params.centre, slopes)
-        return (solved.value, both.weight), (solved.stats.iterations, solved.stats.converged)
+        solved, stats = _slanted(both, edges, disparity, params.centre, sloped=turn > 0)
+        return (solved, both.weight), stats
 
     rounds = 1 if sizes.sharpening == "none" else 2
     (disparity, weight), (iterations, converged) = lax.scan(
@@ -381,16 +368,55 @@ def _dense_map(
     return _Map(disparity, weight, iterations, jnp.all(converged))
 
 
-def _diffused(
+def _slanted(
     labels: _Labels,
     edges: tuple[Array, Array],
     start: Array,
     params: CentreParams,
-    slopes: tuple[Array | None, Array | None] = (None, None),
-) -> Diffused:
-    tx, ty = (params.smoothness * t for t in edges)
-    system = System(labels.weight, labels.value, tx, ty, *slopes)
-    return diffuse(system, start=start, solver=Solver(tolerance=params.tolerance))
+    *,
+    sloped: Array,
+) -> tuple[Array, tuple[Array, Array]]:
+    """Diffuses labels into a map that follows the slopes of `start`, if `sloped`, or none.
+
+    Three solves, for either slope and for the map, one after the other by a loop: the solver
+    compiles slowly.
+
+    Returns:
+        The map, and iterations and convergence of its own solve.
+    """
+    held, slopes = slope_labels(
+        start, labels.weight, edges, steepest=params.steepest, flat=params.flat
+    )
+    slope, whole = params.slant, params.smoothness
+    nothing = jnp.zeros_like(start)
+    items = (
+        jnp.arange(3),
+        jnp.concatenate([held, labels.weight[None]]),
+        jnp.concatenate([slopes, labels.value[None]]),
+        jnp.stack([nothing, nothing, start]),
+        jnp.stack([slope, slope, whole]),
+        params.tolerance * jnp.asarray([10, 10, 1], start.dtype),
+    )
+
+    def solve(found: Array, item: tuple[Array, ...]) -> tuple[Array, tuple[Array, Array]]:
+        index, weight, label, start, stiffness, tolerance = item
+        last = index == 2
+        asked = [jnp.where(last, rise, 0) for rise in rises(found[:2])]
+        tx, ty = (stiffness * t for t in edges)
+
+        def solved() -> tuple[Array, tuple[Array, Array]]:
+            system = System(weight, label, tx, ty, *asked)
+            result = diffuse(system, start=start, solver=Solver(tolerance=tolerance))
+            return result.value, (result.stats.iterations, result.stats.converged)
+
+        def skipped() -> tuple[Array, tuple[Array, Array]]:
+            return nothing, (jnp.zeros((), jnp.int32), jnp.asarray(True))
+
+        value, stats = lax.cond(last | sloped, solved, skipped)
+        return lax.dynamic_update_index_in_dim(found, value, index, 0), stats
+
+    found, (iterations, converged) = lax.scan(solve, jnp.zeros_like(items[1]), items)
+    return found[2], (iterations[2], jnp.all(converged))
 
 
 def _with_dense(

@@ -47,11 +47,11 @@ class CentreParams(eqx.Module):
             solution, whatever this is.
     """
 
-    precision: Float[Array, ""] = number(0.006)
+    precision: Float[Array, ""] = number(0.005)
     smoothness: Float[Array, ""] = number(1.5)
     points: Float[Array, ""] = number(0.5)
     agreement: Float[Array, ""] = number(0.15)
-    trust: Float[Array, ""] = number(2.0)
+    trust: Float[Array, ""] = number(1.4)
     anchor: Float[Array, ""] = number(1e-6)
     worse: Float[Array, ""] = number(2.0)
     worse_first: Float[Array, ""] = number(1.2)

@@ -1,56 +1,52 @@
 """Slopes of the map, so that weakly labelled walls are filled slanted instead of flat."""
 
-import jax
 import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
-from mvedge_jax.diffusion import Solver, System, diffuse
 
-
-def rises(
+def slope_labels(
     disparity: Float[Array, "y x"],
     weight: Float[Array, "y x"],
     edges: tuple[Float[Array, "y x-1"], Float[Array, "y-1 x"]],
     *,
-    stiffness: Float[Array, ""],
     steepest: Float[Array, ""],
     flat: Float[Array, ""],
-    tolerance: Float[Array, ""],
-) -> tuple[Float[Array, "y x-1"], Float[Array, "y-1 x"]]:
-    r"""What neighbouring pixels should differ by: the slope of the surface around them.
+) -> tuple[Float[Array, "2 y x"], Float[Array, "2 y x"]]:
+    """What a map says about its slopes, to be diffused as the map's own labels are.
 
     Membranes bend nothing: where labels are weak they flatten a slanted wall. Differences of the
     map are therefore diffused along uncut edges themselves, weighted by how well both pixels are
-    known, and the next solve asks for these differences instead of for none.
+    known, and the next solve asks for these differences (`rises`) instead of for none.
 
     Args:
         disparity: a map, px per view step, `[y, x]`.
         weight: of the labels that it was made from, `[y, x]`.
         edges: smoothness between neighbours, in [0, 1], `tx` and `ty`.
-        stiffness: weight of an uncut edge between slopes against a perfectly known one.
         steepest: differences beyond this, px per px, are steps rather than slopes.
         flat: weight of the slope 0, against a perfectly known one.
-        tolerance: where the solves stop, share of the range of the slopes.
 
     Returns:
-        Right minus left and lower minus upper neighbour, px, as `diffusion.System` takes them.
-        Differentiable.
+        Weights and labels of the slopes along x and along y, px per px. Differentiable.
 
     Source: not in the thesis; one round of alternating solves for a map and its slopes.
     """
     known = [_known(disparity, weight, edges, steepest, axis) for axis in (1, 0)]
     held = jnp.stack([total for total, _ in known]) + flat
-    sums = jnp.stack([total for _, total in known])
+    return held, jnp.stack([total for _, total in known]) / held
 
-    @jax.checkpoint
-    def smooth(known: tuple[Array, Array]) -> Array:
-        weight, label = known
-        system = System(weight, label, stiffness * edges[0], stiffness * edges[1])
-        return diffuse(system, solver=Solver(tolerance=tolerance)).value
 
-    slope_x, slope_y = lax.map(smooth, (held, sums / held))
-    return 0.5 * (slope_x[:, 1:] + slope_x[:, :-1]), 0.5 * (slope_y[1:] + slope_y[:-1])
+def rises(slopes: Float[Array, "2 y x"]) -> tuple[Float[Array, "y x-1"], Float[Array, "y-1 x"]]:
+    """What neighbouring pixels should differ by: the mean of their slopes.
+
+    Args:
+        slopes: along x and along y, px per px.
+
+    Returns:
+        Right minus left and lower minus upper neighbour, px, as `diffusion.System` takes them.
+    """
+    along_x, along_y = slopes
+    return 0.5 * (along_x[:, 1:] + along_x[:, :-1]), 0.5 * (along_y[1:] + along_y[:-1])
 
 
 def _known(
