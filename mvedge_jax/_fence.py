@@ -7,6 +7,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 from jax import lax
+from jax.extend.core import Primitive
 
 
 def fenced(function: Callable[..., Any], *arguments: Any) -> Any:
@@ -40,4 +41,20 @@ def staged(function: Callable[..., Any]) -> Callable[..., Any]:
     Returns:
         The same function. Differentiable as it is, in both modes.
     """
-    return partial(fenced, jax.checkpoint(function))
+    return partial(fenced, recomputed(function))
+
+
+def recomputed(function: Callable[..., Any]) -> Callable[..., Any]:
+    """`jax.checkpoint` that keeps the solutions of linear systems, which are small but dear.
+
+    Args:
+        function: maps pytrees of arrays to such.
+
+    Returns:
+        The same function. Differentiable as it is, in both modes.
+    """
+    return jax.checkpoint(function, policy=_is_solution)
+
+
+def _is_solution(primitive: Primitive, *_: Any, **__: Any) -> bool:
+    return primitive.name == "custom_linear_solve"

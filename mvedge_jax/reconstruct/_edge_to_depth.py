@@ -11,7 +11,7 @@ from jax import lax
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
 from mvedge_jax._crosshair import Arm
-from mvedge_jax._fence import staged
+from mvedge_jax._fence import recomputed, staged
 from mvedge_jax._params import cast
 from mvedge_jax.color import srgb_to_gray
 from mvedge_jax.diffusion import Solver, System, diffuse
@@ -310,7 +310,7 @@ def _sparse_map(
         found = diffuse(system, start=disparity, solver=Solver(tolerance=params.centre.tolerance))
         return found.value, (found.stats.iterations, found.stats.converged)
 
-    disparity, (iterations, converged) = lax.scan(jax.checkpoint(solve), start, length=sizes.solves)
+    disparity, (iterations, converged) = lax.scan(recomputed(solve), start, length=sizes.solves)
     return _Map(disparity, labels.weight, iterations, jnp.all(converged))
 
 
@@ -361,7 +361,7 @@ def _dense_map(
 
     rounds = 1 if sizes.sharpening == "none" else 2
     (disparity, weight), (iterations, converged) = lax.scan(
-        jax.checkpoint(solve),
+        recomputed(solve),
         (first, jnp.zeros_like(first)),
         jnp.arange(rounds * sizes.solves),
     )
