@@ -12,7 +12,7 @@ from matplotlib.collections import LineCollection
 
 from mvedge_jax import plotting
 from mvedge_jax.lightfield import LightField
-from mvedge_jax.metrics import ViewConsistency, boundary_scores
+from mvedge_jax.metrics import ViewConsistency, boundary_scores, calibration
 
 
 def _array(artist: Any) -> Any:
@@ -206,3 +206,20 @@ def test_pyplot_is_never_touched():
     ]
     assert len(imports) > 10
     assert not [line for line in imports if "pyplot" in line]
+
+
+def test_calibration_is_drawn_beside_the_diagonal():
+    truth, maps = _maps()
+    sigma = jnp.linspace(0.01, 0.03, truth.size).reshape(truth.shape)
+    found = [calibration(jnp.asarray(m), sigma, jnp.asarray(truth), groups=4) for m in maps]
+    figure = plotting.plot_calibration(found, names=["a", "b"])
+    left, right = figure.axes
+    for each, line in zip(found, left.lines[1:], strict=True):
+        np.testing.assert_allclose(line.get_xdata(), each.predicted)
+        np.testing.assert_allclose(line.get_ydata(), each.found)
+    np.testing.assert_allclose(right.lines[0].get_ydata(), found[0].sparsified)
+    share = f"{100 * float(found[0].within[1]):.0f} %"
+    assert share in left.get_legend().get_texts()[0].get_text()
+    with pytest.raises(ValueError, match="names"):
+        plotting.plot_calibration(found, names=["a"])
+    _draw(figure)

@@ -15,7 +15,7 @@ import tyro
 from .. import plotting
 from ..datasets import load_light_field, write_pfm
 from ..lightfield import LightField
-from ..metrics import boundary_scores, depth_scores
+from ..metrics import boundary_scores, calibration, depth_scores
 from ..reconstruct import DepthResult, DepthStats, Parameters, Sizes, edge_to_depth
 from ._common import compiled, note, stage, warn
 from ._output import output_folder
@@ -47,9 +47,9 @@ def depth(
     """Estimates the disparity of every pixel of a light field's centre view.
 
     OUT gets disparity.pfm, disparity16.png (its range is in report.json), disparity.png in colour,
-    confidence.png, points.npz, points.csv, report.json and, where the camera is known, depth.pfm in
-    metres. With ground truth: error maps and scores, over the whole frame and without 15 px per
-    side.
+    its standard error as standard_error.pfm and .png, points.npz, points.csv, report.json and,
+    where the camera is known, depth.pfm in metres. With ground truth: error maps and scores, over
+    the whole frame and without 15 px per side.
 
     Args:
         scene: folder or file of a light field; `mvedge info` tells what it is.
@@ -114,8 +114,9 @@ def _write(folder: Path, light_field: LightField, result: DepthResult) -> None:
     low, high = float(disparity.min()), float(disparity.max())
     levels = (disparity - low) / max(high - low, 1e-12) * 65535
     _image(folder / "disparity16.png", np.round(levels).astype(np.uint16))
-    confidence = np.asarray(result.confidence)
-    _image(folder / "confidence.png", np.round(255 * confidence).astype(np.uint8))
+    error = np.asarray(result.error)
+    write_pfm(folder / "standard_error.pfm", error)
+    plotting.plot_error(error, np.zeros_like(error)).savefig(folder / "standard_error.png")
     plotting.plot_disparity(disparity).savefig(folder / "disparity.png")
     if light_field.camera is not None:
         write_pfm(folder / "depth.pfm", np.asarray(light_field.camera.depth(result.disparity)))
@@ -146,10 +147,15 @@ def _score(folder: Path, light_field: LightField, result: DepthResult) -> dict[s
         maps = (result.disparity, truth.disparity)
         found = depth_scores(*maps, mask=truth.valid, crop=crop)
         boundary = boundary_scores(*maps, mask=truth.valid, crop=crop)
+        known_to = calibration(
+            result.disparity, result.error, truth.disparity, mask=truth.valid, crop=crop
+        )
         scores[f"crop {crop}"] = {
             **{name: float(value) for name, value in found._asdict().items()},
             "boundary_peak_f1": float(boundary.peak_f1),
             "boundary_auc": float(boundary.auc),
+            "within_two_errors": float(known_to.within[1]),
+            "ause": float(known_to.ause),
         }
     return scores
 
@@ -185,6 +191,7 @@ def _report(
         "scene": light_field.name,
         "shape [v, u, y, x]": list(light_field.views.shape[:4]),
         "disparity range": [float(disparity.min()), float(disparity.max())],
+        "standard error, median and 95 %": np.quantile(result.error, (0.5, 0.95)).tolist(),
         "seconds": seconds,
         "photometry": _photometry(stats),
         "counts": {

@@ -1,6 +1,7 @@
-"""Scores: depth errors, depth boundaries, consistency between views, reprojection."""
+"""Scores: depth errors, what is said about them, boundaries, consistency, reprojection."""
 
 from ._boundary import BoundaryScores as BoundaryScores, boundary_scores as boundary_scores
+from ._calibration import Calibration as Calibration, calibration as calibration
 from ._consistency import (
     ViewConsistency as ViewConsistency,
     view_consistency as view_consistency,

@@ -4,6 +4,7 @@ Nothing is shown, saved or registered with pyplot: `figure.savefig(path)` is the
 """
 
 from ._curves import (
+    plot_calibration as plot_calibration,
     plot_consistency as plot_consistency,
     plot_precision_recall as plot_precision_recall,
 )

@@ -1,11 +1,11 @@
-"""Precision-recall curves and view consistency."""
+"""Precision-recall curves, view consistency, calibration."""
 
 from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from ..metrics import BoundaryScores, ViewConsistency
+from ..metrics import BoundaryScores, Calibration, ViewConsistency
 from ._style import COLOURS, WIDTH, check_names, colour_bar, colour_map, new_figure, show, style
 
 
@@ -117,4 +117,69 @@ def plot_consistency(
             ax.set(xticks=[0, columns // 2, columns - 1], yticks=[0, rows // 2, rows - 1])
             ax.set(xlabel="view u", ylabel="view v" if ax is axes[1] else "")
         colour_bar(figure, shown[-1], list(axes[1:]), "variance between views (px²)")
+    return figure
+
+
+def plot_calibration(
+    found: Sequence[Calibration],
+    *,
+    names: Sequence[str] | None = None,
+    width: float = WIDTH,
+) -> Figure:
+    """Draws errors over their estimates, and what is left when the least certain pixels go.
+
+    Args:
+        found: One per map, from `metrics.calibration`.
+        names: A label per map; the share within two standard errors, and the area between the
+            curves, are added.
+        width: Width of the figure, inches.
+
+    Returns:
+        The figure. Left: true estimates lie on the diagonal, those above it are too small. Right:
+        dotted, the order that knows the truth.
+
+    Raises:
+        ValueError: if the number of names is not that of the maps.
+    """
+    names = check_names(names, len(found))
+    with style():
+        figure = new_figure(width, 0.45 * width)
+        left, right = figure.subplots(1, 2)
+        ends = [
+            min(float(each.predicted.min()) for each in found),
+            max(float(each.predicted.max()) for each in found),
+        ]
+        left.plot(ends, ends, color="#cccccc", linewidth=0.8, zorder=0)
+        for number, (each, name) in enumerate(zip(found, names, strict=True)):
+            colour = COLOURS[number % len(COLOURS)]
+            dashes = ("-", "--", "-.")[number // len(COLOURS) % 3]
+            share, area = 100 * float(each.within[1]), float(each.ause)
+            left.plot(
+                np.asarray(each.predicted),
+                np.maximum(np.asarray(each.found), 1e-5),
+                label=f"{name} ({share:.0f} %)",
+                color=colour,
+                linestyle=dashes,
+            )
+            right.plot(
+                np.asarray(each.left_out),
+                np.asarray(each.sparsified),
+                label=f"{name} ({area:.2f})",
+                color=colour,
+                linestyle=dashes,
+            )
+            right.plot(
+                np.asarray(each.left_out), np.asarray(each.oracle), color=colour, linestyle=":"
+            )
+        left.set(
+            xscale="log",
+            yscale="log",
+            xlabel="standard error (px per view step)",
+            ylabel="error of 68 % of the pixels",
+        )
+        right.set(
+            xlim=(0, 1), ylim=(0, None), xlabel="share left out", ylabel="mean error of the rest"
+        )
+        left.legend(title="within two", fontsize=6)
+        right.legend(title="area", fontsize=6)
     return figure

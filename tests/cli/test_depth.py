@@ -50,8 +50,12 @@ def test_depth_writes_everything_and_is_right(scene, tmp_path, capsys):
     assert 0 <= photometry["share that noise rules"] < 1
     assert photometry["brightened by"] >= 1
     assert np.allclose(photometry["gain of the centre row of views"], 1, atol=0.02)
-    assert report["parameters"]["centre.precision"] == pytest.approx(0.006)
-    for name in ("disparity.png", "confidence.png", "error_log.png", "error_signed.png"):
+    assert report["parameters"]["centre.precision"] == pytest.approx(0.005)
+    error = read_pfm(out / "standard_error.pfm")
+    assert error.shape == found.shape
+    assert 0 < report["standard error, median and 95 %"][0] == pytest.approx(np.median(error))
+    assert report["scores"]["crop 0"]["within_two_errors"] > 0.8
+    for name in ("disparity.png", "standard_error.png", "error_log.png", "error_signed.png"):
         assert cv2.imread(str(out / name)) is not None, name
     assert "written to" in capsys.readouterr().out
 

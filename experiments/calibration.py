@@ -1,0 +1,133 @@
+"""Are standard errors true? Of the edge points, of labels, and of the final map.
+
+    python experiments/calibration.py cotton backgammon room bench demo edges
+
+Per scene: at the true map, the share of measured pixels (standard error below .03 px) that are off
+by more than .03 px; for edge points, dense labels around the final map and the final map, the
+share within two standard errors (95 % of a normal distribution), and of the map the area between
+its sparsification and the best one. A point or label sits between two surfaces: its error is that
+against the best of the 3x3 pixels around it; that of the map is its own. The constants of the map's
+error were chosen on cotton, backgammon, room, bench and edges.
+"""
+
+import argparse
+import sys
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from experiments._report import print_table, shared_data, write_json
+from mvedge_jax import plotting
+from mvedge_jax.datasets import load_light_field, synthetic
+from mvedge_jax.lightfield import LightField
+from mvedge_jax.metrics import Calibration, calibration
+from mvedge_jax.photometry import labels, look, prepare, sight
+from mvedge_jax.reconstruct import Parameters, Sizes, edge_to_depth
+
+_MEASURED, _OFF = 0.03, 0.03
+
+
+def scene(name: str, size: int) -> LightField:
+    """A light field by its path, its name in the development data, or that of a synthetic one."""
+    data = shared_data()
+    folders = [Path(name), *(data / part / name for part in ("hci", "traced") if data is not None)]
+    for folder in folders:
+        if folder.exists():
+            return load_light_field(folder)
+    return synthetic.render(
+        synthetic.scene(name), shape=(9, 9, size, size), samples=2, key=jax.random.key(0)
+    )
+
+
+def nearest(disparity: np.ndarray, truth: np.ndarray, y: np.ndarray, x: np.ndarray) -> np.ndarray:
+    """Error against the best of the 3x3 pixels around each place."""
+    padded = np.pad(truth, 1, mode="edge")
+    return np.min(
+        [np.abs(disparity - padded[y + j, x + i]) for j in range(3) for i in range(3)], axis=0
+    )
+
+
+def measured(
+    light_field: LightField, disparity: jax.Array, sizes: Sizes
+) -> tuple[np.ndarray, np.ndarray]:
+    """Dense labels around a map, and their standard errors."""
+    params = Parameters()
+    scene = prepare(
+        light_field,
+        sizes.edges.hypotheses(sizes.hypotheses, light_field.views.dtype),
+        params.volume,
+        window=sizes.window,
+    )
+    seen = sight(scene, params.photometric)
+    found = look(*seen.splines, disparity, seen.params, radius=sizes.radius)
+    label = labels(found, scene.lab, disparity, seen.params, seen.views, passes=sizes.passes)
+    return np.asarray(label.disparity), np.sqrt(np.asarray(label.variance))
+
+
+def calibrated(name: str, size: int) -> tuple[dict[str, Any], Calibration]:
+    """One row of the table and the curves of the final map."""
+    light_field = scene(name, size)
+    known = light_field.truth
+    if known is None:
+        raise ValueError(f"{name} has no ground truth to score against.")
+    truth, valid = np.asarray(known.disparity), np.asarray(known.valid)
+    blind = light_field.without_truth()
+    sizes = Sizes.for_light_field(blind)
+    result = edge_to_depth(Parameters(), blind, sizes)
+    rows, columns = np.indices(truth.shape)
+
+    start = jnp.where(jnp.isfinite(known.disparity), known.disparity, 0)
+    label, sigma = measured(blind, start, sizes)
+    good = (sigma < _MEASURED) & valid
+    off = 100 * float((np.abs(label - truth)[good] > _OFF).mean())
+
+    label, sigma = measured(blind, result.disparity, sizes)
+    good = (sigma < _MEASURED) & valid
+    label_error = nearest(label, truth, rows, columns)[good]
+    keep = np.asarray(result.points.valid)
+    x, y = np.rint(np.asarray(result.points.xy)[keep]).astype(int).T
+    x, y = np.clip(x, 0, truth.shape[1] - 1), np.clip(y, 0, truth.shape[0] - 1)
+    point_error = nearest(np.asarray(result.points.disparity)[keep], truth, y, x)
+    curves = calibration(result.disparity, result.error, known.disparity, mask=known.valid)
+    row = {
+        "scene": name,
+        "measured %": 100 * float(good.mean()),
+        "off at the truth %": off,
+        "edges within two %": 100
+        * float((point_error <= 2 * np.asarray(result.points.error)[keep]).mean()),
+        "labels within two %": 100 * float((label_error <= 2 * sigma[good]).mean()),
+        "map within two %": 100 * float(curves.within[1]),
+        "AUSE": float(curves.ause),
+    }
+    print(row, flush=True)
+    return row, curves
+
+
+def main() -> None:
+    """Prints the table and draws the curves."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("scenes", nargs="+", help="names or paths")
+    parser.add_argument("--out", type=Path, default=Path("results/calibration"))
+    parser.add_argument("--size", type=int, default=256, help="side of rendered scenes, px")
+    arguments = parser.parse_args()
+    rows, curves = [], []
+    for name in arguments.scenes:
+        row, found = calibrated(name, arguments.size)
+        rows.append(row)
+        curves.append(found)
+        jax.clear_caches()
+    keys = [key for key in rows[0] if key != "scene"]
+    rows.append({"scene": "mean", **{key: float(np.mean([r[key] for r in rows])) for key in keys}})
+    print_table(rows, title="Standard errors against the truth")
+    write_json(arguments.out / "calibration.json", {"rows": rows})
+    figure = plotting.plot_calibration(curves, names=[Path(n).name for n in arguments.scenes])
+    figure.savefig(arguments.out / "calibration.png", dpi=150)
+
+
+if __name__ == "__main__":
+    main()
