@@ -79,7 +79,7 @@ def calibrated(name: str, size: int) -> tuple[dict[str, Any], Calibration]:
     blind = light_field.without_truth()
     sizes = Sizes.for_light_field(blind)
     result = edge_to_depth(Parameters(), blind, sizes)
-    rows, columns = np.indices(truth.shape)
+    rows, columns = np.arange(truth.shape[0])[:, None], np.arange(truth.shape[1])[None]
 
     start = jnp.where(jnp.isfinite(known.disparity), known.disparity, 0)
     label, sigma = measured(blind, start, sizes)
@@ -90,8 +90,9 @@ def calibrated(name: str, size: int) -> tuple[dict[str, Any], Calibration]:
     good = (sigma < _MEASURED) & valid
     label_error = nearest(label, truth, rows, columns)[good]
     keep = np.asarray(result.points.valid)
-    x, y = np.rint(np.asarray(result.points.xy)[keep]).astype(int).T
-    x, y = np.clip(x, 0, truth.shape[1] - 1), np.clip(y, 0, truth.shape[0] - 1)
+    places = np.rint(np.asarray(result.points.xy)[keep]).astype(int)
+    x = np.clip(places[:, 0], 0, truth.shape[1] - 1)
+    y = np.clip(places[:, 1], 0, truth.shape[0] - 1)
     point_error = nearest(np.asarray(result.points.disparity)[keep], truth, y, x)
     curves = calibration(result.disparity, result.error, known.disparity, mask=known.valid)
     row = {

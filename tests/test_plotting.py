@@ -215,11 +215,11 @@ def test_calibration_is_drawn_beside_the_diagonal():
     figure = plotting.plot_calibration(found, names=["a", "b"])
     left, right = figure.axes
     for each, line in zip(found, left.lines[1:], strict=True):
-        np.testing.assert_allclose(line.get_xdata(), each.predicted)
-        np.testing.assert_allclose(line.get_ydata(), each.found)
-    np.testing.assert_allclose(right.lines[0].get_ydata(), found[0].sparsified)
-    share = f"{100 * float(found[0].within[1]):.0f} %"
-    assert share in left.get_legend().get_texts()[0].get_text()
+        np.testing.assert_allclose(np.asarray(line.get_xdata()), each.predicted)
+        np.testing.assert_allclose(np.asarray(line.get_ydata()), each.found)
+    np.testing.assert_allclose(np.asarray(right.lines[0].get_ydata()), found[0].sparsified)
+    labels = [str(line.get_label()) for line in left.lines[1:]]
+    assert labels == [f"{n} ({100 * f.within[1]:.0f} %)" for n, f in zip("ab", found, strict=True)]
     with pytest.raises(ValueError, match="names"):
         plotting.plot_calibration(found, names=["a"])
     _draw(figure)

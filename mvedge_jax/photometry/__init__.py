@@ -13,7 +13,7 @@ from ._exposure import (
     exposure_along as exposure_along,
     rough_exposure as rough_exposure,
 )
-from ._filters import highest as highest
+from ._filters import box_mean as box_mean, gaussian as gaussian, highest as highest
 from ._measure import (
     Look as Look,
     PhotometricLabels as PhotometricLabels,

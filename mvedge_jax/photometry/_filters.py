@@ -19,7 +19,15 @@ def window_sum(image: Array, radius: int, axis: int) -> Array:
 
 
 def box_mean(image: Float[Array, "*c y x"], radius: int) -> Float[Array, "*c y x"]:
-    """Mean over a square of `2 radius + 1` px a side, borders repeated."""
+    """Mean over a square of `2 radius + 1` px a side, borders repeated.
+
+    Args:
+        image: one image or several, `[..., y, x]`.
+        radius: px to either side.
+
+    Returns:
+        The means, of the shape of `image`. Differentiable.
+    """
     area = (2 * radius + 1) ** 2
     return window_sum(window_sum(image, radius, -2 % image.ndim), radius, image.ndim - 1) / area
 
@@ -50,7 +58,16 @@ def convolved(image: Array, taps: Float[Array, " k"], axis: int) -> Array:
 def gaussian(
     image: Float[Array, "*c y x"], sigma: Float[Array, ""], radius: int
 ) -> Float[Array, "*c y x"]:
-    """Image blurred along its last two axes by a Gaussian cut at `radius` px, borders repeated."""
+    """Image blurred by a Gaussian, borders repeated.
+
+    Args:
+        image: one image or several, `[..., y, x]`.
+        sigma: standard deviation, px; 0 gives the identity.
+        radius: where the Gaussian is cut, px.
+
+    Returns:
+        The blurred image, of the shape of `image`. Differentiable in both, in `sigma` from .1 px.
+    """
     taps = gaussian_taps(sigma, radius)
     return convolved(convolved(image, taps, -2), taps, -1)
 

@@ -16,6 +16,7 @@ from mvedge_jax._fence import fenced
 from mvedge_jax._params import cast, number
 from mvedge_jax._unstack import unstack
 
+from ._filters import box_mean
 from ._reach import occlusion_reach
 from ._window import weighted_sum
 
@@ -485,14 +486,14 @@ def _trusted(
     for mean, colour in zip(means, moments.colour, strict=True):
         spread = spread - mean * colour
     floor = len(values) * params.noise**2
-    scale = params.outlier * jnp.maximum(_box3(spread / moments.weight), floor)
+    scale = params.outlier * jnp.maximum(box_mean(spread / moments.weight, 1), floor)
 
     def one(view: tuple[Array, ...]) -> Array:
         present, *colours = view
         distance = jnp.zeros_like(present)
         for colour, mean in zip(colours, means, strict=True):
             distance = distance + (colour - mean) ** 2
-        return present / (1 + _box3(distance) / scale)
+        return present / (1 + box_mean(distance, 1) / scale)
 
     nothing = jnp.zeros_like(scale)
     own = one((jnp.ones_like(scale), *(nothing for _ in values)))
@@ -558,11 +559,3 @@ def _sample(
         return tuple(a * before[i] + b * at[i] + c * after[i] + d * beyond[i] for i in channels)
 
     return combine(weights), combine(derivatives)
-
-
-def _box3(image: Float[Array, "y x"]) -> Float[Array, "y x"]:
-    """Mean over 3x3 pixels, borders repeated."""
-    rows = jnp.pad(image, ((1, 1), (0, 0)), mode="edge")
-    image = (rows[:-2] + rows[1:-1] + rows[2:]) / 3
-    columns = jnp.pad(image, ((0, 0), (1, 1)), mode="edge")
-    return (columns[:, :-2] + columns[:, 1:-1] + columns[:, 2:]) / 3

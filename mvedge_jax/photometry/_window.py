@@ -12,6 +12,8 @@ from jaxtyping import Array, Float
 from mvedge_jax._fence import fenced
 from mvedge_jax._linear_map import linear_map
 
+from ._filters import highest
+
 
 def weighted_sum(
     images: Float[Array, "n y x"],
@@ -152,7 +154,7 @@ def contrast(lab: Float[Array, "c y x"], *, radius: int) -> Float[Array, "y x"]:
         smooth = _smooth(_smooth(channel).T).T
         for axis in (0, 1):
             square = square + _slope(smooth, axis) ** 2
-    return _largest(_largest(length(square), radius, 0), radius, 1)
+    return highest(length(square), radius)
 
 
 def length(square: Float[Array, "*s"]) -> Float[Array, "*s"]:
@@ -181,20 +183,3 @@ def _slope(image: Array, axis: int) -> Array:
     padded, size = jnp.pad(image, margin, mode="edge"), image.shape[axis]
     after = lax.slice_in_dim(padded, 2, size + 2, axis=axis)
     return 0.5 * (after - lax.slice_in_dim(padded, 0, size, axis=axis))
-
-
-def _largest(image: Array, radius: int, axis: int) -> Array:
-    """Running maximum along an axis, of values that are not negative, by doubling."""
-    size, span = image.shape[axis], 1
-    margin = [(0, 0), (0, 0)]
-    margin[axis] = (radius, radius)
-    image = jnp.pad(image, margin)
-    while span < 2 * radius + 1:
-        step = min(span, 2 * radius + 1 - span)
-        rest = image.shape[axis] - step
-        image = jnp.maximum(
-            lax.slice_in_dim(image, 0, rest, axis=axis),
-            lax.slice_in_dim(image, step, rest + step, axis=axis),
-        )
-        span += step
-    return lax.slice_in_dim(image, 0, size, axis=axis)

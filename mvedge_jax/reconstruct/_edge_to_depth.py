@@ -35,6 +35,7 @@ from mvedge_jax.photometry import (
     PhotometricLabels,
     Sight,
     first_labels,
+    gaussian,
     labels,
     look,
     mismatch,
@@ -51,6 +52,8 @@ from ._smoothness import edge_smoothness
 # own standard errors say. From five scenes, in which 93 % of all pixels are then within twice the
 # error (`experiments/calibration.py`).
 _SHARED = 1.2
+# Where the Gaussian is cut that a map passes before its steps cut edges, px.
+_BLUR = 2
 # A depth step is found to half a pixel.
 _MISPLACED = 0.5
 
@@ -311,7 +314,8 @@ def _sparse_map(
     """Repeated diffusion of the points' labels alone."""
 
     def solve(state: tuple[Array, Array], turn: Array) -> Any:
-        edges = edge_smoothness(lab, _blur(state[0], params.centre.blur), params.smoothness)
+        smooth = gaussian(state[0], params.centre.blur, _BLUR)
+        edges = edge_smoothness(lab, smooth, params.smoothness)
         last = turn == sizes.solves - 1
         return _solved(labels, edges, state[0], params.centre, sloped=jnp.asarray(False), last=last)
 
@@ -359,7 +363,8 @@ def _dense_map(
             found, lab, disparity, params.photometric, views.views, passes=sizes.passes
         )
         both = _with_dense(from_points, measured, disparity, params)
-        edges = edge_smoothness(lab, _blur(disparity, params.centre.blur), params.smoothness)
+        smooth = gaussian(disparity, params.centre.blur, _BLUR)
+        edges = edge_smoothness(lab, smooth, params.smoothness)
         return _solved(
             both, edges, disparity, params.centre, sloped=turn > 0, last=turn == turns - 1
         )
@@ -459,13 +464,3 @@ def _with_dense(
 def _precision_weight(variance: Array, params: CentreParams) -> Array:
     precision = params.precision**2
     return precision / (precision + variance)
-
-
-def _blur(image: Float[Array, "y x"], sigma: Float[Array, ""]) -> Float[Array, "y x"]:
-    """Gaussian of 5 x 5 taps, borders repeated."""
-    taps = jax.nn.softmax(-0.5 * (jnp.arange(-2, 3, dtype=image.dtype) / sigma) ** 2)
-    height, width = image.shape
-    tall = jnp.pad(image, ((2, 2), (0, 0)), mode="edge")
-    image = sum((taps[i] * tall[i : i + height] for i in range(1, 5)), taps[0] * tall[:height])
-    wide = jnp.pad(image, ((0, 0), (2, 2)), mode="edge")
-    return sum((taps[i] * wide[:, i : i + width] for i in range(1, 5)), taps[0] * wide[:, :width])

@@ -12,7 +12,7 @@ from mvedge_jax._params import cast, number
 from mvedge_jax.color import srgb_to_lab
 from mvedge_jax.diffusion import Solver, System, diffuse
 from mvedge_jax.losses import Views
-from mvedge_jax.photometry import spline_coefficients
+from mvedge_jax.photometry import box_mean, spline_coefficients
 from mvedge_jax.warping import visible
 
 from ._smoothness import SmoothnessParams, edge_smoothness
@@ -189,12 +189,12 @@ def _per_pixel(
     (count, colour, square, gx, gy), seen = lax.scan(look, first, (images, steps, available))
     mean, gx, gy = (part / count[None] for part in (colour, gx, gy))
     spread = jnp.sum(square / count[None] - mean**2, axis=0)
-    scale = params.outlier * jnp.maximum(_box3(spread), channels * params.noise**2)
+    scale = params.outlier * jnp.maximum(box_mean(spread, 1), channels * params.noise**2)
 
     def add(total: tuple[Array, ...], view: tuple[Array, Array, Array]):
         weight, value, step = view
         relative = value - mean
-        weight = weight / (1 + _box3(jnp.sum(relative**2, axis=0)) / scale)
+        weight = weight / (1 + box_mean(jnp.sum(relative**2, axis=0), 1) / scale)
         x, y = step
         w = weight[None]
         terms = (
@@ -349,14 +349,6 @@ def _shrink(mask: Bool[Array, "y x"], times: int) -> Bool[Array, "y x"]:
         p = jnp.pad(mask, 1, constant_values=True)
         mask = mask & p[:-2, 1:-1] & p[2:, 1:-1] & p[1:-1, :-2] & p[1:-1, 2:]
     return mask
-
-
-def _box3(image: Float[Array, "y x"]) -> Float[Array, "y x"]:
-    """Mean over 3x3 pixels, borders repeated."""
-    rows = jnp.pad(image, ((1, 1), (0, 0)), mode="edge")
-    image = (rows[:-2] + rows[1:-1] + rows[2:]) / 3
-    columns = jnp.pad(image, ((0, 0), (1, 1)), mode="edge")
-    return (columns[:, :-2] + columns[:, 1:-1] + columns[:, 2:]) / 3
 
 
 def _blur(planes: Float[Array, "k y x"], sigma: Float[Array, ""]) -> Float[Array, "k y x"]:
