@@ -234,7 +234,8 @@ def edge_to_depth(
         noise,
         scene.exposure,
     )
-    return DepthResult(found.disparity, found.error, passes.edge, points, surface, stats)
+    error = _standard_error(found.error, found.disparity)
+    return DepthResult(found.disparity, error, passes.edge, points, surface, stats)
 
 
 def _sides(
@@ -300,7 +301,7 @@ def _point_labels(
 
 
 class _Map(NamedTuple):
-    """A map, its standard error, and how the diffusions went."""
+    """A map, the standard error of its labels, and how the diffusions went."""
 
     disparity: Array
     error: Array
@@ -373,22 +374,26 @@ def _dense_map(
 
 
 def _repeated(solve: Callable[..., Any], start: Array, turns: int) -> tuple[Array, ...]:
-    """Runs `solve` from a map: the last map, its error, iterations, and whether all converged."""
+    """Runs `solve` from a map: the fields of a `_Map`."""
     state = (start, jnp.zeros_like(start))
     (disparity, error), (iterations, converged) = lax.scan(
         recomputed(solve), state, jnp.arange(turns)
     )
-    # Never 0, so that the root has a slope.
-    error = jnp.sqrt((_SHARED * error) ** 2 + (_MISPLACED * _steepest(disparity)) ** 2)
     return disparity, error, iterations, jnp.all(converged)
 
 
-def _steepest(image: Float[Array, "y x"]) -> Float[Array, "y x"]:
-    """The largest difference to any of the four neighbours."""
-    across, down = jnp.abs(jnp.diff(image, axis=1)), jnp.abs(jnp.diff(image, axis=0))
-    sides = [jnp.pad(across, ((0, 0), side)) for side in ((0, 1), (1, 0))]
-    sides += [jnp.pad(down, (side, (0, 0))) for side in ((0, 1), (1, 0))]
-    return jnp.maximum(jnp.maximum(sides[0], sides[1]), jnp.maximum(sides[2], sides[3]))
+def _standard_error(
+    of_labels: Float[Array, "y x"], disparity: Float[Array, "y x"]
+) -> Float[Array, "y x"]:
+    """That of the labels, and of the place of the map's steps; infinite without labels."""
+    across, down = jnp.abs(jnp.diff(disparity, axis=1)), jnp.abs(jnp.diff(disparity, axis=0))
+    steepest = jnp.zeros_like(disparity)
+    for side in ((0, 1), (1, 0)):
+        steepest = jnp.maximum(steepest, jnp.pad(across, ((0, 0), side)))
+        steepest = jnp.maximum(steepest, jnp.pad(down, (side, (0, 0))))
+    known = of_labels > 0
+    labels = _SHARED * jnp.where(known, of_labels, 1)
+    return jnp.where(known, jnp.sqrt(labels**2 + (_MISPLACED * steepest) ** 2), jnp.inf)
 
 
 def _solved(
@@ -406,13 +411,13 @@ def _solved(
     by a loop: the solver compiles slowly.
 
     Returns:
-        The map and its standard error, or 0; iterations and convergence of the map's own solve.
+        The map and, at `last`, the standard error of the labels that every pixel is made from, 0
+        without labels; iterations and convergence of the map's own solve.
     """
     held, slopes = slope_labels(
         start, labels.weight, edges, steepest=params.steepest, flat=params.flat
     )
     # What a label of this weight is known to, and at best a tenth of what counts half.
-    known = jnp.any(labels.weight > 0)
     uncertain = params.precision * jnp.sqrt(1 / jnp.clip(labels.weight, 1e-9, 0.99) - 1)
     slope, whole, nothing = params.slant, params.smoothness, jnp.zeros_like(start)
     items = (
@@ -442,8 +447,7 @@ def _solved(
         return lax.dynamic_update_index_in_dim(found, value, index, 0), stats
 
     found, (iterations, converged) = lax.scan(solve, jnp.zeros_like(items[2]), items)
-    error = jnp.where(known, found[3], jnp.inf)
-    return (found[2], error), (iterations[2], jnp.all(converged))
+    return (found[2], found[3]), (iterations[2], jnp.all(converged))
 
 
 def _with_dense(

@@ -67,6 +67,10 @@ def test_constant_images_give_a_finite_map(value):
     result = edge_to_depth(Parameters(), flat, Sizes.for_light_field(flat))
     assert bool(jnp.isfinite(result.disparity).all())
     assert float(jnp.abs(result.disparity).max()) <= 1.5
+    # Nothing tells the disparity, and the result says so.
+    assert float(result.error.min()) > 1
+    sparse = edge_to_depth(Parameters(), flat, Sizes.for_light_field(flat, dense=False))
+    assert bool(jnp.isinf(sparse.error).all())
 
 
 def test_sizes_follow_the_range_and_explain_mistakes():
