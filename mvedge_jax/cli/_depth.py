@@ -116,7 +116,8 @@ def _write(folder: Path, light_field: LightField, result: DepthResult) -> None:
     _image(folder / "disparity16.png", np.round(levels).astype(np.uint16))
     error = np.asarray(result.error)
     write_pfm(folder / "standard_error.pfm", error)
-    plotting.plot_error(error, np.zeros_like(error)).savefig(folder / "standard_error.png")
+    figure = plotting.plot_error(error, np.zeros_like(error), name="standard error")
+    figure.savefig(folder / "standard_error.png")
     plotting.plot_disparity(disparity).savefig(folder / "disparity.png")
     if light_field.camera is not None:
         write_pfm(folder / "depth.pfm", np.asarray(light_field.camera.depth(result.disparity)))
