@@ -19,7 +19,7 @@ class Row(NamedTuple):
         reverse: derivative by `jax.grad`.
         forward: by `jax.jvp`.
         numeric: by central differences, the mean of the first two steps of the ladder that agree.
-        spread: relative difference of those two.
+        spread: difference of those two, relative to the slope or to `least`.
         sides: the one-sided differences at the last step that was tried.
         least: slopes below this are lost in the rounding of the differences.
     """
@@ -58,7 +58,8 @@ class Row(NamedTuple):
         return self.reverse == 0 and self.forward == 0
 
 
-LADDER = (1e-5, 1e-6, 3e-5, 1e-7, 1e-4, 1e-8)
+# The smallest one comes last: one-sided differences tell a kink there.
+LADDER = (1e-5, 1e-6, 3e-5, 1e-7, 1e-4, 1e-3, 1e-8)
 
 
 def rows(
@@ -110,7 +111,7 @@ def rows(
             slope = (above - below) / (2 * step)
             sides = ((above - centre) / step, (centre - below) / step)
             for other in slopes:
-                spread = abs(slope - other) / max(abs(slope), abs(other), 1e-300)
+                spread = abs(slope - other) / max(abs(slope), abs(other), least)
                 if spread < agree:
                     return Row(name, reverse, forward, 0.5 * (slope + other), spread, sides, least)
             slopes.append(slope)
