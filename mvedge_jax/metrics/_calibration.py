@@ -54,14 +54,14 @@ def calibration(
         truth: ground truth, `[y, x]`, px per view step; NaN where unknown.
         mask: pixels that count, `[y, x]`; all by default.
         crop: pixels to leave out on each side.
-        groups: of pixels of like standard error, and shares that are left out.
+        groups: of pixels of like standard error, and shares that are left out; at most one per
+            pixel.
 
     Returns:
-        See `Calibration`.
+        See `Calibration`; NaN, and no groups, if no pixel counts.
 
     Raises:
-        ValueError: shapes differ, `error` is not positive where pixels count, or fewer pixels than
-            `groups` count.
+        ValueError: shapes differ, `error` is not positive where pixels count, or `groups` is not.
 
     Source: sparsification as in Ilg et al. 2018, "Uncertainty estimates and multi-hypotheses
     networks for optical flow"; not in the thesis.
@@ -85,8 +85,12 @@ def calibration(
 
     size, sigma = np.abs(kept(disparity) - kept(truth)), kept(error)
     count = size.size
-    if not 1 <= groups <= count:
-        raise ValueError(f"`groups` must be from 1 to the {count} pixels, got {groups}.")
+    if groups < 1:
+        raise ValueError(f"`groups` must be at least 1, got {groups}.")
+    if count == 0:
+        none = np.zeros(0)
+        return Calibration(np.full(len(_MULTIPLES), np.nan), none, none, none, none, none, np.nan)
+    groups = min(groups, count)
     if not (sigma > 0).all():
         raise ValueError(
             f"`error` must be positive; {int((~(sigma > 0)).sum())} of {count} pixels that "

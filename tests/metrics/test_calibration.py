@@ -64,14 +64,22 @@ def test_what_is_not_known_is_within():
     assert float(calibration(disparity, jnp.full_like(sigma, jnp.inf), truth).within[0]) == 1
 
 
+def test_few_pixels_make_few_groups_and_none_make_nan():
+    disparity, sigma, truth = normal_errors()
+    found = calibration(disparity[:2, :2], sigma[:2, :2], truth[:2, :2])
+    assert found.predicted.shape == found.sparsified.shape == (4,)
+    nothing = calibration(disparity, sigma, truth, mask=jnp.zeros(SHAPE, bool))
+    assert np.isnan([*nothing.within, nothing.ause]).all()
+    assert nothing.predicted.size == 0
+
+
 @pytest.mark.parametrize(
     ("error", "groups", "message"),
     [
         (jnp.zeros(SHAPE), 20, "`error` must be positive; 4800 of 4800"),
         (jnp.full(SHAPE, jnp.nan), 20, "`error` must be positive"),
         (jnp.ones((3, 3)), 20, "`error` must have the shape of `disparity`"),
-        (jnp.ones(SHAPE), 0, "`groups` must be from 1"),
-        (jnp.ones(SHAPE), 4801, "`groups` must be from 1 to the 4800 pixels"),
+        (jnp.ones(SHAPE), 0, "`groups` must be at least 1, got 0"),
     ],
 )
 def test_mistakes_are_named(error, groups, message):
