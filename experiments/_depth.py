@@ -4,14 +4,15 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from mvedge_jax.datasets import load_light_field, synthetic
 from mvedge_jax.epi import scene_range
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.metrics import boundary_scores, depth_scores
+from mvedge_jax.occlusion import BidirectionalParams
 from mvedge_jax.reconstruct import Parameters, Sizes, edge_to_depth, plane_sweep
 
 SYNTHETIC = ("edges", "thin", "wide", "noisy", "slanted", "crossing")
@@ -28,10 +29,8 @@ def chain(name: str, *, unit_weights: bool = False, **choices: Any) -> Method:
     """`edge_to_depth` with some of its `Sizes` set by hand; `unit_weights` switches (6.3) off."""
 
     def run(light_field: LightField) -> jax.Array:
-        params = Parameters()
-        if unit_weights:
-            gain = params.bidirectional.gain
-            params = eqx.tree_at(lambda p: p.bidirectional.gain, params, 0 * gain)
+        flat = BidirectionalParams(gain=jnp.asarray(0.0))
+        params = Parameters(bidirectional=flat if unit_weights else None)
         sizes = Sizes.for_light_field(light_field, **choices)
         return edge_to_depth(params, light_field, sizes).disparity
 

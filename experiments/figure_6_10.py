@@ -24,12 +24,11 @@ SWEEPS = {
     "centre.trust": lambda p: p.centre.trust,
     "smoothness.colour": lambda p: p.smoothness.colour,
     "smoothness.depth": lambda p: p.smoothness.depth,
-    "photometric.noise": lambda p: p.photometric.noise,
+    "photometric.stiffness": lambda p: p.photometric.stiffness,
     "volume.truncation": lambda p: p.volume.truncation,
-    "volume.colour": lambda p: p.volume.colour,
+    "volume.drift": lambda p: p.volume.drift,
     "median.slack": lambda p: p.median.slack,
     "edges.error_limit": lambda p: p.edges.error_limit,
-    "edges.confidence_scale": lambda p: p.edges.confidence_scale,
 }
 
 

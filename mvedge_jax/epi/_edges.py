@@ -36,6 +36,14 @@ from ._thesis import ThesisParams, thesis_points
 _ABOVE_NOISE = 3.0
 # Standard deviation of a grey value over that of its three channels.
 _OF_GRAY = 0.65
+# Grey level, of 100, that some pixel of the 5x5 around a point must exceed: two of 255 steps, as in
+# the vignetted corners of a lenslet camera.
+_DARK = 0.8
+# Strength, CIELAB units per px, at which the confidence is one half.
+_CONFIDENT = 2.0
+# Squared difference of a view from the others, in multiples of what they differ by among
+# themselves, beyond which it does not show a point.
+_DEVIATES = 2.5
 # Half the width, px, of the windows in which hypotheses are compared, and passes over the
 # neighbourhood of a measurement: those of `Sizes`.
 _WINDOW, _PASSES = 2, 2
@@ -133,7 +141,7 @@ def thesis_edges(
     column = jnp.clip(jnp.round(found.xy[:, 0]).astype(jnp.int32), 0, width - 1)
     row = jnp.clip(jnp.round(found.xy[:, 1]).astype(jnp.int32), 0, height - 1)
     normal = unit_gradient(srgb_to_gray(view))[row, column]
-    confidence = found.strength / (found.strength + params.confidence_scale)
+    confidence = found.strength / (found.strength + _CONFIDENT)
     # All that is known of a line's precision is the spacing of the filters.
     error = jnp.full_like(found.disparity, sizes.step / math.sqrt(12))
     points = EdgePoints(
@@ -260,7 +268,7 @@ def measured_edges(
     # Where a lens gives no light at all, only the sensor's own pattern agrees between the views.
     # What belongs to the sensor is as much brighter as the views are.
     light = highest(100 * srgb_to_gray(view), 2)[row, column]
-    lit = light > params.dark_limit * scene.exposure.scale
+    lit = light > _DARK * scene.exposure.scale
     consistent = candidates.valid & (error < limit)
     valid = consistent & lit
 
@@ -276,10 +284,10 @@ def measured_edges(
     points = EdgePoints(
         xy=only(subpixel(strength, centre, candidates)),
         disparity=only(disparity),
-        confidence=only(height / (height + params.confidence_scale)),
+        confidence=only(height / (height + _CONFIDENT)),
         error=only(error),
         normal=only(normal),
-        visible=only((weights[:, row, column] > 1 / (1 + params.visibility_limit)).T),
+        visible=only((weights[:, row, column] > 1 / (1 + _DEVIATES)).T),
         valid=valid,
     )
     stats = EdgeStats(candidates.total, candidates.overflow, consistent.sum(), valid.sum())

@@ -22,26 +22,18 @@ class EdgeParams(eqx.Module):
         banks: filters of the horizontal and of the vertical arm; None for Prewitt filters on the
             grid of `EdgeSizes`. Give them to learn them.
         strength_floor: weakest edge considered in a scene without noise, CIELAB units per px.
-        dark_limit: grey level, of 100, that some pixel of the 5x5 around a point must exceed: two
-            of 255 steps, as in the vignetted corners of a lenslet camera.
         error_limit: largest standard error of an accepted point, px, in a scene without noise.
             Wide, because each point carries its own error and weighs by it, and borders of plain
             surfaces have no better ones; with noise in proportion wider.
         error_floor: smallest standard error, px: interpolation and calibration are not perfect.
-        confidence_scale: strength, CIELAB units per px, at which the confidence is one half.
-        visibility_limit: squared difference of a view from the others, in multiples of what they
-            differ by among themselves, beyond which it does not show the point.
         thesis: parameters of the thesis' own chain, which `EdgeSizes.thesis` asks for; None for
             its defaults.
     """
 
     banks: tuple[FilterBank, FilterBank] | None = None
-    strength_floor: Float[Array, ""] = number(0.1)
-    dark_limit: Float[Array, ""] = number(0.8)
-    error_limit: Float[Array, ""] = number(0.1)
-    error_floor: Float[Array, ""] = number(0.0005)
-    confidence_scale: Float[Array, ""] = number(2.0)
-    visibility_limit: Float[Array, ""] = number(2.5)
+    strength_floor: Float[Array, ""] = number(0.1, "CIELAB/px")
+    error_limit: Float[Array, ""] = number(0.1, "px")
+    error_floor: Float[Array, ""] = number(0.0005, "px")
     thesis: ThesisParams | None = None
 
 

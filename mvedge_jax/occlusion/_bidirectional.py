@@ -27,11 +27,11 @@ class BidirectionalParams(eqx.Module):
         limit: largest exponent; the thesis' weight is unbounded, which hurts.
     """
 
-    offset: Float[Array, ""] = number(1.0)
-    data: Float[Array, ""] = number(100.0)
-    gradient: Float[Array, ""] = number(1e-4)
+    offset: Float[Array, ""] = number(1.0, "px")
+    data: Float[Array, ""] = number(100.0, "smoothness of 1")
+    gradient: Float[Array, ""] = number(1e-4, "squared grey/px")
     floor: Float[Array, ""] = number(1e-4)
-    gain: Float[Array, ""] = number(3.0)
+    gain: Float[Array, ""] = number(3.0, "1/px")
     limit: Float[Array, ""] = number(4.0)
 
 

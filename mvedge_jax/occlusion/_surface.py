@@ -30,13 +30,13 @@ class SurfaceParams(eqx.Module):
         temperature: of the relaxed choice, px of evidence.
     """
 
-    offset: Float[Array, ""] = number(1.0)
+    offset: Float[Array, ""] = number(1.0, "px")
     response: Float[Array, ""] = number(0.3)
     neighbours: Float[Array, ""] = number(1.0)
     dense: Float[Array, ""] = number(1.0)
-    radius: Float[Array, ""] = number(6.0)
-    cap: Float[Array, ""] = number(0.3)
-    temperature: Float[Array, ""] = number(0.05)
+    radius: Float[Array, ""] = number(6.0, "px")
+    cap: Float[Array, ""] = number(0.3, "px")
+    temperature: Float[Array, ""] = number(0.05, "px")
 
 
 class SurfaceVectors(NamedTuple):

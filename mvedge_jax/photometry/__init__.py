@@ -16,6 +16,7 @@ from ._exposure import (
 from ._filters import box_mean as box_mean, gaussian as gaussian, highest as highest
 from ._measure import (
     Look as Look,
+    Measuring as Measuring,
     PhotometricLabels as PhotometricLabels,
     PhotometricParams as PhotometricParams,
     labels as labels,

@@ -24,6 +24,17 @@ from ._window import colour_weights, contrast, weighted_sum
 
 # Gradients are looked for within this distance, px: the reach of a window and of its drift.
 _OUTLINE = 5
+# One, CIELAB per px, near which half of the drift is granted, and soon none: beside an outline, a
+# change of mean colour is what shows the wrong hypothesis.
+_OUTLINED = 2.0
+# Least noise assumed, standard deviation in sRGB.
+_LEAST_NOISE = 1 / 255
+# Neighbours whose CIELAB colour differs by much more than this take no part in a window.
+_SAME_COLOUR = 4.0
+# Step of CIELAB colour that halves the price of a jump.
+_JUMP_COLOUR = 4.0
+# How far costs are averaged along a surface where noise rules, px.
+_POOLING = 20.0
 
 
 class VolumeParams(eqx.Module):
@@ -32,29 +43,18 @@ class VolumeParams(eqx.Module):
     Attributes:
         truncation: squared colour differences saturate at this many times the scene's noise, so
             that a view in which the pixel is hidden says nothing, instead of a lot.
-        noise_floor: least noise assumed, standard deviation in units of sRGB.
-        colour: neighbours whose CIELAB colour differs by much more than this do not take part.
         drift: the mean colour of a window may change by this much, sRGB, from the centre view to
             the last one without speaking against a hypothesis: gloss and shading slide over a
             surface. Noise would pass for drift: the more it rules, the less is granted.
-        outline: gradient, CIELAB per px, near which half of that is granted, and soon nothing:
-            beside an outline, a change of mean colour is what shows the wrong hypothesis.
         slant: price of a change by one hypothesis between neighbouring pixels; of 2, the cost of a
             pixel that no view confirms.
         jump: price of a larger change between pixels of the same colour.
-        jump_colour: step of CIELAB colour that halves the price of a jump.
-        pooling: how far costs are averaged along a surface where noise rules, px.
     """
 
-    truncation: Float[Array, ""] = number(4.0)
-    noise_floor: Float[Array, ""] = number(1.0 / 255)
-    colour: Float[Array, ""] = number(4.0)
-    drift: Float[Array, ""] = number(1.5 / 255)
-    outline: Float[Array, ""] = number(2.0)
-    slant: Float[Array, ""] = number(0.05)
-    jump: Float[Array, ""] = number(0.8)
-    jump_colour: Float[Array, ""] = number(4.0)
-    pooling: Float[Array, ""] = number(20.0)
+    truncation: Float[Array, ""] = number(4.0, "noise variances")
+    drift: Float[Array, ""] = number(1.5 / 255, "sRGB")
+    slant: Float[Array, ""] = number(0.05, "of a cost of at most 2")
+    jump: Float[Array, ""] = number(0.8, "of a cost of at most 2")
 
 
 class _Half(NamedTuple):
@@ -119,11 +119,11 @@ def hypotheses(
     cost = _matching_cost(horizontal, vertical, lab, params, noise, window)
     cheaper = 1 - 0.75 * noise.alpha
     total = aggregate(
-        pooled(lax.map(cost, disparities), lab, noise, params.pooling),
+        pooled(lax.map(cost, disparities), lab, noise, jnp.asarray(_POOLING, lab.dtype)),
         lab,
         slant=cheaper * params.slant,
         jump=cheaper * params.jump,
-        colour=params.jump_colour,
+        colour=jnp.asarray(_JUMP_COLOUR, lab.dtype),
     )
     return _cheapest(total, disparities)
 
@@ -167,11 +167,11 @@ def _matching_cost(
     alpha = noise.alpha
     # Of views without noise, two thirds of what was measured: texture is in it.
     deviation = noise.deviation * (alpha + (1 - alpha) / 1.45)
-    variance = jnp.maximum(deviation, params.noise_floor) ** 2
+    variance = jnp.maximum(deviation, _LEAST_NOISE) ** 2
     truncation = params.truncation * horizontal.planes.shape[1] * variance
-    share = (1 - alpha) / (1 + (contrast(lab, radius=_OUTLINE) / params.outline) ** 4)
-    across = _swept(horizontal, lab, share, params, window)
-    down = _swept(vertical, jnp.swapaxes(lab, 1, 2), share.T, params, window)
+    share = (1 - alpha) / (1 + (contrast(lab, radius=_OUTLINE) / _OUTLINED) ** 4)
+    across = _swept(horizontal, lab, share, window)
+    down = _swept(vertical, jnp.swapaxes(lab, 1, 2), share.T, window)
 
     @jax.checkpoint
     def cost(disparity: Array) -> Array:
@@ -185,13 +185,14 @@ def _matching_cost(
     return cost
 
 
-def _swept(arm: Arm, lab: Array, share: Array, params: VolumeParams, window: int) -> _Swept:
+def _swept(arm: Arm, lab: Array, share: Array, window: int) -> _Swept:
+    alike = jnp.asarray(_SAME_COLOUR, lab.dtype)
     # Drift is looked for in a window twice as wide as that of the cost, through as many pixels.
     return _Swept(
         arm.planes[arm.centre],
         _halves(arm),
-        colour_weights(lab, params.colour, reach=window),
-        colour_weights(lab, params.colour, reach=window, spacing=2),
+        colour_weights(lab, alike, reach=window),
+        colour_weights(lab, alike, reach=window, spacing=2),
         share,
     )
 

@@ -34,29 +34,41 @@ class PhotometricParams(eqx.Module):
     """Parameters of the dense photometric measurement.
 
     Attributes:
+        stiffness: how sure it is that colours do not drift from view to view, in squared view
+            steps: 1 says nothing, infinity allows no drift.
+        same_surface: neighbours whose disparity differs by much more than this do not take part in
+            a pixel's measurement.
+        same_colour: nor do those whose CIELAB colour differs by much more than this.
+        outlier: residuals this many times larger than the noise stop counting.
+    """
+
+    stiffness: Float[Array, ""] = number(1.0, "squared view steps")
+    same_surface: Float[Array, ""] = number(0.07, "px")
+    same_colour: Float[Array, ""] = number(8.0, "CIELAB")
+    outlier: Float[Array, ""] = number(1.0, "noise variances")
+
+
+class Measuring(PhotometricParams):
+    """The same in views of a certain noise, which `sight` says.
+
+    Attributes:
+        stiffness: see `PhotometricParams`; larger where noise would pass for drift.
+        same_surface: see there.
+        same_colour: see there; larger where noise hides the colours of surfaces.
+        outlier: see there.
         noise: standard deviation of the images' noise, quantisation and interpolation included, in
             units of sRGB; the floor of what residuals are taken to mean.
         least_noise: the same where standard errors are computed: the mean of a window over many
             views is finer than the step of a single colour.
         gradient_noise: energy of an image's derivative per variance of its noise, 1/px². For white
             noise and cubic splines it is 2.49; blurred views have less.
-        stiffness: how sure it is that colours do not drift from view to view, in squared view
-            steps: 1 says nothing, infinity allows no drift.
-        same_surface: neighbours whose disparity differs by much more than this, px, do not take
-            part in a pixel's measurement.
-        same_colour: nor do those whose CIELAB colour differs by much more than this.
         largest_step: a measurement moves by at most this, px per view step.
-        outlier: residuals this many times larger than the noise stop counting.
     """
 
-    noise: Float[Array, ""] = number(1.5 / 255)
-    least_noise: Float[Array, ""] = number(0.4 / 255)
-    gradient_noise: Float[Array, ""] = number(2.5)
-    stiffness: Float[Array, ""] = number(1.0)
-    same_surface: Float[Array, ""] = number(0.07)
-    same_colour: Float[Array, ""] = number(8.0)
-    largest_step: Float[Array, ""] = number(0.2)
-    outlier: Float[Array, ""] = number(1.0)
+    noise: Float[Array, ""] = number(1.5 / 255, "sRGB")
+    least_noise: Float[Array, ""] = number(0.4 / 255, "sRGB")
+    gradient_noise: Float[Array, ""] = number(2.5, "1/px²")
+    largest_step: Float[Array, ""] = number(0.2, "px")
 
 
 class PhotometricLabels(NamedTuple):
@@ -129,7 +141,7 @@ def photometric_labels(
     vertical: Arm,
     lab: Float[Array, "c y x"],
     disparity: Float[Array, "y x"],
-    params: PhotometricParams,
+    params: Measuring,
     *,
     radius: int,
     passes: int,
@@ -152,7 +164,7 @@ def photometric_labels(
         vertical: the vertical arm, likewise, transposed.
         lab: the centre view in CIELAB, `[c, y, x]`.
         disparity: the map to improve, px per view step, `[y, x]`.
-        params: see `PhotometricParams`.
+        params: see `Measuring`.
         radius: how far occluders are looked for, px.
         passes: over the neighbourhood: 1 for 3x3 pixels, 2 for 7x7, 3 for 15x15.
 
@@ -172,7 +184,7 @@ def look(
     horizontal: Arm,
     vertical: Arm,
     disparity: Float[Array, "y x"],
-    params: PhotometricParams,
+    params: Measuring,
     *,
     radius: int,
 ) -> Look:
@@ -182,7 +194,7 @@ def look(
         horizontal: the horizontal arm, planes holding spline coefficients.
         vertical: the vertical arm, likewise, transposed.
         disparity: px per view step, `[y, x]`.
-        params: see `PhotometricParams`.
+        params: see `Measuring`.
         radius: how far occluders are looked for, px.
 
     Returns:
@@ -212,7 +224,7 @@ def labels(
     found: Look,
     lab: Float[Array, "c y x"],
     disparity: Float[Array, "y x"],
-    params: PhotometricParams,
+    params: Measuring,
     views: Float[Array, ""],
     *,
     passes: int,
@@ -223,7 +235,7 @@ def labels(
         found: of `look`, around `disparity`.
         lab: the centre view in CIELAB, `[c, y, x]`.
         disparity: px per view step, `[y, x]`.
-        params: see `PhotometricParams`.
+        params: see `Measuring`.
         views: number of views in an arm.
         passes: over the neighbourhood.
 
@@ -266,7 +278,7 @@ def labels(
 def shared(
     measured: PhotometricLabels,
     lab: Float[Array, "c y x"],
-    params: PhotometricParams,
+    params: Measuring,
     *,
     passes: int,
 ) -> PhotometricLabels:
@@ -278,7 +290,7 @@ def shared(
     Args:
         measured: of `labels`.
         lab: the centre view in CIELAB, `[c, y, x]`.
-        params: see `PhotometricParams`.
+        params: see `Measuring`.
         passes: over the neighbourhood, see `labels`.
 
     Returns:
@@ -298,7 +310,7 @@ def mismatch(
     found: Look,
     lab: Float[Array, "c y x"],
     disparity: Float[Array, "y x"],
-    params: PhotometricParams,
+    params: Measuring,
     *,
     passes: int,
 ) -> Float[Array, "y x"]:
@@ -308,7 +320,7 @@ def mismatch(
         found: of `look`, around `disparity`.
         lab: the centre view in CIELAB, `[c, y, x]`.
         disparity: px per view step, `[y, x]`.
-        params: see `PhotometricParams`.
+        params: see `Measuring`.
         passes: over the neighbourhood.
 
     Returns:
@@ -321,9 +333,7 @@ def mismatch(
     return jnp.maximum(power, 0) / jnp.maximum(channels * freedom, 1)
 
 
-def _gather(
-    own: _Tree, lab: Array, disparity: Array, params: PhotometricParams, passes: int
-) -> _Tree:
+def _gather(own: _Tree, lab: Array, disparity: Array, params: Measuring, passes: int) -> _Tree:
     """Sums over neighbours on the same surface.
 
     Passes over 3x3 pixels, each twice as far apart as the one before: the window of the second is
@@ -338,9 +348,7 @@ def _gather(
     return tree.unflatten(unstack(total))
 
 
-def _alike(
-    lab: Array, disparity: Array, params: PhotometricParams, spacing: int
-) -> Float[Array, "o y x"]:
+def _alike(lab: Array, disparity: Array, params: Measuring, spacing: int) -> Float[Array, "o y x"]:
     """Weights of 3x3 neighbours by their likeness."""
     height, width = disparity.shape
     margin = (spacing, spacing)
@@ -366,7 +374,7 @@ def view_weights(
     horizontal: Arm,
     vertical: Arm,
     disparity: Float[Array, "y x"],
-    params: PhotometricParams,
+    params: Measuring,
     *,
     radius: int,
 ) -> Float[Array, "s y x"]:
@@ -376,7 +384,7 @@ def view_weights(
         horizontal: the horizontal arm, planes holding spline coefficients.
         vertical: the vertical arm, likewise, transposed.
         disparity: px per view step, `[y, x]`.
-        params: see `PhotometricParams`.
+        params: see `Measuring`.
         radius: how far occluders are looked for, px.
 
     Returns:
@@ -404,7 +412,7 @@ class _ArmViews(NamedTuple):
     slopes: list[Array]
 
 
-def _arm_look(arm: Arm, disparity: Array, params: PhotometricParams, radius: int) -> _ArmLook:
+def _arm_look(arm: Arm, disparity: Array, params: Measuring, radius: int) -> _ArmLook:
     """The sums of one arm, per pixel."""
     seen = _arm_views(arm, disparity, params, radius)
     steps = arm.steps[_others(arm)]
@@ -415,7 +423,7 @@ def _others(arm: Arm) -> np.ndarray:
     return np.delete(np.arange(arm.planes.shape[0]), arm.centre)
 
 
-def _arm_views(arm: Arm, disparity: Array, params: PhotometricParams, radius: int) -> _ArmViews:
+def _arm_views(arm: Arm, disparity: Array, params: Measuring, radius: int) -> _ArmViews:
     negative, positive = occlusion_reach(disparity, radius=radius, step=0.05)
     columns = jnp.arange(disparity.shape[1], dtype=disparity.dtype)[None, :]
     last = disparity.shape[1] - 1
@@ -478,7 +486,7 @@ def _square(colour: Sequence[Array]) -> Array:
 
 
 def _trusted(
-    seen: Array, values: list[Array], moments: _Moments, params: PhotometricParams
+    seen: Array, values: list[Array], moments: _Moments, params: Measuring
 ) -> tuple[Array, Array]:
     """Weights of the centre view and of the others: those far from the mean count less."""
     means = [c / moments.weight for c in moments.colour]

@@ -3,19 +3,19 @@
 import math
 from typing import NamedTuple
 
-import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from mvedge_jax._crosshair import Arm, crosshair
 from mvedge_jax._fence import staged
+from mvedge_jax._params import cast
 from mvedge_jax.color import srgb_to_lab
 from mvedge_jax.lightfield import LightField
 
 from ._cost import VolumeParams, hypotheses
 from ._denoise import denoised, low_pass
 from ._exposure import Exposure, exposed_arms, exposure_along, rough_exposure
-from ._measure import PhotometricLabels, PhotometricParams, labels, look, shared
+from ._measure import Measuring, PhotometricLabels, PhotometricParams, labels, look, shared
 from ._noise import Noise, measure_noise
 from ._spline import spline_coefficients
 
@@ -57,7 +57,7 @@ class Sight(NamedTuple):
 
     arms: tuple[Arm, Arm]
     splines: tuple[Arm, Arm]
-    params: PhotometricParams
+    params: Measuring
     views: Float[Array, ""]
 
 
@@ -147,24 +147,25 @@ def sight(scene: Scene, params: PhotometricParams) -> Sight:
     noise, clear = scene.noise, 1 - scene.noise.alpha
     sigma = jnp.minimum(30 * noise.deviation, 1)
     arms, kept, grain = low_pass(scene.arms, noise, sigma)
-    changed = eqx.tree_at(
-        lambda p: (p.noise, p.gradient_noise, p.stiffness, p.same_colour),
-        params,
-        (
-            jnp.maximum(jnp.sqrt(kept) * noise.deviation, params.noise),
-            # What noise is left in the mean gradients of all views is less than the residual says.
-            params.gradient_noise * grain * (1 - 0.6 * noise.alpha**4),
-            # Drift cannot be told from noise, nor surfaces by their colours.
-            params.stiffness / clear**2,
-            params.same_colour / clear,
-        ),
+    plain = cast(Measuring(), scene.lab.dtype)
+    measuring = Measuring(
+        # Drift cannot be told from noise, nor surfaces by their colours.
+        stiffness=params.stiffness / clear**2,
+        same_surface=params.same_surface,
+        same_colour=params.same_colour / clear,
+        outlier=params.outlier,
+        noise=jnp.maximum(jnp.sqrt(kept) * noise.deviation, plain.noise),
+        least_noise=plain.least_noise,
+        # What noise is left in the mean gradients of all views is less than the residual says.
+        gradient_noise=plain.gradient_noise * grain * (1 - 0.6 * noise.alpha**4),
+        largest_step=plain.largest_step,
     )
     horizontal, vertical = (
         arm._replace(planes=spline_coefficients(arm.planes, axis=-1)) for arm in arms
     )
     there = jnp.concatenate([arm.available for arm in arms])
     views = 0.5 * jnp.sum(there.astype(scene.lab.dtype))
-    return Sight(arms, (horizontal, vertical), changed, views)
+    return Sight(arms, (horizontal, vertical), measuring, views)
 
 
 def first_labels(scene: Scene, seen: Sight, *, radius: int, passes: int) -> PhotometricLabels:

@@ -6,7 +6,7 @@ from typing import get_args
 import equinox as eqx
 from jaxtyping import Array, Float
 
-from mvedge_jax._params import number
+from mvedge_jax._params import described, number
 from mvedge_jax.epi import EdgeParams, EdgeSizes, scene_range
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.occlusion import BidirectionalParams, Side, SurfaceParams
@@ -28,47 +28,28 @@ class CentreParams(eqx.Module):
         precision: standard error, px, at which a label counts half as much as a perfect one.
         smoothness: weight of an uncut edge between pixels against a perfect label.
         points: weight of the edge points' labels against those of the dense measurement.
-        agreement: disagreement of a point with the map, px, that quarters its weight.
         trust: residual of a dense label, in multiples of the noise variance, that quarters its
             weight.
-        anchor: weight of the previous map itself, so that no region is without any label.
-        worse: a pixel follows the sharpened map unless its residual grows by more than this factor
-            (plus twice this, squared noise): the median would swallow structures that are thinner
-            than half of its window, and the views know better.
-        worse_first: the same where the first map is sharpened, whose thin structures are not yet
-            fitted to the views.
         slant: stiffness of the map's slopes, weight of an uncut edge against a perfect label.
-        steepest: differences of neighbours beyond this, px, are steps rather than slopes.
-        flat: weight of the slope 0 against that of a perfect label.
-        blur: standard deviation of the Gaussian that the map passes before its steps cut edges,
-            px.
-        tolerance: where the diffusion stops, share of the range of its labels; the two directional
-            ones and those of the slopes stop at ten times that. Derivatives are those of the exact
-            solution, whatever this is.
     """
 
-    precision: Float[Array, ""] = number(0.005)
-    smoothness: Float[Array, ""] = number(1.5)
-    points: Float[Array, ""] = number(0.5)
-    agreement: Float[Array, ""] = number(0.15)
-    trust: Float[Array, ""] = number(1.4)
-    anchor: Float[Array, ""] = number(1e-6)
-    worse: Float[Array, ""] = number(2.0)
-    worse_first: Float[Array, ""] = number(1.2)
-    slant: Float[Array, ""] = number(30.0)
-    steepest: Float[Array, ""] = number(0.3)
-    flat: Float[Array, ""] = number(1e-4)
-    blur: Float[Array, ""] = number(0.5)
-    tolerance: Float[Array, ""] = number(1e-4)
+    precision: Float[Array, ""] = number(0.005, "px")
+    smoothness: Float[Array, ""] = number(1.5, "perfect labels")
+    points: Float[Array, ""] = number(0.5, "dense labels")
+    trust: Float[Array, ""] = number(1.4, "noise variances")
+    slant: Float[Array, ""] = number(30.0, "perfect labels")
 
 
 class Parameters(eqx.Module):
-    """Every continuous parameter of `edge_to_depth`; each is traced and has a gradient.
+    """The continuous parameters of `edge_to_depth`: 20 numbers, each traced and with a gradient.
+
+    `print` shows their values and units. Filters to be learned (`EdgeParams.banks`) and the groups
+    that decide where points alone are diffused, or one side is chosen, are parameters if given.
 
     Attributes:
         edges: of the multi-view edges (Thesis 4.1).
-        bidirectional: of the two directional solves (4.2.2, 4.3).
-        surface: of the choice of side (4.2.2).
+        bidirectional: of the two directional solves (4.2.2, 4.3); None for the defaults.
+        surface: of the choice of side (4.2.2); None for the defaults.
         volume: of the hypotheses that the first map starts from.
         photometric: of the dense measurement.
         smoothness: of the edge weights (6.1).
@@ -77,13 +58,16 @@ class Parameters(eqx.Module):
     """
 
     edges: EdgeParams = eqx.field(default_factory=EdgeParams)
-    bidirectional: BidirectionalParams = eqx.field(default_factory=BidirectionalParams)
-    surface: SurfaceParams = eqx.field(default_factory=SurfaceParams)
+    bidirectional: BidirectionalParams | None = None
+    surface: SurfaceParams | None = None
     volume: VolumeParams = eqx.field(default_factory=VolumeParams)
     photometric: PhotometricParams = eqx.field(default_factory=PhotometricParams)
     smoothness: SmoothnessParams = eqx.field(default_factory=SmoothnessParams)
     centre: CentreParams = eqx.field(default_factory=CentreParams)
     median: MedianParams = eqx.field(default_factory=MedianParams)
+
+    def __str__(self) -> str:
+        return "\n".join(described(self))
 
 
 @dataclass(frozen=True)
@@ -111,6 +95,9 @@ class Sizes:
         sharpening: see `sharpen`; of the first map, and again between the two rounds of solves.
         median_radius: radius of the weighted median, px.
         levels: slices of the weighted median.
+        tolerance: where the diffusion stops, share of the range of its labels; the two directional
+            ones and those of the slopes stop at ten times that. Derivatives are those of the exact
+            solution, whatever this is.
     """
 
     edges: EdgeSizes
@@ -125,6 +112,7 @@ class Sizes:
     sharpening: Sharpening = "clip"
     median_radius: int = 7
     levels: int = 48
+    tolerance: float = 1e-4
 
     def __post_init__(self) -> None:
         for name, least in (
@@ -139,6 +127,8 @@ class Sizes:
             value = getattr(self, name)
             if value < least:
                 raise ValueError(f"`{name}` must be at least {least}, got {value}.")
+        if not self.tolerance > 0:
+            raise ValueError(f"`tolerance` must be positive, got {self.tolerance}.")
         for name, options in (("side", get_args(Side)), ("sharpening", get_args(Sharpening))):
             if getattr(self, name) not in options:
                 raise ValueError(f"`{name}` must be one of {options}, got {getattr(self, name)!r}.")

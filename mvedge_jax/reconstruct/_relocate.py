@@ -18,15 +18,13 @@ class RelocateParams(eqx.Module):
     Attributes:
         step: neighbours whose disparities differ by more than this lie at a depth step, px.
         trust: data weight of what is not near a depth step.
-        smoothness: where disparities may jump instead; by default at image edges of any depth.
+        smoothness: where disparities may jump instead: at image edges, whatever the depth.
     """
 
     step: Float[Array, ""] = number(0.2)
     trust: Float[Array, ""] = number(1e4)
     smoothness: SmoothnessParams = eqx.field(
-        default_factory=lambda: SmoothnessParams(
-            colour=jnp.asarray(0.5), colour_power=jnp.asarray(4.0), depth_power=jnp.asarray(0.0)
-        )
+        default_factory=lambda: SmoothnessParams(colour=jnp.asarray(0.5))
     )
 
 
@@ -77,7 +75,7 @@ def relocate_steps(
     weight = jnp.where(_shrink(clear, reach - 1), params.trust, 0)
     # Where all is steps there is nothing to go by, and the map stays.
     weight = jnp.where(jnp.any(weight > 0), weight, params.trust)
-    tx, ty = edge_smoothness(lab, disparity, params.smoothness)
+    tx, ty = edge_smoothness(lab, disparity, params.smoothness, powers=(4.0, 0.0))
     return diffuse(System(weight, disparity, tx, ty)).value
 
 

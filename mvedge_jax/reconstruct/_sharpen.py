@@ -21,8 +21,8 @@ class MedianParams(eqx.Module):
         slack: with `"clip"`, how far the map may stay from the median, px.
     """
 
-    epsilon: Float[Array, ""] = number(1e-6)
-    slack: Float[Array, ""] = number(0.03)
+    epsilon: Float[Array, ""] = number(1e-6, "sRGB²")
+    slack: Float[Array, ""] = number(0.03, "px")
 
 
 def sharpen(

@@ -6,27 +6,28 @@ from jaxtyping import Array, Float
 
 from mvedge_jax._params import cast, number
 
+# The least smoothness, so that every pixel keeps a tie to its neighbours.
+_FLOOR = 1e-6
+
 
 class SmoothnessParams(eqx.Module):
     """Parameters of the smoothness between neighbouring pixels.
 
     Attributes:
         colour: step of CIELAB colour at which the smoothness begins to fall.
-        colour_power: how fast it falls with the colour step.
-        depth: step of disparity, px, at which the smoothness begins to fall.
-        depth_power: how fast it falls with the depth step.
-        floor: the least smoothness, so that every pixel keeps a tie to its neighbours.
+        depth: step of disparity at which the smoothness begins to fall.
     """
 
-    colour: Float[Array, ""] = number(0.3)
-    colour_power: Float[Array, ""] = number(1.5)
-    depth: Float[Array, ""] = number(0.05)
-    depth_power: Float[Array, ""] = number(2.0)
-    floor: Float[Array, ""] = number(1e-6)
+    colour: Float[Array, ""] = number(0.3, "CIELAB")
+    depth: Float[Array, ""] = number(0.05, "px")
 
 
 def edge_smoothness(
-    lab: Float[Array, "c y x"], disparity: Float[Array, "y x"], params: SmoothnessParams
+    lab: Float[Array, "c y x"],
+    disparity: Float[Array, "y x"],
+    params: SmoothnessParams,
+    *,
+    powers: tuple[float, float] = (1.5, 2.0),
 ) -> tuple[Float[Array, "y x-1"], Float[Array, "y-1 x"]]:
     r"""Smoothness per edge between neighbouring pixels.
 
@@ -41,6 +42,7 @@ def edge_smoothness(
         lab: centre view in CIELAB, L in 0..100, `[c, y, x]`.
         disparity: a map from an earlier pass, px per view step, `[y, x]`.
         params: see `SmoothnessParams`.
+        powers: a and b, how fast the smoothness falls with the steps of colour and of depth.
 
     Returns:
         `tx` `[y, x - 1]` and `ty` `[y - 1, x]`, in (0, 1]. Differentiable.
@@ -54,14 +56,14 @@ def edge_smoothness(
         for channel in lab:
             colour = colour + jnp.diff(channel, axis=axis) ** 2
         depth = jnp.diff(disparity, axis=axis) ** 2
-        edge = _power(colour / params.colour**2, 0.5 * params.colour_power) * _power(
-            depth / params.depth**2, 0.5 * params.depth_power
+        edge = _power(colour / params.colour**2, 0.5 * powers[0]) * _power(
+            depth / params.depth**2, 0.5 * powers[1]
         )
-        return jnp.maximum(1 / (1 + edge), params.floor)
+        return jnp.maximum(1 / (1 + edge), _FLOOR)
 
     return along(1), along(0)
 
 
-def _power(base: Array, exponent: Array) -> Array:
+def _power(base: Array, exponent: float) -> Array:
     """`base ** exponent` with a finite gradient at zero."""
     return jnp.exp(exponent * jnp.log(base + jnp.asarray(1e-8, base.dtype)))

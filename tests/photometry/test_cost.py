@@ -113,7 +113,9 @@ def test_gloss_does_not_move_the_best_hypothesis():
     tried = jnp.linspace(-1, 1, 17)
 
     def wrong(drift):
-        params = VolumeParams(drift=jnp.asarray(drift), noise_floor=jnp.asarray(1e-4))
+        # Costs saturate at what the faint texture differs by.
+        truncation = jnp.asarray(4 * (1e-4 * 255) ** 2)
+        params = VolumeParams(drift=jnp.asarray(drift), truncation=truncation)
         found = hypotheses(*faint, lab, tried, params, window=2)
         return float((jnp.abs(found - 0.5)[4:-4, 4:-4] > 0.07).mean())
 

@@ -9,7 +9,7 @@ from photometry.planes import plane_arms
 
 from mvedge_jax.photometry import (
     Look,
-    PhotometricParams,
+    Measuring,
     labels,
     look,
     mismatch,
@@ -36,7 +36,7 @@ def test_a_photometric_step_finds_the_plane_and_knows_how_well():
             arms[1],
             PLAIN,
             jnp.full((20, 28), start),
-            with_values(PhotometricParams, noise=0.01),
+            with_values(Measuring, noise=0.01),
             radius=2,
             passes=2,
         )
@@ -51,7 +51,7 @@ def test_a_photometric_step_finds_the_plane_and_knows_how_well():
 def test_missing_views_take_no_part():
     across, down = plane_arms(0.2)
     there = across.available.at[0].set(False)
-    params = PhotometricParams()
+    params = Measuring()
     disparity = jnp.full((20, 28), 0.15)
 
     def measure(planes):
@@ -69,7 +69,7 @@ def test_flat_images_leave_the_map_alone_and_say_so():
     arms = plane_arms(0.0)
     flat = tuple(a._replace(planes=jnp.full_like(a.planes, 0.5)) for a in arms)
     labels = photometric_labels(
-        flat[0], flat[1], PLAIN, jnp.full((20, 28), 0.4), PhotometricParams(), radius=2, passes=2
+        flat[0], flat[1], PLAIN, jnp.full((20, 28), 0.4), Measuring(), radius=2, passes=2
     )
     np.testing.assert_allclose(labels.disparity, 0.4, atol=1e-9)
     assert float(labels.variance.min()) > 1
@@ -90,7 +90,7 @@ def small_problem():
         sure = jnp.sum(1 / (1 + 1e4 * found.variance))
         return jnp.sum(found.disparity**2) + sure + jnp.sum(jnp.sqrt(residual + 1e-6))
 
-    return loss, (across.planes, lab, disparity, PhotometricParams())
+    return loss, (across.planes, lab, disparity, Measuring())
 
 
 def test_gradient_of_the_measurement_matches_differences():
@@ -122,7 +122,7 @@ def test_drift_does_not_move_a_label():
     inner = (slice(4, -4), slice(4, -4))
     errors = []
     for stiffness in (1.0, 1e9):
-        params = with_values(PhotometricParams, stiffness=stiffness)
+        params = with_values(Measuring, stiffness=stiffness)
         labels = photometric_labels(
             *arms, PLAIN, jnp.full((20, 28), truth), params, radius=2, passes=2
         )
@@ -159,7 +159,7 @@ def test_elimination_equals_the_regression_with_all_unknowns():
         slope=per_arm(slope),
         trend=per_arm(trend),
     )
-    params = with_values(PhotometricParams, gradient_noise=0.0, largest_step=1e6, stiffness=2.0)
+    params = with_values(Measuring, gradient_noise=0.0, largest_step=1e6, stiffness=2.0)
     views = jnp.asarray(9.0)
     labels_ = labels(found, jnp.zeros((3, *shape)), jnp.zeros(shape), params, views, passes=1)
     taps = np.outer([0.5, 1, 0.5], [0.5, 1, 0.5])
@@ -198,7 +198,7 @@ def test_noise_is_no_information():
     weights = []
     for arms in (noisy, plain):
         found = photometric_labels(
-            *arms, PLAIN, disparity, with_values(PhotometricParams, noise=0.02), radius=2, passes=2
+            *arms, PLAIN, disparity, with_values(Measuring, noise=0.02), radius=2, passes=2
         )
         weights.append(np.median(1 / (1 + np.asarray(found.variance)[4:-4, 4:-4] / 0.01**2)))
     textured, nothing = weights
@@ -212,7 +212,7 @@ def test_neighbours_of_another_colour_take_no_part():
 
     def measured(planes):
         arm = across._replace(planes=planes)
-        params = PhotometricParams()
+        params = Measuring()
         # The half that is looked at is far from what the other half's occlusions could reach.
         return photometric_labels(arm, down, lab, disparity, params, radius=2, passes=2).disparity[
             :, :12

@@ -8,6 +8,7 @@ from epi.scenes import plane, two_planes
 
 from mvedge_jax._params import cast
 from mvedge_jax.photometry import (
+    Measuring,
     PhotometricLabels,
     PhotometricParams,
     VolumeParams,
@@ -53,7 +54,7 @@ def test_neighbours_share_labels_on_their_surface_only():
     noisy = noisy.at[:, 3].add(0.02 * jax.random.normal(key[1], (20,)))
     lab = jnp.zeros((3, 20, 24))
     labels = PhotometricLabels(noisy, variance, variance)
-    found = shared(labels, lab, PhotometricParams(), passes=2)
+    found = shared(labels, lab, Measuring(), passes=2)
     before, after = (np.abs(np.asarray(d - truth)) for d in (noisy, found.disparity))
     assert after.mean() < 0.5 * before.mean()
     # An uncertain label follows the others, and none crosses the step.

@@ -13,6 +13,7 @@ from mvedge_jax.datasets import load_light_field, synthetic
 from mvedge_jax.epi import scene_range
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.metrics import boundary_scores, depth_scores
+from mvedge_jax.occlusion import SurfaceParams
 from mvedge_jax.reconstruct import Parameters, Sizes, edge_to_depth, plane_sweep
 
 SMALL = {"levels": 16, "median_radius": 3}
@@ -119,12 +120,25 @@ def test_both_sides_are_kept_where_a_dense_map_tells_the_surfaces(edges_scene):
     assert not kept(relaxed=False)
 
 
+def test_parameters_are_few_and_say_their_units():
+    leaves = jax.tree.leaves(Parameters())
+    lines = str(Parameters()).splitlines()
+    assert len(leaves) == len(lines) <= 20
+    assert "centre.precision = 0.005 px" in lines
+    # Optional groups appear when they are given, and what is traced has a type instead of a value.
+    given = str(Parameters(surface=SurfaceParams()))
+    assert "surface.cap = 0.3 px" in given.splitlines()
+    shown = []
+    jax.eval_shape(lambda p: shown.append(str(p)), Parameters())
+    assert "centre.precision = f64[] px" in shown[0]
+
+
 def test_relaxed_sides_pass_a_gradient_to_the_temperature(edges_scene):
     sizes = Sizes.for_light_field(edges_scene, relaxed=True, dense=False, **SMALL)
     truth = edges_scene.truth.disparity
 
     def loss(temperature):
-        params = eqx.tree_at(lambda p: p.surface.temperature, Parameters(), temperature)
+        params = Parameters(surface=SurfaceParams(temperature=temperature))
         return l1(params, edges_scene.without_truth(), sizes, truth)
 
     gradient = jax.jit(jax.grad(loss))(jnp.asarray(0.05))
