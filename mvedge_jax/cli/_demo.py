@@ -1,7 +1,6 @@
 """`mvedge demo`: a synthetic light field, rendered, measured and drawn."""
 
 import csv
-import json
 import platform
 import time
 from collections.abc import Callable
@@ -21,7 +20,7 @@ from ..lightfield import GroundTruth, LightField
 from ..metrics import BoundaryScores, DepthScores, boundary_scores, depth_scores, reprojection_error
 from ..reconstruct import Parameters, Sizes, edge_to_depth, plane_sweep
 from ._common import note, stage
-from ._output import output_folder
+from ._output import output_folder, write_json
 
 
 class _Estimate(NamedTuple):
@@ -246,4 +245,4 @@ def _write_metrics(folder: Path, light_field: LightField, results: list[_Result]
             for result in results
         ],
     }
-    (folder / "metrics.json").write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
+    write_json(folder / "metrics.json", summary)

@@ -1,6 +1,5 @@
 """`mvedge depth`: a dense disparity map of the centre view."""
 
-import json
 import platform
 import time
 from importlib.metadata import version
@@ -18,7 +17,7 @@ from ..lightfield import LightField
 from ..metrics import boundary_scores, calibration, depth_scores
 from ..reconstruct import DepthResult, DepthStats, Parameters, Sizes, edge_to_depth
 from ._common import compiled, note, stage, warn
-from ._output import output_folder
+from ._output import output_folder, write_json
 from ._points import valid_points, write_points
 
 _COLUMNS = {
@@ -96,7 +95,7 @@ def depth(
             _write(folder, light_field, result)
             scores = _score(folder, light_field, result)
             report["scores"] = scores
-            (folder / "report.json").write_text(json.dumps(report, indent=2), encoding="utf-8")
+            write_json(folder / "report.json", report)
     if not bool(result.stats.converged):
         warn("a diffusion stopped before its tolerance; report.json has the iterations.")
     if int(result.stats.edges.overflow):
@@ -192,7 +191,9 @@ def _report(
         "scene": light_field.name,
         "shape [v, u, y, x]": list(light_field.views.shape[:4]),
         "disparity range": [float(disparity.min()), float(disparity.max())],
-        "standard error, median and 95 %": np.quantile(result.error, (0.5, 0.95)).tolist(),
+        "standard error, median and 95 %": np.quantile(
+            result.error, (0.5, 0.95), method="nearest"
+        ).tolist(),
         "seconds": seconds,
         "photometry": _photometry(stats),
         "counts": {

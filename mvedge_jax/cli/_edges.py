@@ -1,6 +1,5 @@
 """`mvedge edges`: the sparse multi-view edges of a light field."""
 
-import json
 import time
 from pathlib import Path
 from typing import Annotated
@@ -14,7 +13,7 @@ from ..datasets import load_light_field
 from ..epi import EdgeParams, Edges, EdgeSizes, multiview_edges
 from ..lightfield import LightField
 from ._common import compiled, note, stage, warn
-from ._output import output_folder
+from ._output import output_folder, write_json
 from ._points import valid_points, write_points
 
 
@@ -81,7 +80,7 @@ def edges(
                 "counts": {name: int(value) for name, value in vars(found.stats).items()},
                 "sizes": repr(sizes),
             }
-            (folder / "report.json").write_text(json.dumps(report, indent=2), encoding="utf-8")
+            write_json(folder / "report.json", report)
     if int(found.stats.overflow):
         warn(f"{int(found.stats.overflow)} weak edges found no slot and were left out.")
     for name, value in vars(found.stats).items():

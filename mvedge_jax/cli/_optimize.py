@@ -1,7 +1,6 @@
 """`mvedge optimize`: fit the differentiable multi-view edge model to the views."""
 
 import csv
-import json
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -70,7 +69,7 @@ from ..reconstruct import (
 )
 from ..splatting import SplatSizes
 from ._common import compiled, note, stage, warn
-from ._output import output_folder
+from ._output import output_folder, write_json
 
 # On cotton the true map explains the views 0.7 % worse than that of `mvedge depth`, and every
 # optimisation by plain reprojection that lowered the error by less than a tenth made the map
@@ -229,7 +228,7 @@ def optimize(
                 "kept the optimised points": bool(kept),
                 "scores": scores,
             }
-            (folder / "report.json").write_text(json.dumps(report, indent=2), encoding="utf-8")
+            write_json(folder / "report.json", report)
     if not kept:
         warn(
             "the held-out views do not speak for the optimised points; the first map was polished."

@@ -2,12 +2,14 @@
 
 import contextlib
 import json
+import math
 import os
 import shutil
 import tempfile
 from collections.abc import Iterator, Sequence
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 from filelock import FileLock, Timeout
 
@@ -194,3 +196,22 @@ def _remove(result: Path) -> None:
         result.rmdir()
     except OSError:
         warn(f"the earlier result was not removed altogether: {result} holds other files.")
+
+
+def write_json(path: Path, value: Any) -> None:
+    """Writes a report that every reader of JSON takes: what is not finite becomes null.
+
+    Args:
+        path: the file.
+        value: dictionaries, lists, numbers, text, None.
+    """
+    text = json.dumps(_finite(value), indent=2, allow_nan=False)
+    path.write_text(text + "\n", encoding="utf-8")
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {name: _finite(part) for name, part in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(part) for part in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

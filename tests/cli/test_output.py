@@ -14,7 +14,7 @@ import pytest
 from datasets.layouts import random_views, write_hci
 
 from mvedge_jax.cli import _eval, _main, _output
-from mvedge_jax.cli._output import MARKER, output_folder
+from mvedge_jax.cli._output import MARKER, output_folder, write_json
 from mvedge_jax.datasets import write_pfm
 
 
@@ -330,3 +330,15 @@ def test_of_many_processes_one_writes(tmp_path):
     assert len(winners) == 1
     assert set(_files(tmp_path / "out")) == {Path(f"{winners.pop()}.txt"), Path(MARKER)}
     assert [path.name for path in tmp_path.iterdir()] == ["out"]
+
+
+def test_reports_are_json_that_everyone_reads(tmp_path):
+    """NaN and Infinity are none of JSON's numbers."""
+    path = tmp_path / "report.json"
+    write_json(path, {"a": [float("inf"), 1.5, (float("nan"), 2)], "b": {"c": None, "d": "NaN"}})
+
+    def refuse(constant):
+        raise AssertionError(constant)
+
+    found = json.loads(path.read_text(), parse_constant=refuse)
+    assert found == {"a": [None, 1.5, [None, 2]], "b": {"c": None, "d": "NaN"}}
