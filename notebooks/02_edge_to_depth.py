@@ -88,7 +88,10 @@ print(f"MSE*100 {float(scores.mse):.3g}, BadPix(0.07) {float(scores.bad_07):.3g}
 # ## A gradient through the whole chain
 #
 # Points, hypotheses and sides are chosen; everything computed from the choice is differentiable.
-# `jax.grad` reaches every parameter and every pixel of every view.
+# `jax.grad` reaches every parameter and every pixel of every view. There are twenty parameters:
+
+# %%
+print(Parameters())
 
 
 # %%

@@ -12,6 +12,7 @@ import argparse
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -26,8 +27,14 @@ from mvedge_jax.color import srgb_to_gray, srgb_to_lab
 from mvedge_jax.datasets import load_light_field, synthetic
 from mvedge_jax.diffusion import System, diffuse
 from mvedge_jax.epi import multiview_edges
-from mvedge_jax.occlusion import bidirectional, surface_vectors
-from mvedge_jax.photometry import hypotheses, photometric_labels, spline_coefficients
+from mvedge_jax.lightfield import LightField
+from mvedge_jax.occlusion import (
+    BidirectionalParams,
+    SurfaceParams,
+    bidirectional,
+    surface_vectors,
+)
+from mvedge_jax.photometry import Measuring, hypotheses, photometric_labels, spline_coefficients
 from mvedge_jax.reconstruct import (
     Parameters,
     Sizes,
@@ -44,6 +51,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("results/benchmark_depth"))
     parser.add_argument("--repeats", type=int, default=7)
     parser.add_argument("--only-all", action="store_true", help="the whole chain alone")
+    parser.add_argument("--gradient", action="store_true", help="the chain and its derivatives")
     parser.add_argument("--settings", action="store_true", help="`vmap` over settings instead")
     arguments = parser.parse_args()
     if arguments.settings:
@@ -81,11 +89,27 @@ def main() -> None:
 
     before = time.perf_counter()
     measure("all stages", edge_to_depth, params, light_field, sizes)
-    if not arguments.only_all:
+    if arguments.gradient:
+        measure("value and gradient", _gradient(sizes), params, light_field)
+    elif not arguments.only_all:
         _stages(measure, params, light_field, sizes)
     print_table(rows, title=f"{light_field.name}, {light_field.views.shape[:4]}")
     write_json(arguments.out / "depth.json", rows)
     print(f"{time.perf_counter() - before:.1f} s in all")
+
+
+def _gradient(sizes: Sizes) -> Any:
+    """A loss of the map with its gradient in the parameters and in every pixel of every view."""
+
+    def loss(params: Parameters, views: jax.Array, light_field: LightField) -> jax.Array:
+        seen = eqx.tree_at(lambda f: f.views, light_field, views)
+        return jnp.mean(jnp.sin(3 * edge_to_depth(params, seen, sizes).disparity))
+
+    @eqx.filter_jit
+    def value_and_gradient(params: Parameters, light_field: LightField) -> Any:
+        return jax.value_and_grad(loss, (0, 1))(params, light_field.views, light_field)
+
+    return value_and_gradient
 
 
 def _settings(out: Path, repeats: int) -> None:
@@ -136,7 +160,7 @@ def _stages(measure, params: Parameters, light_field, sizes: Sizes) -> None:
         eqx.filter_jit(bidirectional),
         points,
         gray,
-        params.bidirectional,
+        BidirectionalParams(),
     )
     tried = jnp.linspace(
         *sizes.edges.ends,
@@ -158,7 +182,7 @@ def _stages(measure, params: Parameters, light_field, sizes: Sizes) -> None:
         points,
         passes.response,
         first,
-        params.surface,
+        SurfaceParams(),
     )
     splines = [a._replace(planes=spline_coefficients(a.planes, axis=-1)) for a in arms]
     labels = measure(
@@ -171,7 +195,7 @@ def _stages(measure, params: Parameters, light_field, sizes: Sizes) -> None:
         *splines,
         lab,
         first,
-        params.photometric,
+        Measuring(),
     )
     tx, ty = edge_smoothness(lab, first, params.smoothness)
     weight = 1e-4 / (1e-4 + labels.variance)
