@@ -10,8 +10,8 @@ def slope_labels(
     weight: Float[Array, "y x"],
     edges: tuple[Float[Array, "y x-1"], Float[Array, "y-1 x"]],
     *,
-    steepest: float,
-    flat: float,
+    steepest: float | Float[Array, ""],
+    flat: float | Float[Array, ""],
 ) -> tuple[Float[Array, "2 y x"], Float[Array, "2 y x"]]:
     """What a map says about its slopes, to be diffused as the map's own labels are.
 
@@ -53,7 +53,7 @@ def _known(
     disparity: Array,
     weight: Array,
     edges: tuple[Array, Array],
-    steepest: float,
+    steepest: float | Float[Array, ""],
     axis: int,
 ) -> tuple[Array, Array]:
     """What is known of the slope along an axis at every pixel: weight, and weight times slope."""
