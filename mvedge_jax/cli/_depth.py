@@ -183,6 +183,9 @@ def _report(
     """What was done, with what, and how it went."""
     disparity = np.asarray(result.disparity)
     stats = result.stats
+    # Infinite where nothing is known at all.
+    known = bool(np.isfinite(result.error).all())
+    spread = np.quantile(result.error, (0.5, 0.95)).tolist() if known else None
     settings = {
         jax.tree_util.keystr(path).lstrip("."): np.asarray(leaf).tolist()
         for path, leaf in jax.tree_util.tree_leaves_with_path(params)
@@ -191,9 +194,7 @@ def _report(
         "scene": light_field.name,
         "shape [v, u, y, x]": list(light_field.views.shape[:4]),
         "disparity range": [float(disparity.min()), float(disparity.max())],
-        "standard error, median and 95 %": np.quantile(
-            result.error, (0.5, 0.95), method="nearest"
-        ).tolist(),
+        "standard error, median and 95 %": spread,
         "seconds": seconds,
         "photometry": _photometry(stats),
         "counts": {
