@@ -8,12 +8,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from mvedge_jax.baselines import plane_sweep
+from mvedge_jax.centre import Parameters, Sizes, edge_to_depth
 from mvedge_jax.datasets import load_light_field, synthetic
 from mvedge_jax.epi import scene_range
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.metrics import boundary_scores, depth_scores
 from mvedge_jax.occlusion import BidirectionalParams
-from mvedge_jax.reconstruct import Parameters, Sizes, edge_to_depth, plane_sweep
 
 SYNTHETIC = ("edges", "thin", "wide", "noisy", "slanted", "crossing")
 
@@ -43,6 +44,7 @@ def sweep(light_field: LightField) -> jax.Array:
 
 
 OURS = chain("ours")
+EVERY = chain("ours, all views", views="all")
 SWEEP = Method("plane sweep", sweep)
 # Points only, as in the thesis, and the three ways to place them.
 SPARSE = (

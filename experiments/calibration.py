@@ -23,11 +23,11 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from experiments._report import print_table, shared_data, write_json
 from mvedge_jax import plotting
+from mvedge_jax.centre import Parameters, Sizes, edge_to_depth
 from mvedge_jax.datasets import load_light_field, synthetic
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.metrics import Calibration, calibration
 from mvedge_jax.photometry import labels, look, prepare, sight
-from mvedge_jax.reconstruct import Parameters, Sizes, edge_to_depth
 
 _MEASURED, _OFF = 0.03, 0.03
 
@@ -65,11 +65,11 @@ def measured(
     )
     seen = sight(scene, params.photometric)
     found = look(*seen.splines, disparity, seen.params, radius=sizes.radius)
-    label = labels(found, scene.lab, disparity, seen.params, seen.views, passes=sizes.passes)
+    label = labels(found, scene.lab, disparity, seen.params, passes=sizes.passes)
     return np.asarray(label.disparity), np.sqrt(np.asarray(label.variance))
 
 
-def calibrated(name: str, size: int) -> tuple[dict[str, Any], Calibration]:
+def calibrated(name: str, size: int, which: str) -> tuple[dict[str, Any], Calibration]:
     """One row of the table and the curves of the final map."""
     light_field = scene(name, size)
     known = light_field.truth
@@ -77,7 +77,7 @@ def calibrated(name: str, size: int) -> tuple[dict[str, Any], Calibration]:
         raise ValueError(f"{name} has no ground truth to score against.")
     truth, valid = np.asarray(known.disparity), np.asarray(known.valid)
     blind = light_field.without_truth()
-    sizes = Sizes.for_light_field(blind)
+    sizes = Sizes.for_light_field(blind, views=which)
     result = edge_to_depth(Parameters(), blind, sizes)
     rows, columns = np.arange(truth.shape[0])[:, None], np.arange(truth.shape[1])[None]
 
@@ -115,10 +115,12 @@ def main() -> None:
     parser.add_argument("scenes", nargs="+", help="names or paths")
     parser.add_argument("--out", type=Path, default=Path("results/calibration"))
     parser.add_argument("--size", type=int, default=256, help="side of rendered scenes, px")
+    parser.add_argument("--all-views", action="store_true", help="labels from the whole grid")
     arguments = parser.parse_args()
+    which = "all" if arguments.all_views else "crosshair"
     rows, curves = [], []
     for name in arguments.scenes:
-        row, found = calibrated(name, arguments.size)
+        row, found = calibrated(name, arguments.size, which)
         rows.append(row)
         curves.append(found)
         jax.clear_caches()

@@ -13,12 +13,12 @@ import cv2
 import jax
 import jax.numpy as jnp
 import numpy as np
-from _model import first_map, load_scene, plain_model, printer, run_supervised, scores
+from _model import first_map, load_scene, plain, printer, run_supervised, scores
 from _report import print_table, shared_data, write_csv, write_json
 from matplotlib.figure import Figure
 
 from mvedge_jax.lightfield import LightField
-from mvedge_jax.reconstruct import decode, encode, save_encoding
+from mvedge_jax.model import Growth, decode, encode, save_encoding
 
 COLUMNS = {
     "mse": "MSE $\\times$ 100",
@@ -33,23 +33,22 @@ def curve(name: str, light_field: LightField, arguments: argparse.Namespace) -> 
 
     All runs start from the detected points, and the first two keep their number.
     """
-    start, _ = first_map(light_field)
-    model = plain_model(start, light_field.centre_view)
+    start = plain(first_map(light_field), light_field.centre_view)
     rows: list[dict] = []
     pixels = light_field.views.shape[2] * light_field.views.shape[3]
     added = int(arguments.grow * pixels)
-    runs = {"gradients alone": {}, "recycled": {"recycle": True}}
+    runs = {"gradients alone": None, "recycled": Growth()}
     if added:
-        runs[f"{added} points added"] = {"recycle": True, "extra": added}
-    for run, options in runs.items():
-        print(f"{name}, {run}: from {int(model.valid.sum())} detected points", flush=True)
+        runs[f"{added} points added"] = Growth(extra=added)
+    for run, strategy in runs.items():
+        print(f"{name}, {run}: from {int(start.model.valid.sum())} detected points", flush=True)
         run_supervised(
-            model,
+            start,
             light_field,
             raster=arguments.raster,
             iterations=arguments.iterations,
+            strategy=strategy,
             look=printer(f"{name}, {run}", light_field, rows),
-            **options,
         )
     return rows
 

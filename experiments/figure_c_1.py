@@ -18,17 +18,19 @@ from _model import (
     first_map,
     load_scene,
     printer,
-    rendering,
-    run_refined,
     run_self_supervised,
     run_supervised,
     scores,
 )
 from _report import print_table, shared_data, write_csv, write_json
 
-from mvedge_jax.reconstruct import (
+from mvedge_jax.model import (
+    ByEvidence,
+    ByReprojection,
     DepthModel,
-    RefineParams,
+    ModelParams,
+    ModelSizes,
+    Rates,
     RelocateParams,
     Start,
     render_model,
@@ -50,6 +52,13 @@ def noisy(
     ), half
 
 
+def far_off() -> ByReprojection:
+    """Labels may go far, at rates to match; the result is kept whatever the views say of it."""
+    rates = Rates(Rates.self_supervised().rate.at[1].set(0.01))
+    label, margin = jnp.asarray(1.0), jnp.asarray(-jnp.inf)
+    return ByReprojection(fit=None, label=label, margin=margin, rates=rates)
+
+
 def main() -> None:
     """Runs the experiment."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -66,8 +75,8 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("results/figure_c_1"))
     arguments = parser.parse_args()
     light_field = load_scene(arguments.scene, arguments.data)
-    start, first = first_map(light_field)
-    params, sizes = rendering(arguments.raster)
+    start = first_map(light_field)
+    params, sizes = ModelParams.narrow(arguments.raster), ModelSizes.on_raster(arguments.raster)
     render = eqx.filter_jit(render_model)
     clean = scores(render(start.model, params, sizes).disparity, light_field)
     rows, curve = [], []
@@ -79,19 +88,18 @@ def main() -> None:
         name = f"position {position}, disparity {disparity}"
         look = printer(name, light_field, curve)
         options = {"raster": arguments.raster, "iterations": arguments.iterations, "look": look}
-        loose = Start(model, jnp.full_like(start.error, 0.1))
+        loose = Start(model, jnp.full_like(start.error, 0.1), rendered)
         if arguments.loss == "evidence":
-            after = rendered
-            doubtful = RefineParams(relocate=RelocateParams())
+            doubtful = ByEvidence(relocate=RelocateParams())
             for number in range(arguments.rounds):
-                refine = doubtful if number == 0 else RefineParams()
-                after = run_refined(loose, light_field, after, refine=refine, **options)
+                approach = doubtful if number == 0 else ByEvidence()
+                after = run_self_supervised(loose, light_field, approach=approach, **options)
+                loose = loose._replace(disparity=after)
+            after = loose.disparity
         elif arguments.loss == "reprojection":
-            _, after = run_self_supervised(
-                loose, light_field, rendered, fit=False, label=1.0, **options
-            )
+            after = run_self_supervised(loose, light_field, approach=far_off(), **options)
         else:
-            _, after = run_supervised(model, light_field, **options)
+            after = run_supervised(loose, light_field, **options)
         found = scores(after, light_field)
         lost = before["mse"] - clean["mse"]
         rows.append(

@@ -11,15 +11,13 @@ import jax
 from _model import (
     first_map,
     load_scene,
-    plain_model,
+    plain,
     printer,
-    run_refined,
+    run_self_supervised,
     run_supervised,
     scores,
 )
 from _report import print_table, shared_data, write_csv, write_json
-
-from mvedge_jax.reconstruct import Start
 
 
 def main() -> None:
@@ -34,24 +32,20 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("results/figure_c_9"))
     arguments = parser.parse_args()
     light_field = load_scene(arguments.scene, arguments.data)
-    start, first = first_map(light_field)
+    start = first_map(light_field)
+    if not arguments.self_supervised:
+        start = plain(start, light_field.centre_view)
+    run = run_self_supervised if arguments.self_supervised else run_supervised
     order = jax.random.uniform(jax.random.key(2), (start.model.valid.size,))
     rows, curve = [], []
     for share in arguments.share:
         kept = start.model.valid & (order < share)
         look = printer(f"{100 * share:g} %", light_field, curve)
-        if arguments.self_supervised:
-            model = eqx.tree_at(lambda m: m.valid, start.model, kept)
-            after = run_refined(
-                Start(model, start.error), light_field, first,
-                raster=arguments.raster, iterations=arguments.iterations, look=look,
-            )  # fmt: skip
-        else:
-            plain = plain_model(start, light_field.centre_view)
-            _, after = run_supervised(
-                eqx.tree_at(lambda m: m.valid, plain, kept), light_field,
-                raster=arguments.raster, iterations=arguments.iterations, look=look,
-            )  # fmt: skip
+        model = eqx.tree_at(lambda m: m.valid, start.model, kept)
+        after = run(
+            start._replace(model=model), light_field,
+            raster=arguments.raster, iterations=arguments.iterations, look=look,
+        )  # fmt: skip
         rows.append({"points": int(kept.sum()), **scores(after, light_field)})
     print_table(rows, title="Figure C.9")
     write_csv(arguments.out / "points.csv", rows)

@@ -18,20 +18,19 @@ import jax.numpy as jnp
 import numpy as np
 from _report import print_table, write_csv
 
-from mvedge_jax.losses import SupervisedWeights
-from mvedge_jax.reconstruct import (
+from mvedge_jax.lightfield import GroundTruth
+from mvedge_jax.model import (
     DepthModel,
-    GrowParams,
+    FitParams,
+    FixedPoints,
+    Growth,
     ModelParams,
     ModelSizes,
     Rates,
-    Supervised,
-    advance,
+    Start,
     all_at_once,
-    begin,
-    grow,
+    fit_edges,
     render_model,
-    unlimited,
     usefulness,
 )
 from mvedge_jax.splatting import SplatSizes
@@ -67,12 +66,13 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("results/hidden_points"))
     arguments = parser.parse_args()
     truth = jnp.zeros(SHAPE, jnp.float32).at[8:24, 12:28].set(1.0)
-    known = jnp.ones(SHAPE, bool)
+    known = GroundTruth(truth, jnp.ones(SHAPE, bool))
     wide, narrow = ModelParams(), ModelParams.narrow(1)
-    weights = SupervisedWeights(square=jnp.asarray(3.0))
     rates = Rates(rate=jnp.asarray([0.15, 0.01, 0.08, 0.05]))
     table = all_at_once(rates, iterations=arguments.iterations)
-    piece = arguments.iterations // PIECES
+    # In the pauses between four pieces a tenth of the points may move.
+    until = jnp.asarray(1 - 1 / PIECES)
+    recycling = Growth(rounds=PIECES - 1, until=until, count=arguments.points // 10)
     render = eqx.filter_jit(render_model)
     rows = []
     for name, clears, recycles, params in (
@@ -87,18 +87,12 @@ def main() -> None:
         errors, hidden = np.zeros((arguments.seeds, 2)), np.zeros((arguments.seeds, 2))
         for seed in range(arguments.seeds):
             model = noisy_points(truth, arguments.points, arguments.share, seed)
-            goal = Supervised(truth, known, unlimited(model), params, weights, sizes)
-            state = begin(model, truth * 0, key=jax.random.key(seed))
-            for at in range(0, PIECES * piece, piece):
-                state, _ = advance(state, table.part(at, at + piece), goal)
-                if recycles and at < (PIECES - 1) * piece:
-                    wrong = jnp.abs(state.disparity - truth)
-                    tenth = arguments.points // 10
-                    grown = grow(state, goal, wrong, truth, GrowParams(), count=tenth)
-                    state = grown.state
-                    assert isinstance(grown.objective, Supervised)
-                    goal = grown.objective
-            for column, theta in enumerate((model, state.best)):
+            start = Start(model, jnp.ones_like(model.disparity), truth * 0)
+            strategy = recycling if recycles else FixedPoints()
+            best = fit_edges(
+                known, start, FitParams(rendering=params), sizes, strategy=strategy, routine=table
+            ).model
+            for column, theta in enumerate((model, best)):
                 found = render(theta, params, sizes).disparity
                 errors[seed, column] = 100 * float(jnp.mean((found - truth) ** 2))
                 use = usefulness(theta, params, sizes)

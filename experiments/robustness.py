@@ -20,11 +20,12 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from experiments._depth import as_image
 from experiments._report import print_table, write_json
+from mvedge_jax.baselines import plane_sweep
+from mvedge_jax.centre import Parameters, Sizes, edge_to_depth
 from mvedge_jax.datasets import load_light_field, synthetic
 from mvedge_jax.epi import scene_range
 from mvedge_jax.lightfield import GroundTruth, LightField
 from mvedge_jax.metrics import depth_scores
-from mvedge_jax.reconstruct import Parameters, Sizes, edge_to_depth, plane_sweep
 
 
 class Change(NamedTuple):
@@ -91,7 +92,11 @@ class Row(NamedTuple):
 
 
 def measured(
-    light_field: LightField, truth: GroundTruth, label: str, ranges: dict[str, tuple[float, float]]
+    light_field: LightField,
+    truth: GroundTruth,
+    label: str,
+    ranges: dict[str, tuple[float, float]],
+    which: str,
 ) -> Row:
     """Both methods on one changed light field, whose measured range is added to `ranges`."""
     views = changed(light_field, CHANGES[label])
@@ -104,7 +109,7 @@ def measured(
         jnp.asarray((low, high)),
         is_leaf=lambda leaf: leaf is None,
     )
-    sizes = Sizes.for_light_field(views)
+    sizes = Sizes.for_light_field(views, views=which)
     found = jax.block_until_ready(edge_to_depth(Parameters(), views, sizes))
     start = time.perf_counter()
     found = jax.block_until_ready(edge_to_depth(Parameters(), views, sizes))
@@ -143,7 +148,9 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("results/robustness"))
     parser.add_argument("--changes", nargs="*", choices=CHANGES, default=list(CHANGES))
     parser.add_argument("--size", type=int, default=512, help="side of rendered scenes, px")
+    parser.add_argument("--all-views", action="store_true", help="labels from the whole grid")
     arguments = parser.parse_args()
+    which = "all" if arguments.all_views else "crosshair"
     for name in arguments.scenes:
         light_field = scene(name, arguments.size)
         truth = light_field.truth
@@ -151,7 +158,7 @@ def main() -> None:
             raise ValueError(f"{name} has no ground truth to score against.")
         title, rows, strips, ranges = Path(name).name, [], [], {}
         for label in arguments.changes:
-            row = measured(light_field, truth, label, ranges)
+            row = measured(light_field, truth, label, ranges, which)
             rows.append(row.figures)
             print(json.dumps(row.figures), flush=True)
             maps = [as_image(m, truth.disparity) for m in (row.ours, row.sweep)]

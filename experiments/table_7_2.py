@@ -14,19 +14,13 @@ from pathlib import Path
 
 import jax
 import numpy as np
-from _model import (
-    first_map,
-    load_scene,
-    printer,
-    run_refined,
-    run_self_supervised,
-    scores,
-)
+from _model import first_map, load_scene, printer, run_self_supervised, scores
 from _report import print_table, shared_data, write_csv, write_json
 
 from mvedge_jax import plotting
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.metrics import reprojection_error
+from mvedge_jax.model import ByEvidence, ByReprojection
 
 # Thesis, Table 7.2: MSE*100, BP(.01), BP(.03), BP(.07) in %.
 PUBLISHED = {
@@ -61,16 +55,15 @@ def main() -> None:
     for name in arguments.scenes:
         light_field = load_scene(name, arguments.data)
         blind = light_field.without_truth()
-        start, first = first_map(light_field)
+        start = first_map(light_field)
+        first = start.disparity
         options = {
             "raster": arguments.raster,
             "iterations": arguments.iterations,
             "look": printer(name, light_field, curve),
         }
-        if arguments.loss == "evidence":
-            after = run_refined(start, light_field, first, **options)
-        else:
-            _, after = run_self_supervised(start, light_field, first, **options)
+        approach = ByEvidence() if arguments.loss == "evidence" else ByReprojection()
+        after = run_self_supervised(start, light_field, approach=approach, **options)
         for kind, disparity in (("before (mvedge depth)", first), ("after", after)):
             seen = reprojection_error(disparity, blind, targets=outermost(blind)).error
             rows.append(

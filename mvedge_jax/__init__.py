@@ -3,13 +3,26 @@
 The names that most programs need; each folder of the package exports the rest of its stage.
 """
 
-from .datasets import load_light_field as load_light_field
-from .diffusion import System as System, diffuse as diffuse
-from .epi import EdgePoints as EdgePoints, multiview_edges as multiview_edges
-from .lightfield import Camera as Camera, GroundTruth as GroundTruth, LightField as LightField
-from .reconstruct import (
+from .centre import (
     DepthResult as DepthResult,
     Parameters as Parameters,
     Sizes as Sizes,
     edge_to_depth as edge_to_depth,
+)
+from .datasets import load_light_field as load_light_field
+from .diffusion import System as System, diffuse as diffuse
+from .epi import EdgePoints as EdgePoints, multiview_edges as multiview_edges
+from .lightfield import Camera as Camera, GroundTruth as GroundTruth, LightField as LightField
+from .model import (
+    ByEvidence as ByEvidence,
+    ByReprojection as ByReprojection,
+    FitParams as FitParams,
+    Growth as Growth,
+    ModelSizes as ModelSizes,
+    Optimised as Optimised,
+    Start as Start,
+    fit_edges as fit_edges,
+    optimize_edges as optimize_edges,
+    start_from_depth as start_from_depth,
+    start_from_image as start_from_image,
 )

@@ -75,6 +75,26 @@ def srgb_to_lab(image: Float[Array, "*s c"]) -> Float[Array, "*s c"]:
     return jnp.stack([116.0 * y - 16.0, 500.0 * (x - y), 200.0 * (y - z)], axis=-1)
 
 
+def planes_to_lab(planes: Float[Array, "*s c y x"]) -> Float[Array, "*s c y x"]:
+    """Converts channel planes from sRGB to CIE Lab, see `srgb_to_lab`.
+
+    Args:
+        planes: sRGB values in [0, 1], channels before rows and columns.
+
+    Returns:
+        `L`, `a`, `b` as planes. Differentiable.
+
+    Raises:
+        ValueError: if there are not three planes.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> planes_to_lab(jnp.ones((3, 4, 5))).shape
+        (3, 4, 5)
+    """
+    return jnp.moveaxis(srgb_to_lab(jnp.moveaxis(planes, -3, -1)), -1, -3)
+
+
 def srgb_to_gray(image: Float[Array, "*s c"]) -> Float[Array, "*s"]:
     """Rec. 601 luma of an sRGB image.
 

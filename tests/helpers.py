@@ -148,3 +148,8 @@ def check_modes(
         error = float(jnp.abs(found - wanted).max()) / max(float(jnp.abs(wanted).max()), 1e-300)
         # A NaN compares as false, too.
         assert error <= rtol, f"jvp of grad, {jax.tree_util.keystr(path)}: {error:.2e}"
+
+
+def with_values(parameters: type, **values: float) -> Any:
+    """Parameters with some numbers set."""
+    return parameters(**{name: jnp.asarray(value) for name, value in values.items()})

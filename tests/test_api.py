@@ -1,10 +1,12 @@
 """Walks the public API and enforces its conventions (CONTRIBUTING.md)."""
 
+import ast
 import importlib
 import inspect
 import pkgutil
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import equinox as eqx
@@ -138,33 +140,66 @@ def test_the_package_never_mentions_development_data():
     assert not offenders
 
 
+_FLOORS = (
+    ("_params", "_fence", "_linear_map", "_unstack", "color"),
+    ("lightfield",),
+    ("_crosshair",),
+    ("photometry",),
+    ("diffusion", "splatting", "warping", "epi"),
+    ("occlusion", "losses", "metrics"),
+    ("centre", "baselines"),
+    ("model",),
+    ("datasets", "plotting"),
+    ("cli",),
+    ("__init__", "__main__"),
+)
+
+
+def _imports(path: Path) -> Iterator[tuple[str, ...]]:
+    """What a file of the package imports of the package, as parts of a path."""
+    here = path.relative_to(_PACKAGE).parts[:-1]
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            names = [name.name.split(".") for name in node.names]
+            yield from (tuple(n[1:]) for n in names if n[0] == _PACKAGE.name and len(n) > 1)
+        elif isinstance(node, ast.ImportFrom):
+            module: tuple[str, ...] = tuple(node.module.split(".")) if node.module else ()
+            if node.level:
+                module = (*here[: len(here) - node.level + 1], *module)
+            elif module[:1] == (_PACKAGE.name,):
+                module = module[1:]
+            else:
+                continue
+            yield from [module] if module else [(name.name,) for name in node.names]
+
+
+def _files() -> Iterator[tuple[str, Path]]:
+    for path in sorted(_PACKAGE.rglob("*.py")):
+        yield path.relative_to(_PACKAGE).with_suffix("").parts[0], path
+
+
+def test_every_room_has_a_floor():
+    rooms = {name for names in _FLOORS for name in names}
+    assert {own for own, _ in _files()} <= rooms
+
+
 def test_floors_are_not_blurred():
-    """A module imports only from floors below it (DESIGN section 2)."""
-    floors = [
-        {"_params", "_fence", "color"},
-        {"lightfield"},
-        {"_crosshair"},
-        {"photometry"},
-        {"diffusion", "splatting", "warping", "epi"},
-        {"occlusion", "losses", "metrics"},
-        {"reconstruct"},
-        {"datasets", "plotting", "cli", "__init__", "__main__"},
+    """A module imports only from floors below it, absolute imports included."""
+    level = {name: i for i, names in enumerate(_FLOORS) for name in names}
+    offenders = [
+        f"{path.relative_to(_PACKAGE)}: {'.'.join(parts)}"
+        for own, path in _files()
+        for parts in _imports(path)
+        if parts[0] != own and level[parts[0]] >= level[own]
     ]
-    level = {name: i for i, names in enumerate(floors) for name in names}
-    offenders = []
-    for path in _PACKAGE.rglob("*.py"):
-        relative = path.relative_to(_PACKAGE).with_suffix("")
-        own = relative.parts[0]
-        depth = len(relative.parts)
-        for line in path.read_text().splitlines():
-            words = line.strip().split()
-            if len(words) < 2 or words[0] != "from" or not words[1].startswith("." * depth):
-                continue
-            target = words[1][depth:].split(".")[0]
-            if words[1].startswith("." * (depth + 1)) or target == own:
-                continue
-            names = [target] if target else [w.strip(",") for w in words[3:]]
-            for other in names:
-                if other in level and level[other] > level[own]:
-                    offenders.append(f"{relative}: {other}")
+    assert not offenders
+
+
+def test_private_modules_stay_in_their_package():
+    offenders = [
+        f"{path.relative_to(_PACKAGE)}: {'.'.join(parts)}"
+        for own, path in _files()
+        for parts in _imports(path)
+        if parts[0] != own and any(part.startswith("_") for part in parts[1:])
+    ]
     assert not offenders

@@ -18,6 +18,13 @@ def test_lab_equals_scikit_image():
     assert ours.dtype == jnp.float32
 
 
+def test_planes_are_converted_as_images_are():
+    views = jnp.asarray(np.random.default_rng(1).random((2, 3, 5, 7)))
+    expected = color.srgb_to_lab(jnp.transpose(views, (0, 2, 3, 1)))
+    found = color.planes_to_lab(views)
+    np.testing.assert_array_equal(jnp.transpose(found, (0, 2, 3, 1)), expected)
+
+
 def test_lab_of_known_colours():
     red = color.srgb_to_lab(jnp.array([1.0, 0.0, 0.0]))
     np.testing.assert_allclose(red, [53.24, 80.09, 67.20], atol=0.01)

@@ -22,6 +22,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from _report import peak_memory, print_table, shared_data, timed, write_json
 
 from mvedge_jax._crosshair import crosshair
+from mvedge_jax.centre import Parameters, Sizes, edge_smoothness, edge_to_depth, sharpen
 from mvedge_jax.cli._common import compiled
 from mvedge_jax.color import srgb_to_gray, srgb_to_lab
 from mvedge_jax.datasets import load_light_field, synthetic
@@ -35,13 +36,6 @@ from mvedge_jax.occlusion import (
     surface_vectors,
 )
 from mvedge_jax.photometry import Measuring, hypotheses, photometric_labels, spline_coefficients
-from mvedge_jax.reconstruct import (
-    Parameters,
-    Sizes,
-    edge_smoothness,
-    edge_to_depth,
-    sharpen,
-)
 
 
 def main() -> None:
@@ -53,6 +47,7 @@ def main() -> None:
     parser.add_argument("--only-all", action="store_true", help="the whole chain alone")
     parser.add_argument("--gradient", action="store_true", help="the chain and its derivatives")
     parser.add_argument("--settings", action="store_true", help="`vmap` over settings instead")
+    parser.add_argument("--all-views", action="store_true", help="labels from the whole grid")
     arguments = parser.parse_args()
     if arguments.settings:
         _settings(arguments.out, arguments.repeats)
@@ -67,7 +62,8 @@ def main() -> None:
             synthetic.scene("demo"), shape=(9, 9, 512, 512), samples=2, key=jax.random.key(0)
         )
     light_field = light_field.without_truth()
-    params, sizes = Parameters(), Sizes.for_light_field(light_field)
+    which = "all" if arguments.all_views else "crosshair"
+    params, sizes = Parameters(), Sizes.for_light_field(light_field, views=which)
     rows = []
 
     def measure(name, function, *inputs):

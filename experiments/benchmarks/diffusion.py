@@ -32,7 +32,11 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from _report import peak_memory, print_table, shared_data, write_csv, write_json  # noqa: E402
 
 from mvedge_jax.diffusion import (  # noqa: E402
-    Solver,
+    AbstractSolver,
+    AutoSolver,
+    HierarchicalBasis,
+    Jacobi,
+    Multigrid,
     System,
     diffuse,
     edge_weights,
@@ -97,14 +101,11 @@ def problems(sizes: list[int], contrasts: list[float], real: bool) -> Iterator[P
             yield Problem(f"discs_{size}_c{contrast:.0e}", generate(size, contrast), None)
 
 
-def ours(preconditioner: Any, repeats: int) -> Callable[[System, float], Answer]:
-    """One of our preconditioners. Setup is part of the compiled function and counts as solve."""
+def ours(kind: type[AbstractSolver], repeats: int) -> Callable[[System, float], Answer]:
+    """One of our solvers. Setup is part of the compiled function and counts as solve."""
 
     def run(system: System, tolerance: float) -> Answer:
-        solver = Solver(
-            tolerance=tolerance, preconditioner=preconditioner, stop="residual",
-            max_iterations=20000,
-        )  # fmt: skip
+        solver = kind(tolerance, by_residual=True, max_iterations=20000)
         function = jax.jit(lambda system: diffuse(system, solver=solver))
         result = jax.block_until_ready(function(system))
         seconds = repeat(lambda: jax.block_until_ready(function(system)), repeats)
@@ -151,8 +152,9 @@ def batches_and_gradients(repeats: int) -> list[dict[str, Any]]:
     mesh = jax.make_mesh((jax.device_count(),), ("batch",))
     spread = jax.device_put(systems, NamedSharding(mesh, PartitionSpec("batch")))
     counts = [1] if jax.device_count() == 1 else [1, jax.device_count()]
-    for stop, devices in itertools.product(("residual", "error"), counts):
-        solver = Solver(tolerance=1e-5, stop=stop)
+    for by_residual, devices in itertools.product((True, False), counts):
+        what = "residual" if by_residual else "error"
+        solver = AutoSolver(tolerance=1e-5, by_residual=by_residual)
         each = jax.vmap(lambda system, solver=solver: diffuse(system, solver=solver))
         split = PartitionSpec("batch")
         several = jax.shard_map(each, mesh=mesh, in_specs=split, out_specs=split, check_vma=False)
@@ -165,7 +167,7 @@ def batches_and_gradients(repeats: int) -> list[dict[str, Any]]:
             for i, e in zip((0, 255), exact, strict=True)
         ]
         rows.append({
-            "task": f"512 images of 9x512, 1e-5 of the {stop}, {devices} device(s)",
+            "task": f"512 images of 9x512, 1e-5 of the {what}, {devices} device(s)",
             "ms": 1e3 * seconds,
             "iterations": int(found.stats.iterations.max()), "max_error": float(max(errors)),
             "converged": bool(found.stats.converged.all()),
@@ -309,7 +311,8 @@ def cholmod(system: System, tolerance: float) -> Answer:
 
 def solvers(only: str, repeats: int) -> dict[str, Callable[[System, float], Answer]]:
     """All solvers by name."""
-    own = {f"mvedge {name}": ours(name, repeats) for name in ("multigrid", "lahbpcg", "jacobi")}
+    kinds = {"multigrid": Multigrid, "lahbpcg": HierarchicalBasis, "jacobi": Jacobi}
+    own = {f"mvedge {name}": ours(kind, repeats) for name, kind in kinds.items()}
     if only == "multigrid":
         return {"mvedge multigrid": own["mvedge multigrid"]}
     if only == "ours":

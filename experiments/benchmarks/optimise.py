@@ -19,7 +19,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from _report import peak_memory, print_table, timed, write_json
 
 from mvedge_jax.losses import Views
-from mvedge_jax.reconstruct import (
+from mvedge_jax.model import (
     DepthModel,
     ModelParams,
     ModelSizes,
@@ -31,7 +31,7 @@ from mvedge_jax.reconstruct import (
     render_model,
     unlimited,
 )
-from mvedge_jax.reconstruct._model import opacities, splat_model
+from mvedge_jax.model._model import opacities, splat_model
 
 AUTHORS = {700: 2.1, 5000: 5.1, 20000: 18.0, 50000: 36.0}
 

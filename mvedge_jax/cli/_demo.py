@@ -14,11 +14,12 @@ from jax import Array
 from matplotlib.figure import Figure
 
 from .. import plotting
+from ..baselines import plane_sweep
+from ..centre import Parameters, Sizes, edge_to_depth
 from ..datasets import synthetic, write_pfm
 from ..epi import EdgePoints
 from ..lightfield import GroundTruth, LightField
 from ..metrics import BoundaryScores, DepthScores, boundary_scores, depth_scores, reprojection_error
-from ..reconstruct import Parameters, Sizes, edge_to_depth, plane_sweep
 from ._common import note, stage
 from ._output import output_folder, write_json
 

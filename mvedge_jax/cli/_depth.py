@@ -12,10 +12,10 @@ import numpy as np
 import tyro
 
 from .. import plotting
+from ..centre import DepthResult, DepthStats, Parameters, Sizes, edge_to_depth
 from ..datasets import load_light_field, write_pfm
 from ..lightfield import LightField
 from ..metrics import boundary_scores, calibration, depth_scores
-from ..reconstruct import DepthResult, DepthStats, Parameters, Sizes, edge_to_depth
 from ._common import compiled, note, stage, warn
 from ._output import output_folder, write_json
 from ._points import valid_points, write_points
@@ -41,6 +41,7 @@ def depth(
     range: tuple[float, float] | None = None,
     side: Literal["bidirectional", "thesis", "reprojection", "naive"] = "bidirectional",
     dense: bool = True,
+    all_views: bool = False,
     overwrite: bool = False,
 ) -> None:
     """Estimates the disparity of every pixel of a light field's centre view.
@@ -60,6 +61,8 @@ def depth(
         range: lowest and highest disparity, px per view step; measured if not given or known.
         side: how surface vectors are chosen; all but the first are baselines of the thesis.
         dense: measure disparity at every pixel, beside the edges; off, only edges are diffused.
+        all_views: measure disparity in all views at the end, not in the central row and column
+            alone: more accurate, three times as slow.
         overwrite: replace OUT if it is an earlier result of mvedge, with nothing else in it.
     """
     with stage(f"reading {scene}"):
@@ -79,7 +82,8 @@ def depth(
     with output_folder(out, inputs=[scene], overwrite=overwrite) as folder:
         blind = light_field.without_truth()
         with stage("choosing sizes"):
-            sizes = Sizes.for_light_field(blind, side=side, dense=dense)
+            measured = "all" if all_views else "crosshair"
+            sizes = Sizes.for_light_field(blind, side=side, dense=dense, views=measured)
         before = time.perf_counter()
         with stage("compiling, or reading what was compiled before"):
             estimate = compiled(edge_to_depth, params, blind, sizes)

@@ -8,8 +8,13 @@ import jax.numpy as jnp
 import numpy as np
 import tyro
 
-from ..datasets import ConventionCheck, camera_spacing, check_convention, load_light_field
-from ..datasets._load import open_source
+from ..datasets import (
+    ConventionCheck,
+    camera_spacing,
+    check_convention,
+    load_light_field,
+    open_source,
+)
 from ..lightfield import Camera, GroundTruth, LightField
 from ..photometry import Exposure, Noise, expose, measure_noise, rough_exposure
 from ._common import note, stage, warn

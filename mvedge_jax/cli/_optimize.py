@@ -2,79 +2,44 @@
 
 import csv
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 import tyro
 from matplotlib.figure import Figure
 
 from .. import plotting
+from ..centre import Parameters, Sizes, edge_to_depth
 from ..datasets import load_light_field, write_pfm
-from ..lightfield import LightField
-from ..losses import (
-    Colours,
-    Features,
-    FilterBank,
-    LossWeights,
-    SupervisedWeights,
-    Views,
-    all_views,
-    gather_views,
-    load_vgg16,
-    self_supervised_loss,
-)
+from ..lightfield import GroundTruth, LightField
+from ..losses import Colours, Features, FilterBank, load_vgg16
 from ..metrics import depth_scores
-from ..reconstruct import (
-    DepthModel,
-    Grown,
-    GrowParams,
+from ..model import (
+    ByEvidence,
+    ByReprojection,
+    FitParams,
+    Growth,
     History,
-    ModelParams,
     ModelSizes,
-    Parameters,
-    PolishParams,
+    Optimised,
+    Progress,
     Rates,
-    RefineParams,
     Routine,
-    SelfSupervised,
-    Sizes,
     Start,
-    StartParams,
-    State,
-    Supervised,
     all_at_once,
-    begin,
-    edge_to_depth,
-    finish_refinement,
-    fit_to_map,
-    image_roughness,
+    fit_edges,
     load_state,
     one_at_a_time,
-    optimise,
-    optimise_growing,
-    polish,
-    prepare_refinement,
-    render_model,
+    optimize_edges,
     save_state,
-    start_from_points,
-    trust_labels,
-    unlimited,
-    with_capacity,
-    without_free_places,
+    start_from_depth,
+    start_from_image,
 )
-from ..splatting import SplatSizes
 from ._common import compiled, note, stage, warn
 from ._output import output_folder, write_json
 
-# On cotton the true map explains the views 0.7 % worse than that of `mvedge depth`, and every
-# optimisation by plain reprojection that lowered the error by less than a tenth made the map
-# worse: gloss, blurred image edges and bilinear interpolation have a say of that size.
-_MARGIN = 0.1
 _COLUMNS = {
     "mse": "MSE*100",
     "q25": "Q25*100",
@@ -135,197 +100,134 @@ def optimize(
         seed: of random views.
         overwrite: replace OUT if it is an earlier result of mvedge, with nothing else in it.
     """
-    extractor = _extractor(features, vgg16)
-    if iterations < 1:
-        raise ValueError(f"--iterations must be at least 1, got {iterations}.")
-    if grow_points < 0:
-        raise ValueError(f"--grow-points must not be negative, got {grow_points}.")
+    growth = Growth(recycle=recycle, extra=_at_least(0, "--grow-points", grow_points))
     if grow_points and not supervised:
         raise ValueError("--grow-points needs --supervised: without truth no residual is known.")
-    with stage(f"reading {scene}"):
-        light_field = load_light_field(scene, views=views, scale=scale)
-    if supervised and light_field.truth is None:
-        raise ValueError(f"{scene} has no ground truth, which --supervised needs.")
-    blind = light_field.without_truth()
-    sizes = ModelSizes(splat=SplatSizes(scale=raster))
-    params, key = ModelParams.narrow(raster), jax.random.key(seed)
+    approach = _approach(loss, features, vgg16, subset)
+    fit = FitParams()
+    sizes = ModelSizes.on_raster(raster)
+    table = _table(routine, iterations, (fit if supervised else approach).rates)
+    light_field = _read(scene, views, scale, needs_truth=supervised)
+    earlier = None if state is None else load_state(state)
+    options: dict[str, Any] = {"routine": table, "state": earlier, "progress": _tell}
     inputs = [path for path in (scene, vgg16, state) if path is not None]
     with output_folder(out, inputs=inputs, overwrite=overwrite) as folder:
-        with stage("estimating depth from edges"):
-            call = Parameters(), blind, Sizes.for_light_field(blind)
-            result = compiled(edge_to_depth, *call)(*call)
-            first = jax.block_until_ready(result.disparity)
-        points = result.points
-        start = start_from_points(
-            points.xy + result.surface.offset, points.disparity, points.error, points.valid,
-            blind.centre_view, first, StartParams(),
-        )  # fmt: skip
-        objective: Supervised | SelfSupervised
-        training, held_out = _split(gather_views(blind))
-        refine, refinement = RefineParams(), None
-        rates = Rates.evidence()
-        origin = first
-        if supervised:
-            objective = _supervised(light_field, start.model, grow_points, params, sizes)
-            start = Start(objective.trust.origin, objective.trust.error)
-            rates = Rates.supervised()
-        elif loss == "evidence":
-            with stage("asking the views"):
-                everyone = gather_views(blind, choice=all_views(blind))
-                refinement = prepare_refinement(start, first, everyone, refine, params, sizes)
-            start, objective, origin = refinement.start, refinement.objective, refinement.rendered
-        else:
-            with stage("fitting the model to that map"):
-                extra = int(points.valid.sum()) // 10
-                start = fit_to_map(start, first, StartParams(), params, sizes, extra=extra)
-            objective = SelfSupervised(
-                training, trust_labels(start), params, LossWeights(), extractor, sizes, subset
-            )
-            rates = Rates.self_supervised()
-        table = (
-            all_at_once(rates, iterations=iterations)
-            if routine == "joint"
-            else one_at_a_time(Rates(), iterations=iterations)
-        )
-        began = begin(start.model, origin, key=key)
-        if state is not None:
-            began = load_state(state, began)
-        clock = time.perf_counter()
-        if supervised and (recycle or grow_points):
-            assert isinstance(objective, Supervised)
-            final, history = _run_growing(began, table, objective, recycle=recycle)
-        else:
-            chunk = max(table.length // 4, 1)
-            look = _progress(table)
-            final, history = optimise(began, table, objective, chunk=chunk, after_chunk=look)
+        start, clock = _start(light_field.without_truth()), time.perf_counter()
+        with stage("optimising"):
+            if supervised and light_field.truth is not None:
+                start = start_from_image(start, light_field.centre_view)
+                goal = light_field.truth
+                result = fit_edges(goal, start, fit, sizes, strategy=growth, **options)
+            else:
+                key = jax.random.key(seed)
+                result = optimize_edges(light_field, start, approach, sizes, key=key, **options)
         seconds = time.perf_counter() - clock
-        render = eqx.filter_jit(render_model)
-        before, errors, kept = first, [], True
-        if refinement is not None:
-            after = finish_refinement(refinement, final.best, refine)
-        else:
-            after = render(final.best, params, sizes, start=final.disparity).disparity
-        if not supervised:
-            if refinement is None:
-                # The model's own error in rendering the first map does not enter.
-                after = before + after - render(start.model, params, sizes, start=before).disparity
-            errors = [_explains(d, held_out, extractor) for d in (before, after)]
-        if not supervised and refinement is None:
-            kept = errors[1] < (1 - _MARGIN) * errors[0]
-            after = polish(after if kept else before, PolishParams())
-        with stage("writing"):
-            scores = _write(folder, light_field, before, after, final, history)
-            report = {
-                "scene": light_field.name,
-                "supervised": supervised,
-                "iterations": int(final.iteration),
-                "seconds": round(seconds, 2),
-                "points": int(final.best.valid.sum()),
-                "reprojection error before, after": errors,
-                "share of proposals confirmed": (
-                    None if refinement is None else float(refinement.correction.share.mean())
-                ),
-                "kept the optimised points": bool(kept),
-                "scores": scores,
-            }
-            write_json(folder / "report.json", report)
-    if not kept:
-        warn(
-            "the held-out views do not speak for the optimised points; the first map was polished."
-        )
-    for name, row in scores.items():
-        note(f"{name}: " + "  ".join(f"{_COLUMNS[k]} {row[k]:.4g}" for k in _COLUMNS))
-    note(f"{len(history.loss)} iterations, {seconds:.1f} s; written to {out}")
+        scores = _write(folder, light_field, start, result, seconds)
+    _conclude(scores, result, seconds, out)
 
 
-def _extractor(name: str, weights: Path | None) -> Features:
-    if name == "vgg16":
-        if weights is None:
+def _at_least(least: int, name: str, value: int) -> int:
+    if value < least:
+        wish = "not be negative" if least == 0 else f"be at least {least}"
+        raise ValueError(f"{name} must {wish}, got {value}.")
+    return value
+
+
+def _approach(
+    loss: str, features: str, vgg16: Path | None, subset: int | None
+) -> ByEvidence | ByReprojection:
+    extractor: Features = FilterBank() if features == "filters" else Colours()
+    if features == "vgg16":
+        if vgg16 is None:
             raise ValueError("--features vgg16 needs --vgg16 FILE, an .npz file of its weights.")
-        return load_vgg16(weights)
-    return FilterBank() if name == "filters" else Colours()
+        extractor = load_vgg16(vgg16)
+    if loss == "reprojection":
+        return ByReprojection(features=extractor, subset=subset)
+    return ByEvidence(features=extractor)
 
 
-def _split(views: Views) -> tuple[Views, Views]:
-    """Every second view on either arm trains, the others judge."""
-    count = views.steps.shape[0]
-    even = jnp.arange(0, count, 2)
-    odd = jnp.arange(1, count, 2)
-    return views.take(even), views.take(odd)
+def _table(routine: str, iterations: int, rates: Rates) -> Routine:
+    _at_least(1, "--iterations", iterations)
+    if routine == "thesis":
+        return one_at_a_time(Rates(), iterations=iterations)
+    return all_at_once(rates, iterations=iterations)
 
 
-def _explains(disparity: jax.Array, views: Views, features: Features) -> float:
-    run = eqx.filter_jit(self_supervised_loss)
-    return float(run(disparity, views, LossWeights(), features=features)[1].reprojection)
+def _read(scene: Path, views: int | None, scale: float, *, needs_truth: bool) -> LightField:
+    with stage(f"reading {scene}"):
+        light_field = load_light_field(scene, views=views, scale=scale)
+    if needs_truth and light_field.truth is None:
+        raise ValueError(f"{scene} has no ground truth, which --supervised needs.")
+    return light_field
 
 
-def _supervised(
-    light_field: LightField, model: DepthModel, extra: int, params: ModelParams, sizes: ModelSizes
-) -> Supervised:
-    truth = light_field.truth
-    assert truth is not None
-    rough = image_roughness(light_field.centre_view, jnp.asarray(0.3))
-    model = without_free_places(eqx.tree_at(lambda m: m.roughness, model, rough))
-    model = with_capacity(model, model.valid.size + extra)
-    weights = SupervisedWeights(square=jnp.asarray(3.0))
-    known = truth.disparity.astype(light_field.views.dtype)
-    return Supervised(known, truth.valid, unlimited(model), params, weights, sizes)
+def _start(blind: LightField) -> Start:
+    with stage("estimating depth from edges"):
+        call = Parameters(), blind, Sizes.for_light_field(blind)
+        return start_from_depth(blind, jax.block_until_ready(compiled(edge_to_depth, *call)(*call)))
 
 
-def _progress(table: Routine) -> Callable[[State, History], None]:
-    def look(state: State, history: History) -> None:
-        note(f"  {int(state.iteration)}/{table.length} loss {float(history.loss[-1]):.6f}")
-
-    return look
-
-
-def _run_growing(
-    state: State, table: Routine, objective: Supervised, *, recycle: bool
-) -> tuple[State, History]:
-    def tell(grown: Grown) -> None:
-        moved, added = int(grown.recycled), int(grown.added) - int(grown.recycled)
+def _tell(now: Progress) -> None:
+    note(f"  {now.iteration}/{now.iterations} loss {now.loss:.6f}")
+    if now.grown is not None:
+        moved, added = int(now.grown.recycled), int(now.grown.added) - int(now.grown.recycled)
         note(f"  {moved} points moved to where the map was wrong, {added} added")
-
-    growth = GrowParams() if recycle else GrowParams(least=jnp.asarray(0.0))
-    return optimise_growing(
-        state, table, objective, growth, after_chunk=_progress(table), after_growth=tell
-    )
 
 
 def _write(
-    folder: Path,
-    light_field: LightField,
-    before: jax.Array,
-    after: jax.Array,
-    state: State,
-    history: History,
+    folder: Path, light_field: LightField, start: Start, result: Optimised, seconds: float
 ) -> dict[str, Any]:
-    maps = {"before": before, "after": after}
-    write_pfm(folder / "before.pfm", np.asarray(before))
-    write_pfm(folder / "disparity.pfm", np.asarray(after))
-    save_state(folder / "state.eqx", state)
-    keep = np.asarray(state.best.valid)
+    """Writes all files, and returns the scores of the maps."""
+    model, verdict = result.model, result.verdict
+    write_pfm(folder / "before.pfm", np.asarray(start.disparity))
+    write_pfm(folder / "disparity.pfm", np.asarray(result.disparity))
+    save_state(folder / "state.eqx", result.state)
+    keep = np.asarray(model.valid)
     np.savez_compressed(
         folder / "points.npz",
-        xy=np.asarray(state.best.xy)[keep],
-        disparity=np.asarray(state.best.disparity)[keep],
-        weight=np.exp(-np.asarray(state.best.log_weight))[keep],
-        roughness=np.asarray(state.best.roughness),
+        xy=np.asarray(model.xy)[keep],
+        disparity=np.asarray(model.disparity)[keep],
+        weight=np.exp(-np.asarray(model.log_weight))[keep],
+        roughness=np.asarray(model.roughness),
     )
+    _write_history(folder, result.history)
+    maps = {"before": start.disparity, "after": result.disparity}
+    scores = _write_pictures(folder, maps, light_field.truth)
+    confirmed = None if verdict is None else verdict.confirmed
+    report = {
+        "scene": light_field.name,
+        "supervised": verdict is None,
+        "iterations": int(result.state.iteration),
+        "seconds": round(seconds, 2),
+        "points": int(keep.sum()),
+        "reprojection error before, after": [] if verdict is None else verdict.error.tolist(),
+        "share of proposals confirmed": None if confirmed is None else float(confirmed),
+        "kept the optimised points": verdict is None or bool(verdict.kept),
+        "scores": scores,
+    }
+    write_json(folder / "report.json", report)
+    return scores
+
+
+def _write_history(folder: Path, history: History) -> None:
+    losses, gradient = (np.asarray(part) for part in history)
     with (folder / "loss.csv").open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow(["iteration", "loss", "grad_Q", "grad_Z", "grad_R", "grad_xy"])
-        for i, (loss, norms) in enumerate(
-            zip(np.asarray(history.loss), np.asarray(history.gradient), strict=True)
-        ):
+        for i, (loss, norms) in enumerate(zip(losses, gradient, strict=True)):
             writer.writerow([i, loss, *norms])
     figure = Figure(layout="constrained")
     axes = figure.subplots()
-    axes.plot(np.asarray(history.loss))
+    axes.plot(losses)
     axes.set_xlabel("iteration")
     axes.set_ylabel("loss")
     figure.savefig(folder / "loss.png")
-    truth = light_field.truth
+
+
+def _write_pictures(
+    folder: Path, maps: dict[str, jax.Array], truth: GroundTruth | None
+) -> dict[str, Any]:
+    """Maps in colour and, where there is ground truth, their errors and scores."""
     scores = {}
     for name, disparity in maps.items():
         plotting.plot_disparity(np.asarray(disparity)).savefig(folder / f"{name}.png")
@@ -337,3 +239,13 @@ def _write(
             found = depth_scores(disparity, truth.disparity, mask=truth.valid)
             scores[name] = {column: float(value) for column, value in found._asdict().items()}
     return scores
+
+
+def _conclude(scores: dict[str, Any], result: Optimised, seconds: float, out: Path) -> None:
+    if result.verdict is not None and not bool(result.verdict.kept):
+        warn(
+            "the held-out views do not speak for the optimised points; the first map was polished."
+        )
+    for name, row in scores.items():
+        note(f"{name}: " + "  ".join(f"{_COLUMNS[k]} {row[k]:.4g}" for k in _COLUMNS))
+    note(f"{len(result.history.loss)} iterations, {seconds:.1f} s; written to {out}")

@@ -5,6 +5,7 @@ from ._convention import ConventionCheck as ConventionCheck, check_convention as
 from ._load import (
     load_ground_truth as load_ground_truth,
     load_light_field as load_light_field,
+    open_source as open_source,
 )
 from ._pfm import read_pfm as read_pfm, write_pfm as write_pfm
 from ._stanford import CameraSpacing as CameraSpacing, camera_spacing as camera_spacing

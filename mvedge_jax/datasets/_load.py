@@ -153,6 +153,12 @@ def load_ground_truth(path: str | os.PathLike) -> GroundTruth:
 def open_source(path: Path) -> Iterator[Source]:
     """Recognises the layout of a folder or file and opens it; see `load_light_field`.
 
+    Args:
+        path: folder or file.
+
+    Yields:
+        The opened source, closed on the way out.
+
     Raises:
         FileNotFoundError: if there is nothing at `path` or no light field in it.
         ValueError: if the file is of an unknown kind, or what is found contradicts itself.

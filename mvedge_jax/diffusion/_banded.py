@@ -62,7 +62,7 @@ def refine(
     absolute: Array,
     relative: Array,
     *,
-    stop: str,
+    by_residual: bool,
     max_iterations: int,
 ) -> Iterate:
     """Eliminates, and substitutes again with what is left while that is asked for and helps.
@@ -76,7 +76,7 @@ def refine(
         keep: pixels that take part; elsewhere the solution stays 0.
         absolute: part of the threshold for the measure of error.
         relative: part of the threshold, as a share of the largest entry of the solution.
-        stop: `"error"` or `"residual"`, the root of the sum of squares of the residual.
+        by_residual: measure the root of the sum of squares of the residual, not the error.
         max_iterations: substitutions at most.
 
     Returns:
@@ -93,13 +93,13 @@ def refine(
         def left() -> Array:
             return state.residual - product(coefficients, change)
 
-        if stop == "error":
+        if by_residual:
+            residual = left()
+            estimate = jnp.sqrt(inner(residual, residual))
+        else:
             first = positive & (state.iterations == 0)
             estimate = jnp.where(first, rounding * size, largest(change))
             residual = None
-        else:
-            residual = left()
-            estimate = jnp.sqrt(inner(residual, residual))
         converged = estimate <= absolute + relative * size
         helps = estimate < 0.5 * state.estimate
         more = state.active & helps & ~converged & (state.iterations + 1 < max_iterations)

@@ -35,8 +35,8 @@ class Level(NamedTuple):
     weights: Interpolation
 
 
-class Multigrid(NamedTuple):
-    """The hierarchy.
+class Hierarchy(NamedTuple):
+    """All levels.
 
     Attributes:
         fine: the large levels, finest first.
@@ -48,7 +48,7 @@ class Multigrid(NamedTuple):
     small: Level
 
 
-def build(coefficients: Coefficients) -> Multigrid:
+def build(coefficients: Coefficients) -> Hierarchy:
     """Builds the hierarchy of a system."""
     stencil = Stencil(*coefficients, None, None)
     fine = []
@@ -72,13 +72,13 @@ def build(coefficients: Coefficients) -> Multigrid:
 
     count = (max(y, x) - 1).bit_length() + 1
     _, small = lax.scan(step, stencil, None, length=count)
-    return Multigrid(tuple(fine), jax.tree.map(lambda maps: jnp.moveaxis(maps, 0, -3), small))
+    return Hierarchy(tuple(fine), jax.tree.map(lambda maps: jnp.moveaxis(maps, 0, -3), small))
 
 
-def cycle(multigrid: Multigrid) -> Callable[[Array], Array]:
+def cycle(hierarchy: Hierarchy) -> Callable[[Array], Array]:
     """The V-cycle as a function from a residual to an estimate of the error behind it."""
-    small = jax.tree.map(lambda maps: jnp.moveaxis(maps, -3, 0), multigrid.small)
-    return lambda residual: _cycle(multigrid.fine, small, residual)
+    small = jax.tree.map(lambda maps: jnp.moveaxis(maps, -3, 0), hierarchy.small)
+    return lambda residual: _cycle(hierarchy.fine, small, residual)
 
 
 def _cycle(fine: tuple[Level, ...], small: Level, residual: Array) -> Array:

@@ -1,7 +1,17 @@
-"""Preconditioned conjugate gradients on a batch of images, each with its own stopping."""
+"""Preconditioned conjugate gradients on a batch of images, each with its own stopping.
+
+A preconditioner may miss a mode: a region that hangs on the rest by edges a billion times weaker
+than its own has as small a residual, however wrong its level is, and conjugate gradients take long
+to notice. Nothing that is computed from the residual can tell. Where edges are that uneven, a
+*companion* is therefore solved along: the same matrix with a right-hand side whose solution is
+known. Both share the steps of conjugate gradients, so that the same polynomial of the matrix
+multiplies both errors, and that of the companion can simply be looked at. It has a constant, which
+meets the data as the solve itself does, and what repeated preconditioning leaves of waves: just
+the modes that are missed. What the number format loses shows in it, too.
+"""
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -9,6 +19,12 @@ from jax import lax
 from jaxtyping import Array
 
 from ._stencil import Coefficients, inner, largest, product, spread
+
+# Steps that prepare the companion, and the share of its error to that of the solve.
+_PROBES, _SAFETY = 4, 3.0
+# Where the largest is more than this times the smallest, edges are uneven; multigrid was not seen
+# to miss anything below.
+_EVEN = 1e3
 
 
 class Iterate(NamedTuple):
@@ -20,12 +36,32 @@ class Iterate(NamedTuple):
     converged: Array
 
 
+class _Problem(NamedTuple):
+    """What stays the same from step to step."""
+
+    coefficients: Coefficients
+    precondition: Callable[[Array], Array]
+    keep: Array
+    doubtful: Array
+    absolute: Array
+    relative: Array
+    by_residual: bool
+    max_iterations: int
+
+
 class _State(NamedTuple):
+    """The first axis of images is for the solve itself and its companion.
+
+    The value of the companion is its error: it starts at minus its solution.
+    """
+
     probes: Array
-    slowest: Array
     value: Array
     residual: Array
+    guess: Array
     direction: Array
+    moved: Array
+    scale: Array
     energy: Array
     length: Array
     longest: Array
@@ -39,16 +75,15 @@ class _State(NamedTuple):
 def pcg(
     coefficients: Coefficients,
     precondition: Callable[[Array], Array],
-    residual: Array,
+    right: Array,
     keep: Array,
     absolute: Array,
     relative: Array,
     *,
-    probes: Array,
-    stop: str,
+    by_residual: bool,
     max_iterations: int,
 ) -> Iterate:
-    """Solves `A x = residual` from `x = 0`.
+    """Solves `A x = right` from `x = 0`.
 
     Images of a batch share the loop but not the stopping: one that is done takes steps of length
     zero, so that it does not drift.
@@ -56,82 +91,31 @@ def pcg(
     Args:
         coefficients: the matrix, with any leading batch axes.
         precondition: symmetric positive definite; an approximate inverse of the matrix.
-        residual: right-hand side.
+        right: right-hand side.
         keep: pixels that take part; elsewhere the solution stays 0.
         absolute: part of the threshold for the measure of error.
         relative: part of the threshold, as a share of the largest entry of the solution.
-        probes: steps that are spent on probing the preconditioner before the solve. They apply
-            one minus the preconditioned matrix to waves, which leaves what the preconditioner
-            misses: conjugate gradients take long to notice a region that hangs on the rest by
-            edges a million times weaker than its own, as its residual is as small.
-        stop: `"error"` measures the largest entry of the preconditioned residual, `"residual"`
-            the root of the sum of squares of the residual.
+        by_residual: measure the root of the sum of squares of the residual, not the error.
         max_iterations: number of steps at most.
 
     Returns:
         The solution and its statistics.
     """
-    right = residual
-    lowest = 4 * jnp.finfo(right.dtype).eps
-
-    def step(state: _State) -> _State:
-        estimated_error = jnp.where(keep, precondition(state.residual), 0)
-        probing = state.probes > 0
-        energy = inner(state.residual, estimated_error)
-        mixture = jnp.where(state.energy > 0, energy / _nonzero(state.energy), 0)
-        factor = jnp.where(probing, -1, mixture)
-        direction = estimated_error + spread(factor) * state.direction
-        moved = product(coefficients, direction)
-        curvature = inner(direction, moved)
-        able = state.active & (curvature > 0) & (energy > 0) & jnp.isfinite(energy / curvature)
-        able = able & ~probing
-        length = jnp.where(able, energy / _nonzero(curvature), 0)
-        longest, last = _longest(state, mixture, length)
-        # Selected, not multiplied by zero: what cannot be used may be infinite.
-        value = jnp.where(spread(able), state.value + spread(length) * direction, state.value)
-        residual = state.residual - spread(length) * moved
-        residual = jnp.where(spread(able), residual, state.residual)
-        # What is left of the probe, next to what there was before this step.
-        left = largest(direction) / _nonzero(largest(state.direction))
-        slowest = jnp.where(probing, jnp.clip(1 - left, lowest, 1), state.slowest)
-        last_probe = state.probes == 1
-        residual = jnp.where(spread(probing), moved, residual)
-        residual = jnp.where(spread(last_probe), right, residual)
-        direction = jnp.where(spread(last_probe), 0, direction)
-        if stop == "error":
-            # The step is taken after its estimate has been made, so that the answer is better
-            # than the estimate by about the factor of one iteration.
-            estimate = largest(estimated_error) * jnp.maximum(longest, 1 / state.slowest)
-        else:
-            estimate = jnp.sqrt(inner(residual, residual))
-        converged = ~probing & (estimate <= absolute + relative * largest(value))
-        solving = state.active & ~probing
-        return _State(
-            probes=jnp.maximum(state.probes - 1, 0),
-            slowest=slowest,
-            value=value,
-            residual=residual,
-            direction=direction,
-            energy=jnp.where(probing, 0, energy),
-            length=length,
-            longest=longest,
-            last=last,
-            iterations=state.iterations + solving.astype(jnp.int32),
-            estimate=jnp.where(solving, estimate, state.estimate),
-            converged=jnp.where(state.active, converged, state.converged),
-            active=probing | (able & ~converged & (state.iterations + 1 < max_iterations)),
-        )
-
     zero = jnp.zeros(right.shape[:-2], right.dtype)
-    nothing = jnp.zeros_like(right)
-    probing = spread(probes > 0)
-    probe = jnp.where(keep, _probe(right), 0)
+    doubtful = jnp.zeros(zero.shape, bool) if by_residual else _uneven(coefficients)
+    problem = _Problem(
+        coefficients, precondition, keep, doubtful, absolute, relative, by_residual, max_iterations
+    )
+    nothing = jnp.zeros((2, *right.shape), right.dtype)
+    wave = jnp.where(keep & spread(doubtful), _probe(right), 0)
     state = _State(
-        probes=probes,
-        slowest=jnp.ones_like(zero),
+        probes=jnp.where(jnp.any(doubtful), _PROBES, 0),
         value=nothing,
-        residual=jnp.where(probing, product(coefficients, probe), right),
-        direction=jnp.where(probing, probe, 0),
+        residual=jnp.stack([right, product(coefficients, wave)]),
+        guess=nothing,
+        direction=jnp.stack([nothing[0], wave]),
+        moved=nothing,
+        scale=zero,
         energy=zero,
         length=zero,
         longest=zero,
@@ -141,8 +125,137 @@ def pcg(
         converged=jnp.zeros(zero.shape, bool),
         active=jnp.ones(zero.shape, bool),
     )
+
+    def step(state: _State) -> _State:
+        return _step(problem, state)
+
     state = lax.while_loop(lambda state: jnp.any(state.active), step, state)
-    return Iterate(state.value, state.iterations, state.estimate, state.converged)
+    return Iterate(state.value[0], state.iterations, state.estimate, state.converged)
+
+
+def _step(problem: _Problem, state: _State) -> _State:
+    """One step of conjugate gradients, or one that prepares the companion."""
+    probing, last_probe = state.probes > 0, state.probes == 1
+    moved, mixture, curvature = _directed(problem, state)
+    energy = moved.energy
+    able = state.active & (curvature > 0) & (energy > 0) & jnp.isfinite(energy / curvature)
+    able = able & ~probing
+    length = jnp.where(able, energy / _nonzero(curvature), 0)
+    longest, last = _longest(state, mixture, length)
+
+    def walk(i: Array, images: tuple[Array, Array]) -> tuple[Array, Array]:
+        # Selected, not multiplied by zero: what cannot be used may be infinite.
+        steps = (spread(length) * moved.direction[i], -spread(length) * moved.moved[i])
+        return _each(
+            images,
+            i,
+            [jnp.where(spread(able), a[i] + b, a[i]) for a, b in zip(images, steps, strict=True)],
+        )
+
+    value, residual = lax.fori_loop(*_members(problem, state), walk, (state.value, state.residual))
+    moved = _accompanied(problem, moved._replace(value=value, residual=residual))
+
+    size = largest(moved.value[0])
+    if problem.by_residual:
+        estimate = jnp.sqrt(inner(residual[0], residual[0]))
+    else:
+        # The step is taken after its estimate has been made, so that the answer is better than
+        # the estimate by about the factor of one iteration.
+        known = largest(moved.value[1]) * jnp.maximum(size / _nonzero(moved.scale), 1)
+        estimate = largest(moved.guess[0]) * longest
+        estimate = jnp.where(problem.doubtful, jnp.maximum(estimate, _SAFETY * known), estimate)
+    threshold = problem.absolute + problem.relative * size
+    converged = ~probing & (estimate <= threshold)
+    solving = state.active & ~probing
+    # Residuals that are updated fall on when values no longer do: what is left is rounding.
+    own = jnp.maximum(largest(moved.guess[0]), largest(moved.guess[1])) * longest
+    lost = problem.doubtful & (own <= jnp.finfo(own.dtype).eps * threshold)
+    more = able & ~converged & ~lost & (state.iterations + 1 < problem.max_iterations)
+    return moved._replace(
+        probes=jnp.maximum(state.probes - 1, 0),
+        direction=jnp.where(last_probe, 0, moved.direction),
+        energy=jnp.where(probing, 0, energy),
+        length=length,
+        longest=longest,
+        last=last,
+        iterations=state.iterations + solving.astype(jnp.int32),
+        estimate=jnp.where(solving, estimate, state.estimate),
+        converged=jnp.where(state.active, converged, state.converged),
+        active=jnp.where(probing, state.active, more),
+    )
+
+
+def _members(problem: _Problem, state: _State) -> tuple[Array, Array]:
+    """From which image to which: the companion is left out where nothing is in doubt."""
+    first = jnp.where(state.probes > 1, 1, 0)
+    return first, jnp.where(jnp.any(problem.doubtful), 2, 1)
+
+
+def _directed(problem: _Problem, state: _State) -> tuple[_State, Array, Array]:
+    """Preconditions the residuals and makes directions of them.
+
+    Returns:
+        The state with guesses of the errors, directions, their products and the energy; the share
+        of the last direction in the new one; the curvature.
+    """
+    members, zero = _members(problem, state), jnp.zeros_like(state.energy)
+
+    def guessed(i: Array, carry: tuple[Array, Array]) -> tuple[Array, Array]:
+        guess, energy = carry
+        found = jnp.where(problem.keep, problem.precondition(state.residual[i]), 0)
+        return guess.at[i].set(found), energy + inner(state.residual[i], found)
+
+    guess, energy = lax.fori_loop(*members, guessed, (state.guess, zero))
+    mixture = jnp.where(state.energy > 0, energy / _nonzero(state.energy), 0)
+    # A probe applies one minus the preconditioned matrix, which leaves what is missed.
+    factor = jnp.where(state.probes > 0, -1, mixture)
+
+    def turned(i: Array, carry: tuple[Any, Array]) -> tuple[Any, Array]:
+        images, curvature = carry
+        direction = guess[i] + spread(factor) * state.direction[i]
+        moved = product(problem.coefficients, direction)
+        return _each(images, i, [direction, moved]), curvature + inner(direction, moved)
+
+    (direction, moved), curvature = lax.fori_loop(
+        *members, turned, ((state.direction, state.moved), zero)
+    )
+    found = state._replace(guess=guess, direction=direction, moved=moved, energy=energy)
+    return found, mixture, curvature
+
+
+def _accompanied(problem: _Problem, state: _State) -> _State:
+    """While probing, the next probe; after the last one, the companion at its start."""
+    probing, last = state.probes > 0, state.probes == 1
+    # As large as the solution: the first guess of it.
+    scale = jnp.where(last, largest(state.guess[0]), state.scale)
+    share = jnp.where(problem.doubtful, scale / _nonzero(largest(state.direction[1])), 0)
+    share = spread(jnp.where(last, share, 1))
+    constant = jnp.where(problem.keep & spread(problem.doubtful & last), spread(scale), 0)
+    residual = share * state.moved[1] + problem.coefficients.weight * constant
+    residual = jnp.where(probing, residual, state.residual[1])
+    value = jnp.where(last, -share * state.direction[1] - constant, state.value[1])
+    return state._replace(
+        scale=scale,
+        residual=state.residual.at[1].set(residual),
+        value=state.value.at[1].set(value),
+    )
+
+
+def _each(images: tuple[Array, ...], i: Array, values: list[Array]) -> Any:
+    """Puts every value into its stack of images."""
+    return tuple(stack.at[i].set(value) for stack, value in zip(images, values, strict=True))
+
+
+def _uneven(coefficients: Coefficients) -> Array:
+    """Whether edges differ by so much that regions may be missed."""
+    _, tx, ty = coefficients
+    strong = jnp.maximum(largest(tx), largest(ty))
+    return strong > _EVEN * jnp.minimum(_least(tx), _least(ty))
+
+
+def _least(edges: Array) -> Array:
+    """Smallest edge weight that is not zero, per image of a batch."""
+    return jnp.min(jnp.where(edges > 0, edges, jnp.inf), axis=(-2, -1), initial=jnp.inf)
 
 
 def _probe(like: Array) -> Array:

@@ -1,49 +1,250 @@
-"""Options and statistics of the solver."""
+"""What a solver is, and how a solve went."""
+
+import abc
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import equinox as eqx
+import jax
+import jax.numpy as jnp
+import lineax as lx
 from jaxtyping import Array, Bool, Float, Int
 
-from mvedge_jax._params import number
+from mvedge_jax._params import cast, number
 
-_PRECONDITIONERS = ("auto", "multigrid", "banded", "lahbpcg", "jacobi")
-_STOPS = ("error", "residual")
+from ._batches import mapped
+from ._linear import SystemOperator
+from ._pcg import Iterate, pcg
+from ._stencil import Coefficients, inner, largest, reachable, spread
 
 
-class Solver(eqx.Module):
-    r"""How to solve a `System`.
+class SolverState(NamedTuple):
+    """All that a solver knows about a matrix before it sees a right-hand side.
 
     Attributes:
-        tolerance: where to stop, traced; see `stop`.
-        preconditioner: `"multigrid"` (one V-cycle), `"banded"` (exact elimination, for images
-            with a short side, such as epipolar-plane images), `"lahbpcg"` (the locally adapted
-            hierarchical basis of the thesis) or `"jacobi"` (the diagonal; a baseline). `"auto"`
-            takes `"banded"` where the short side has at most 16 of at most 16384 pixels, and
-            `"multigrid"` otherwise.
-        stop: `"error"` stops when the estimated largest error of the solution, in the unit of
-            the labels, is below `tolerance` times the range of the labels. `"residual"` stops when
-            the norm of the residual is below `tolerance` times the norm of the right-hand side,
-            which is how solvers are usually compared and says little about the error where data
-            weights differ by orders of magnitude.
-        max_iterations: steps of conjugate gradients at most.
-
-    Example:
-        >>> Solver(tolerance=1e-6).preconditioner
-        'auto'
+        coefficients: the matrix.
+        hierarchy: what the solver prepared.
+        keep: pixels that positive edges connect with data; elsewhere the matrix is singular.
     """
 
+    coefficients: Coefficients
+    hierarchy: Any
+    keep: Array
+
+
+class AbstractSolver(lx.AbstractLinearSolver[SolverState]):
+    r"""A solver of `System`s, for `diffuse` and, with `linear_operator`, for Lineax.
+
+    What is said about its result is meant to be true: where a solve says that it converged, the
+    error is below the promise, and a number format that cannot keep it says so by not converging.
+
+    Attributes:
+        tolerance: where to stop, traced. The promise is a largest error of the solution, in the
+            unit of the labels, below `tolerance` times the range of the labels; where there are no
+            labels, as in the solves for derivatives, times the largest entry of the solution.
+        by_residual: stop when the norm of the residual is below `tolerance` times the norm of the
+            right-hand side instead, which is how solvers are usually compared and says little
+            about the error where data weights differ by orders of magnitude.
+        max_iterations: steps at most.
+    """
+
+    tolerance: eqx.AbstractVar[Float[Array, ""] | float]
+    by_residual: eqx.AbstractVar[bool]
+    max_iterations: eqx.AbstractVar[int]
+
+    @abc.abstractmethod
+    def prepare(self, coefficients: Coefficients) -> Any:
+        """The hierarchy of a matrix, or of some on a leading axis."""
+
+    @abc.abstractmethod
+    def iterate(
+        self, state: SolverState, right: Array, absolute: Array, relative: Array
+    ) -> Iterate:
+        """Solves from zero until the measure of error is below `absolute + relative max |x|`.
+
+        Args:
+            state: of one matrix, or of some on a leading axis.
+            right: right-hand sides, zero where the matrix is singular.
+            absolute: part of the threshold, unit of the solution, or of `right` if residuals are
+                measured.
+            relative: part of the threshold, as a share of the largest entry of the solution.
+
+        Returns:
+            The solution and its statistics.
+        """
+
+    @abc.abstractmethod
+    def together(self, shape: tuple[int, int]) -> int:
+        """How many images of a size to solve at once under `vmap`."""
+
+    def init(self, operator: Any, options: dict[str, Any]) -> SolverState:
+        """Prepares a matrix.
+
+        Args:
+            operator: made by `linear_operator`.
+            options: none are read.
+
+        Returns:
+            What `compute` needs.
+
+        Raises:
+            TypeError: the operator is another one.
+        """
+        del options
+        if not isinstance(operator, SystemOperator):
+            raise TypeError(
+                f"`{type(self).__name__}` solves what `linear_operator(system)` returns; "
+                f"`operator` is a `{type(operator).__name__}`."
+            )
+        coefficients = operator.coefficients
+        return SolverState(coefficients, *mapped(_prepare, choices(self))(coefficients))
+
+    def compute(
+        self, state: SolverState, vector: Float[Array, "y x"], options: dict[str, Any]
+    ) -> tuple[Array, lx.RESULTS, dict[str, Any]]:
+        """Solves for a right-hand side of any size.
+
+        Args:
+            state: of the matrix.
+            vector: right-hand side, `[y, x]`.
+            options: none are read.
+
+        Returns:
+            The solution, 0 where nothing ties a pixel to data; `lineax.RESULTS`; steps and the
+            measure of error that was compared with the tolerance, unit of the solution.
+        """
+        del options
+        tolerance = jnp.asarray(cast(self.tolerance, vector.dtype))
+        found = solve(self, state, vector, jnp.zeros_like(tolerance), tolerance)
+        solvable = found.converged & ~jnp.any(~state.keep & (vector != 0))
+        kind = lx.RESULTS.where(
+            found.iterations < self.max_iterations,
+            lx.RESULTS.stagnation,
+            lx.RESULTS.max_steps_reached,
+        )
+        kind = lx.RESULTS.where(solvable, lx.RESULTS.successful, kind)
+        isolated = jnp.any(~state.keep & (vector != 0))
+        result = lx.RESULTS.where(isolated, lx.RESULTS.singular, kind)
+        stats = {
+            "num_steps": found.iterations,
+            "max_steps": self.max_iterations,
+            "estimate": found.estimate,
+        }
+        return found.value, result, stats
+
+    def transpose(
+        self, state: SolverState, options: dict[str, Any]
+    ) -> tuple[SolverState, dict[str, Any]]:
+        """The same: the matrix is symmetric."""
+        return state, options
+
+    def conj(
+        self, state: SolverState, options: dict[str, Any]
+    ) -> tuple[SolverState, dict[str, Any]]:
+        """The same: the matrix is real."""
+        return state, options
+
+    def assume_full_rank(self) -> bool:
+        """Yes; pixels that nothing ties to data stay 0."""
+        return True
+
+
+class ConjugateGradients(AbstractSolver):
+    """Conjugate gradients with a preconditioner of the subclass."""
+
     tolerance: Float[Array, ""] | float = number(1e-4)
-    preconditioner: str = eqx.field(static=True, default="auto")
-    stop: str = eqx.field(static=True, default="error")
+    by_residual: bool = eqx.field(static=True, default=False)
     max_iterations: int = eqx.field(static=True, default=1000)
 
     def __check_init__(self) -> None:
-        for name, options in (("preconditioner", _PRECONDITIONERS), ("stop", _STOPS)):
-            if getattr(self, name) not in options:
-                raise ValueError(
-                    f"`{name}` must be one of {options}; it is {getattr(self, name)!r}."
-                )
-        if self.max_iterations < 1:
-            raise ValueError(f"`max_iterations` must be positive; it is {self.max_iterations}.")
+        check_steps(self.max_iterations)
+
+    @abc.abstractmethod
+    def preconditioner(self, hierarchy: Any) -> Callable[[Array], Array]:
+        """The approximate inverse, symmetric and positive definite."""
+
+    def iterate(
+        self, state: SolverState, right: Array, absolute: Array, relative: Array
+    ) -> Iterate:
+        """Conjugate gradients; see `AbstractSolver.iterate`."""
+        return pcg(
+            state.coefficients,
+            self.preconditioner(state.hierarchy),
+            right,
+            state.keep,
+            absolute,
+            relative,
+            by_residual=self.by_residual,
+            max_iterations=self.max_iterations,
+        )
+
+    def together(self, shape: tuple[int, int]) -> int:
+        """As many as share operations that are long enough to be worth starting."""
+        return max(_TOGETHER // (shape[0] * shape[1]), 1)
+
+
+# Pixels that are solved together under `vmap`. Images of more than half of that are solved one
+# after the other: each stops on its own and stays in the cache. Smaller ones share operations, so
+# that these are long enough to be worth starting; larger groups leave the cache and wait for the
+# slowest member.
+_TOGETHER = 1 << 14
+
+
+def check_steps(max_iterations: int) -> None:
+    """Raises a ValueError where no step is allowed."""
+    if max_iterations < 1:
+        raise ValueError(f"`max_iterations` must be positive; it is {max_iterations}.")
+
+
+def choices(solver: AbstractSolver) -> AbstractSolver:
+    """The solver without its numbers, which is hashable and tells compiled solvers apart."""
+    return jax.tree.map(lambda _: 0.0, solver)
+
+
+def solve(
+    solver: AbstractSolver, state: SolverState, right: Array, absolute: Array, relative: Array
+) -> Iterate:
+    """Solves for a right-hand side of any size: squares of 1e-20 are lost in float32.
+
+    Args:
+        solver: its tolerance is not read.
+        state: of the matrix.
+        right: right-hand side, `[y, x]`; ignored where the matrix is singular.
+        absolute: part of the threshold, unit of the solution, or of `right` if residuals are
+            measured.
+        relative: part of the threshold, share of the largest entry of the solution, or of the
+            norm of `right`.
+
+    Returns:
+        The solution, NaN if `right` or the matrix is not finite, and its statistics; the estimate
+        is in the unit of the solution.
+    """
+    right = jnp.where(state.keep, right, 0)
+    size = spread(largest(right))
+    size = jnp.where(size > 0, size, 1)
+    unit, scale = right / size, size[..., 0, 0]
+    absolute = absolute / scale
+    if solver.by_residual:
+        absolute = absolute + relative * jnp.sqrt(inner(unit, unit))
+        relative = jnp.zeros_like(relative)
+    found = mapped(_iterate, choices(solver))(state, unit, absolute, relative)
+    # Sums, because maxima lose NaN on some CPUs.
+    sound = jnp.isfinite(jnp.sum(right) + sum(jnp.sum(maps) for maps in state.coefficients))
+    return found._replace(
+        value=jnp.where(sound, found.value * size, jnp.nan),
+        estimate=found.estimate * scale,
+        converged=found.converged & sound,
+    )
+
+
+def _prepare(solver: AbstractSolver, coefficients: Coefficients) -> tuple[Any, Array]:
+    return solver.prepare(coefficients), reachable(coefficients)
+
+
+def _iterate(
+    solver: AbstractSolver, state: SolverState, right: Array, absolute: Array, relative: Array
+) -> Iterate:
+    return solver.iterate(state, jnp.where(state.keep, right, 0), absolute, relative)
 
 
 class SolveStats(eqx.Module):
@@ -53,8 +254,9 @@ class SolveStats(eqx.Module):
         iterations: steps of conjugate gradients.
         residual: norm of the true residual over the norm of the right-hand side, both without
             the mean label.
-        estimate: the number that was compared with the tolerance: with `stop="error"` the
-            estimated largest error in the unit of the labels.
+        estimate: the number that was compared with the tolerance: the estimated largest error in
+            the unit of the labels, unless the solver goes `by_residual`. NaN if the solver is one
+            of Lineax.
         converged: whether the tolerance was reached. False for NaN in the system.
         isolated: number of pixels without a path of positive edges to any data.
     """

@@ -110,20 +110,6 @@ def reachable(coefficients: Coefficients) -> Array:
     return jnp.where(spread(flooding), flooded, spread(everywhere))
 
 
-def halve(values: Array) -> Array:
-    """Sums of 2x2 pixels; odd sizes are padded with zeros."""
-    y, x = values.shape[-2:]
-    values = pad(values, (0, y % 2), (0, x % 2))
-    rows = values[..., 0::2, :] + values[..., 1::2, :]
-    return rows[..., 0::2] + rows[..., 1::2]
-
-
-def double(values: Array, shape: tuple[int, int]) -> Array:
-    """Repeats pixels 2x2 and crops to `shape`."""
-    repeated = jnp.repeat(jnp.repeat(values, 2, axis=-2), 2, axis=-1)
-    return repeated[..., : shape[0], : shape[1]]
-
-
 def energy(
     coefficients: Coefficients, label: Float[Array, "y x"], value: Float[Array, "y x"]
 ) -> Float[Array, ""]:

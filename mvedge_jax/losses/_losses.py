@@ -129,13 +129,14 @@ class SupervisedWeights(eqx.Module):
 
     Attributes:
         absolute: of the mean absolute error.
-        square: of the mean squared error. The thesis has none; with it, few large errors count.
+        square: of the mean squared error. The thesis has none (0); with it, few large errors
+            count.
         smoothness: of the squared slope of the map where the image is flat (the authors' code
             has 7.5e-4, as a sum).
     """
 
     absolute: Float[Array, ""] = number(1.0)
-    square: Float[Array, ""] = number(0.0)
+    square: Float[Array, ""] = number(3.0)
     smoothness: Float[Array, ""] = number(0.0)
 
 

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from ..warping._forward import landing, z_buffer
+from ..warping import landing, z_buffer
 from ._region import cropped
 
 

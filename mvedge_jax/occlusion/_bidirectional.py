@@ -8,7 +8,7 @@ from jax import lax
 from jaxtyping import Array, Bool, Float
 
 from mvedge_jax._params import cast, number
-from mvedge_jax.diffusion import Solver, System, diffuse, edge_weights
+from mvedge_jax.diffusion import AbstractSolver, AutoSolver, System, diffuse, edge_weights
 from mvedge_jax.epi import EdgePoints
 
 from ._profile import profiles, step_response
@@ -63,7 +63,7 @@ def bidirectional(
     *,
     normalised: bool = False,
     taps: str = "centred",
-    solver: Solver | None = None,
+    solver: AbstractSolver | None = None,
 ) -> Bidirectional:
     r"""Diffuses the labels from either side of their edges and compares the depth profiles.
 
@@ -85,7 +85,7 @@ def bidirectional(
     Source: Thesis 4.2.2, Eq. 4.8-4.11; 4.3; Eq. 6.3 (as corrected).
     """
     params = cast(params, gray.dtype)
-    solver = Solver(tolerance=jnp.asarray(1e-3, gray.dtype)) if solver is None else solver
+    solver = AutoSolver(tolerance=jnp.asarray(1e-3, gray.dtype)) if solver is None else solver
     tx, ty = edge_weights(image_smoothness(gray, params))
     shift = params.offset * points.normal
 

@@ -14,18 +14,16 @@ from ._exposure import (
     rough_exposure as rough_exposure,
 )
 from ._filters import box_mean as box_mean, gaussian as gaussian, highest as highest
+from ._grid import Grid as Grid, grid_of as grid_of, look_around as look_around
+from ._look import Look as Look, look as look, view_weights as view_weights
 from ._measure import (
-    Look as Look,
-    Measuring as Measuring,
     PhotometricLabels as PhotometricLabels,
-    PhotometricParams as PhotometricParams,
     labels as labels,
-    look as look,
     mismatch as mismatch,
     photometric_labels as photometric_labels,
     shared as shared,
-    view_weights as view_weights,
 )
+from ._measuring import Measuring as Measuring, PhotometricParams as PhotometricParams
 from ._noise import Noise as Noise, measure_noise as measure_noise
 from ._paths import aggregate as aggregate
 from ._pooling import pooled as pooled

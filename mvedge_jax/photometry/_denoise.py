@@ -83,23 +83,24 @@ def low_pass(arms: tuple[Arm, Arm], noise: Noise, sigma: Float[Array, ""]) -> Sm
         Differentiable.
     """
     alpha = noise.alpha
-
-    def blurred(planes: tuple[Array, Array]) -> tuple[Array, Array]:
-        first, second = (image + alpha * (gaussian(image, sigma, 3) - image) for image in planes)
-        return first, second
-
-    planes = lax.cond(
-        alpha > 0,
-        jax.checkpoint(blurred),
-        lambda planes: planes,
-        (arms[0].planes, arms[1].planes),
-    )
+    planes = tuple(soften(arm.planes, noise, sigma) for arm in arms)
     taps = gaussian_taps(sigma, 3)
     middle, energy = taps[3] ** 2, jnp.sum(taps**2) ** 2
     kept = (1 - alpha) ** 2 + 2 * alpha * (1 - alpha) * middle + alpha**2 * energy
     horizontal, vertical = (arm._replace(planes=p) for arm, p in zip(arms, planes, strict=True))
     white = _derivative_energy(taps, jnp.zeros_like(alpha))
     return Smoothed((horizontal, vertical), kept, _derivative_energy(taps, alpha) / white)
+
+
+def soften(
+    images: Float[Array, "s c y x"], noise: Noise, sigma: Float[Array, ""]
+) -> Float[Array, "s c y x"]:
+    """`low_pass` for images in any order."""
+
+    def blurred(images: Array) -> Array:
+        return images + noise.alpha * (gaussian(images, sigma, 3) - images)
+
+    return lax.cond(noise.alpha > 0, jax.checkpoint(blurred), lambda images: images, images)
 
 
 def _derivative_energy(taps: Float[Array, " k"], alpha: Float[Array, ""]) -> Float[Array, ""]:

@@ -4,13 +4,14 @@ from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 from jaxtyping import Array, Float
 
-from mvedge_jax._crosshair import Arm, crosshair
+from mvedge_jax._crosshair import Arm
 from mvedge_jax.lightfield import LightField
 
-from ._filters import convolved, gaussian_taps
+from ._filters import gaussian_taps
 
 # Where the 99th percentile of a bright, matt scene lies; floors are meant for such scenes.
 _BRIGHT = 0.56
@@ -19,6 +20,8 @@ _BRIGHTEST = 16.0
 _GAIN_PRIOR = 0.002
 # Parallax errs alike over some 4x4 places: so many of them count as one.
 _ALIKE = 16
+# Standard deviation and reach of the blur that keeps noise from shrinking gains, px.
+_BLUR, _REACH = 2.0, 5
 
 
 class _Ratio(NamedTuple):
@@ -34,8 +37,8 @@ class Exposure(NamedTuple):
     Attributes:
         scale: factor for all views, which makes dark ones as bright as floors and weights expect,
             1..16.
-        gain: brightness of each view of the crosshair relative to the centre view, `[v, u]`, by
-            which it is divided; 1 for the other views.
+        gain: brightness of each view relative to the centre view, `[v, u]`, by which it is divided;
+            1 for views that were not asked for.
     """
 
     scale: Float[Array, ""]
@@ -135,7 +138,11 @@ def rough_exposure(light_field: LightField) -> Exposure:
 
 
 def exposure_along(
-    light_field: LightField, scale: Float[Array, ""], disparity: Float[Array, "y x"]
+    light_field: LightField,
+    scale: Float[Array, ""],
+    disparity: Float[Array, "y x"],
+    *,
+    every: bool = False,
 ) -> Exposure:
     """Gains by robust regression of every view on the centre one, along a disparity map.
 
@@ -143,9 +150,10 @@ def exposure_along(
     from shrinking the gains, and what the map or an occlusion gets wrong is an outlier.
 
     Args:
-        light_field: the views as they came; its crosshair is read.
+        light_field: the views as they came.
         scale: see `Exposure`.
         disparity: px per view step, `[y, x]`.
+        every: measure all views, not those of the crosshair alone.
 
     Returns:
         Gains to about 0.2 %. Differentiable in the views and the map.
@@ -159,24 +167,36 @@ def exposure_along(
         >>> [round(float(found[v, u]), 3) for v, u in ((0, 1), (1, 0))]
         [1.1, 0.9]
     """
-    horizontal, vertical = crosshair(light_field)
-    return Exposure(
-        scale,
-        _gains(
-            _regressed(horizontal, disparity), _regressed(vertical, disparity.T), light_field.views
-        ),
+    views, (rows, columns) = light_field.views, light_field.views.shape[:2]
+    own = light_field.centre
+    places = [
+        (v, u) for v in range(rows) for u in range(columns) if every or v == own[0] or u == own[1]
+    ]
+    v, u = (np.asarray(axis) for axis in zip(*places, strict=True))
+    found = _regressed(
+        views[v, u],
+        light_field.steps[v, u].astype(views.dtype),
+        light_field.available[v, u],
+        places.index(own),
+        disparity,
     )
+    gain = jnp.ones((rows, columns), views.dtype).at[v, u].set(_earned(found))
+    return Exposure(scale, gain)
 
 
 def _gains(across: _Ratio, down: _Ratio, views: Array) -> Float[Array, "v u"]:
-    """Gains on the grid of views, drawn to 1 where they hardly differ or are badly known."""
-    logs = jnp.log(jnp.concatenate([across.gain, down.gain]))
-    error = jnp.mean(jnp.concatenate([across.variance, down.variance]))
-    excess = jnp.maximum(jnp.mean(logs**2) - 2 * error, 0)
-    earned = excess / (excess + _GAIN_PRIOR**2)
-    row, column = jnp.split(jnp.exp(earned * logs), [across.gain.shape[0]])
+    """Gains of the crosshair on the grid of views."""
+    both = _Ratio(*(jnp.concatenate(pair) for pair in zip(across, down, strict=True)))
+    row, column = jnp.split(_earned(both), [across.gain.shape[0]])
     gain = jnp.ones(views.shape[:2], views.dtype)
     return gain.at[views.shape[0] // 2].set(row).at[:, views.shape[1] // 2].set(column)
+
+
+def _earned(found: _Ratio) -> Float[Array, " s"]:
+    """Gains, drawn to 1 where they hardly differ or are badly known."""
+    logs, error = jnp.log(found.gain), jnp.mean(found.variance)
+    excess = jnp.maximum(jnp.mean(logs**2) - 2 * error, 0)
+    return jnp.exp(excess / (excess + _GAIN_PRIOR**2) * logs)
 
 
 def _median(values: Float[Array, "s n"], known: Array) -> Float[Array, " s"]:
@@ -188,36 +208,32 @@ def _median(values: Float[Array, "s n"], known: Array) -> Float[Array, " s"]:
     return jnp.where(count > 0, jnp.where(count > 0, found, 1), 1)
 
 
-def _regressed(arm: Arm, disparity: Float[Array, "y x"]) -> _Ratio:
-    """Gain of every view of an arm."""
+def _regressed(
+    views: Float[Array, "s y x c"],
+    steps: Float[Array, "s 2"],
+    available: Array,
+    centre: int,
+    disparity: Float[Array, "y x"],
+) -> _Ratio:
+    """Gain of every view."""
     height, width = disparity.shape
     stride = min(16, max(1, min(height, width) // 24))
-    taps = gaussian_taps(jnp.asarray(2.0, disparity.dtype), 5)
-    margin = ((0, 0), (0, 0), (5, 5), (0, 0))
-    tall = jnp.pad(arm.planes, margin, mode="edge")
-    rows = [
-        taps[i] * lax.slice_in_dim(tall, i, i + height, stride=stride, axis=2)
-        for i in range(taps.shape[0])
-    ]
-    blurred = convolved(sum(rows[1:], rows[0]), taps, -1)
-    columns = jnp.arange(0, width, stride)
-    place = columns.astype(disparity.dtype)[None, None] + (
-        arm.steps[:, None, None] * disparity[None, ::stride, ::stride]
-    )
-    whole = jnp.floor(place)
-    index = whole.astype(jnp.int32)
-    part = (place - whole)[:, None]
+    coarse = disparity[::stride, ::stride]
+    rows = jnp.arange(0, height, stride, dtype=coarse.dtype)[:, None]
+    columns = jnp.arange(0, width, stride, dtype=coarse.dtype)[None]
 
-    def at(position: Array) -> Array:
-        return jnp.take_along_axis(blurred, jnp.clip(position, 0, width - 1)[:, None], axis=3)
+    def look(item: tuple[Array, Array, Array]) -> tuple[Array, Array]:
+        view, (right, down), there = item
+        x, y = columns + right * coarse, rows + down * coarse
+        inside = (x >= 0) & (x <= width - 1) & (y >= 0) & (y <= height - 1)
+        return _blurred_at(view, x, y), inside & there
 
-    seen = (1 - part) * at(index) + part * at(index + 1)
-    own = seen[arm.centre]
-    inside = ((place >= 0) & (place <= width - 1))[:, None]
+    seen, known = lax.map(look, (views, steps, available))
+    own = seen[centre]
     shown = (own > 0.1 * jnp.median(own)) & (own > 0) & (own < 0.97)
-    known = inside & shown[None] & (seen < 0.97) & arm.available[:, None, None, None]
-    views = arm.planes.shape[0]
-    seen, known = seen.reshape(views, -1), known.reshape(views, -1)
+    known = known[..., None] & shown[None] & (seen < 0.97)
+    count = seen.shape[0]
+    seen, known = seen.reshape(count, -1), known.reshape(count, -1)
     own = jnp.broadcast_to(own.reshape(1, -1), seen.shape)
     gain = _median(seen / jnp.where(known, own, 1), known)
     variance = jnp.zeros_like(gain)
@@ -230,3 +246,31 @@ def _regressed(arm: Arm, disparity: Float[Array, "y x"]) -> _Ratio:
         gain = jnp.where(power > 0, fitted, 1)
         variance = jnp.where(power > 0, spread**2 / jnp.where(power > 0, power, 1), 0)
     return _Ratio(gain, variance)
+
+
+def _blurred_at(image: Float[Array, "y x c"], x: Array, y: Array) -> Float[Array, "*p c"]:
+    """Gaussian means of an image around positions, borders repeated."""
+    height, width, channels = image.shape
+    size = 2 * _REACH + 2
+    margin = (_REACH, _REACH + 1)
+    padded = jnp.pad(image, (margin, margin, (0, 0)), mode="edge")
+    x, y = jnp.clip(x, 0, width - 1), jnp.clip(y, 0, height - 1)
+    column, row = jnp.floor(x), jnp.floor(y)
+
+    gaussian = gaussian_taps(jnp.asarray(_BLUR, image.dtype), _REACH)
+    before, after = jnp.pad(gaussian, (0, 1)), jnp.pad(gaussian, (1, 0))
+
+    def taps(part: Array) -> Array:
+        # Between pixels, blurred values are interpolated linearly.
+        return (1 - part)[..., None] * before[None, None] + part[..., None] * after[None, None]
+
+    windows = lax.gather(
+        padded,
+        jnp.stack([row, column], axis=-1).astype(jnp.int32),
+        lax.GatherDimensionNumbers(
+            offset_dims=(2, 3, 4), collapsed_slice_dims=(), start_index_map=(0, 1)
+        ),
+        (size, size, channels),
+        mode="promise_in_bounds",
+    )
+    return jnp.einsum("yxi,yxj,yxijc->yxc", taps(y - row), taps(x - column), windows)

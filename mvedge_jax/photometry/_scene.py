@@ -13,9 +13,12 @@ from mvedge_jax.color import srgb_to_lab
 from mvedge_jax.lightfield import LightField
 
 from ._cost import VolumeParams, hypotheses
-from ._denoise import denoised, low_pass
+from ._denoise import denoised, low_pass, soften
 from ._exposure import Exposure, exposed_arms, exposure_along, rough_exposure
-from ._measure import Measuring, PhotometricLabels, PhotometricParams, labels, look, shared
+from ._grid import Grid, grid_of
+from ._look import look
+from ._measure import PhotometricLabels, labels, shared
+from ._measuring import Measuring, PhotometricParams
 from ._noise import Noise, measure_noise
 from ._spline import spline_coefficients
 
@@ -52,13 +55,13 @@ class Sight(NamedTuple):
         arms: of the crosshair, low-passed as the noise asks.
         splines: the same as coefficients of cubic splines along the arms.
         params: of the measurement in views of this noise.
-        views: number of views in an arm, the mean of both.
+        grid: all views, where they are asked for.
     """
 
     arms: tuple[Arm, Arm]
     splines: tuple[Arm, Arm]
     params: Measuring
-    views: Float[Array, ""]
+    grid: Grid | None = None
 
 
 def hypothesis_count(span: float, steps: int) -> int:
@@ -95,6 +98,7 @@ def prepare(
     *,
     window: int,
     search: bool = True,
+    every: bool = False,
 ) -> Scene:
     """Measures exposure, gains and noise, and finds the first map.
 
@@ -107,6 +111,7 @@ def prepare(
         params: of the hypotheses.
         window: half the width of their windows, px.
         search: find a first map.
+        every: measure the gains of all views along it, not of the crosshair alone.
 
     Returns:
         The scene. Differentiable in views and parameters at the hypotheses chosen.
@@ -130,16 +135,17 @@ def prepare(
         return hypotheses(*soft, lab, disparities, params, noise=noise, window=window)
 
     first = searched(arms, lab, noise, params)
-    exposure = exposure_along(light_field, exposure.scale, first)
+    exposure = exposure_along(light_field, exposure.scale, first, every=every)
     return Scene(exposed_arms(own, exposure), exposure, noise, guide, lab, first)
 
 
-def sight(scene: Scene, params: PhotometricParams) -> Sight:
+def sight(scene: Scene, params: PhotometricParams, *, every: LightField | None = None) -> Sight:
     """Low-passes the views as far as their noise asks, and says what that does to measurements.
 
     Args:
         scene: see `prepare`.
         params: of the measurement in views without noise.
+        every: the light field, if all of its views are to be measured in.
 
     Returns:
         Views and parameters for `look` and `labels`. Differentiable.
@@ -163,9 +169,17 @@ def sight(scene: Scene, params: PhotometricParams) -> Sight:
     horizontal, vertical = (
         arm._replace(planes=spline_coefficients(arm.planes, axis=-1)) for arm in arms
     )
-    there = jnp.concatenate([arm.available for arm in arms])
-    views = 0.5 * jnp.sum(there.astype(scene.lab.dtype))
-    return Sight(arms, (horizontal, vertical), measuring, views)
+    grid = None if every is None else _whole_grid(scene, every, sigma)
+    return Sight(arms, (horizontal, vertical), measuring, grid)
+
+
+def _whole_grid(scene: Scene, every: LightField, sigma: Float[Array, ""]) -> Grid:
+    """All views as `sight` has those of the crosshair."""
+    factor = scene.exposure.scale / scene.exposure.gain.reshape(-1)
+    views = every.views.reshape(-1, *every.views.shape[2:])
+    planes = jnp.moveaxis(views, -1, 1) * factor[:, None, None, None]
+    soft = soften(planes, scene.noise, sigma)
+    return grid_of(soft, every.steps.reshape(-1, 2), every.available.reshape(-1))
 
 
 def first_labels(scene: Scene, seen: Sight, *, radius: int, passes: int) -> PhotometricLabels:
@@ -187,5 +201,5 @@ def first_labels(scene: Scene, seen: Sight, *, radius: int, passes: int) -> Phot
     if first is None:
         raise ValueError("`scene` has no first map; prepare it with `search=True`.")
     found = look(*seen.splines, first, seen.params, radius=radius)
-    measured = labels(found, lab, first, seen.params, seen.views, passes=passes)
+    measured = labels(found, lab, first, seen.params, passes=passes)
     return shared(measured, lab, seen.params, passes=passes)

@@ -35,3 +35,22 @@ def spline_coefficients(values: Float[Array, "*s"], *, axis: int) -> Float[Array
         kernel[0] * padded[..., :size],
     )
     return jnp.moveaxis(total, -1, axis)
+
+
+def cubic_taps(fraction: Float[Array, "*s"]) -> tuple[tuple[Array, ...], tuple[Array, ...]]:
+    """Weights of the four coefficients around a position, and their derivatives.
+
+    Args:
+        fraction: of a pixel, from the second of the four to the position, in [0, 1].
+
+    Returns:
+        Weights of value and of slope, four each.
+    """
+    f, g = fraction, 1 - fraction
+    values = (
+        g * g * g / 6,
+        (4 + f * f * (3 * f - 6)) / 6,
+        (4 + g * g * (3 * g - 6)) / 6,
+        f * f * f / 6,
+    )
+    return values, (-0.5 * g * g, f * (1.5 * f - 2), g * (2 - 1.5 * g), 0.5 * f * f)

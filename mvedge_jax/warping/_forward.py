@@ -46,10 +46,18 @@ def landing(
     return index, stays
 
 
-def z_buffer(key: Float[Array, "y x"], index: Int[Array, "y x"]) -> Float[Array, "_"]:
-    """Largest `key` that lands on each pixel, -inf where none does; the last entry is a bin."""
-    buffer = jnp.full(key.size + 1, -jnp.inf, key.dtype)
-    return buffer.at[index.ravel()].max(key.ravel(), mode="promise_in_bounds")
+def z_buffer(order: Float[Array, "y x"], index: Int[Array, "y x"]) -> Float[Array, "_"]:
+    """What is nearest of all that lands on each pixel.
+
+    Args:
+        order: of every pixel, larger is nearer.
+        index: where each pixel lands, see `landing`.
+
+    Returns:
+        Flat, -inf where nothing lands; the last entry is a bin for what leaves the view.
+    """
+    buffer = jnp.full(order.size + 1, -jnp.inf, order.dtype)
+    return buffer.at[index.ravel()].max(order.ravel(), mode="promise_in_bounds")
 
 
 def forward_warp(

@@ -71,3 +71,12 @@ def test_lineax_operator():
     assert lx.is_positive_semidefinite(operator)
     solution = lx.linear_solve(operator, system.right_hand_side(), lx.CG(1e-12, 1e-12))
     np.testing.assert_allclose(solution.value, direct(system), rtol=0, atol=1e-8)
+
+
+def test_the_operator_as_lineax_sees_it():
+    system = random_system(4, 5, key=jax.random.key(7))
+    operator, matrix = linear_operator(system), system.to_scipy().toarray()
+    for dense in (operator, lx.materialise(operator), lx.conj(operator.T)):
+        np.testing.assert_allclose(dense.as_matrix(), matrix, rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(lx.diagonal(operator), np.diag(matrix), rtol=1e-14)
+    assert not lx.is_diagonal(operator)

@@ -7,7 +7,7 @@ import pytest
 from helpers import check_gradient, count_traces
 
 from mvedge_jax._crosshair import crosshair
-from mvedge_jax.diffusion import Solver
+from mvedge_jax.diffusion import AutoSolver
 from mvedge_jax.epi import EdgePoints
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.occlusion import (
@@ -203,7 +203,7 @@ def test_no_points_at_all_is_a_flat_map():
 
 def test_gradient_of_the_passes_matches_differences():
     points, gray, _ = square_wave()
-    solver = Solver(tolerance=jnp.asarray(1e-9))
+    solver = AutoSolver(tolerance=jnp.asarray(1e-9))
 
     def loss(tree):
         disparity, logs = tree

@@ -9,8 +9,8 @@ from mvedge_jax.lightfield import LightField
 from mvedge_jax.photometry import spline_coefficients
 
 
-def plane_arms(disparity, *, views=(5, 5), size=(20, 28), noise=0.0, seed=0, splines=True):
-    """Arms of a fronto-parallel plane with a smooth random texture, sampled from a spline."""
+def plane_views(disparity, *, views=(5, 5), size=(20, 28), noise=0.0, seed=0):
+    """A fronto-parallel plane with a smooth random texture, sampled from a spline."""
     rng = np.random.default_rng(seed)
     pad = 10
     texture = rng.uniform(size=(size[0] + 2 * pad, size[1] + 2 * pad, 3))
@@ -22,7 +22,12 @@ def plane_arms(disparity, *, views=(5, 5), size=(20, 28), noise=0.0, seed=0, spl
         for c in range(3):
             grid[v, u, ..., c] = ndimage.map_coordinates(texture[..., c], place, order=3)
     grid += noise * rng.standard_normal(grid.shape)
-    arms = crosshair(LightField(jnp.asarray(np.clip(grid, 0, 1))))
+    return LightField(jnp.asarray(np.clip(grid, 0, 1)))
+
+
+def plane_arms(disparity, *, splines=True, **choices):
+    """The arms of `plane_views`."""
+    arms = crosshair(plane_views(disparity, **choices))
     if not splines:
         return arms
     return tuple(a._replace(planes=spline_coefficients(a.planes, axis=-1)) for a in arms)

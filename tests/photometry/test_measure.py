@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers import check_gradient, random_like
+from helpers import check_gradient, random_like, with_values
 from photometry.planes import plane_arms
 
 from mvedge_jax.photometry import (
@@ -19,11 +19,6 @@ from mvedge_jax.photometry import (
 
 # Of one colour, so that no neighbour is left out for its own.
 PLAIN = jnp.zeros((3, 20, 28))
-
-
-def with_values(parameters, **values):
-    """Parameters with some numbers set."""
-    return parameters(**{name: jnp.asarray(value) for name, value in values.items()})
 
 
 def test_a_photometric_step_finds_the_plane_and_knows_how_well():
@@ -85,7 +80,7 @@ def small_problem():
     def loss(tree):
         planes, lab, disparity, params = tree
         around = look(across._replace(planes=planes), down, disparity, params, radius=2)
-        found = labels(around, lab, disparity, params, jnp.asarray(3.0), passes=1)
+        found = labels(around, lab, disparity, params, passes=1)
         residual = mismatch(around, lab, disparity, params, passes=1)
         sure = jnp.sum(1 / (1 + 1e4 * found.variance))
         return jnp.sum(found.disparity**2) + sure + jnp.sum(jnp.sqrt(residual + 1e-6))
@@ -155,13 +150,14 @@ def test_elimination_equals_the_regression_with_all_unknowns():
         information=jnp.asarray(information),
         power=jnp.asarray(power),
         freedom=jnp.asarray(freedom),
+        views=jnp.asarray(9.0),
+        cross=None,
         spread=(jnp.asarray(spread[..., 0]), jnp.asarray(spread[..., 1])),
         slope=per_arm(slope),
         trend=per_arm(trend),
     )
     params = with_values(Measuring, gradient_noise=0.0, largest_step=1e6, stiffness=2.0)
-    views = jnp.asarray(9.0)
-    labels_ = labels(found, jnp.zeros((3, *shape)), jnp.zeros(shape), params, views, passes=1)
+    labels_ = labels(found, jnp.zeros((3, *shape)), jnp.zeros(shape), params, passes=1)
     taps = np.outer([0.5, 1, 0.5], [0.5, 1, 0.5])
 
     def window(field):

@@ -1,0 +1,22 @@
+"""Dense depth of the centre view from multi-view edges (Thesis 6.1)."""
+
+from ._edge_to_depth import (
+    DepthResult as DepthResult,
+    DepthStats as DepthStats,
+    edge_to_depth as edge_to_depth,
+)
+from ._parameters import (
+    CentreParams as CentreParams,
+    Parameters as Parameters,
+    Sizes as Sizes,
+)
+from ._sharpen import (
+    MedianParams as MedianParams,
+    Sharpening as Sharpening,
+    sharpen as sharpen,
+    weighted_median as weighted_median,
+)
+from ._smoothness import (
+    SmoothnessParams as SmoothnessParams,
+    edge_smoothness as edge_smoothness,
+)

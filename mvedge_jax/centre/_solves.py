@@ -1,0 +1,267 @@
+"""The solves of the centre view: labels, measured anew around every map, and their diffusion."""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Float
+
+from mvedge_jax._fence import recomputed
+from mvedge_jax.diffusion import AutoSolver, System, diffuse
+from mvedge_jax.photometry import (
+    Look,
+    Measuring,
+    PhotometricLabels,
+    Sight,
+    gaussian,
+    labels,
+    look,
+    look_around,
+    mismatch,
+)
+
+from ._parameters import CentreParams, Parameters, Sizes
+from ._slant import rises, slope_labels
+from ._smoothness import edge_smoothness
+
+# A point whose disparity differs by this from the map, px, has a quarter of its weight.
+AGREEMENT = 0.15
+# Weight of the previous map itself, so that no region is without any label.
+_ANCHOR = 1e-6
+# A pixel follows the sharpened map unless its residual grows by more than this factor (plus twice
+# this, squared noise): the median would swallow structures that are thinner than half of its
+# window, and the views know better. At first thin structures are not yet fitted to the views.
+_WORSE_FIRST, _WORSE = 1.2, 2.0
+# Differences of neighbours beyond this, px, are steps rather than slopes.
+_STEEPEST = 0.3
+# Weight of the slope 0 against that of a perfect label.
+_FLAT = 1e-4
+# Standard deviation and reach, px, of the Gaussian that a map passes before its steps cut edges.
+_BLUR, _BLUR_REACH = 0.5, 2
+# Labels beside each other share views and windows, so that their mean is known less well than their
+# own standard errors say. From five scenes, in which 93 % of all pixels are then within twice the
+# error (`experiments/calibration.py`).
+_SHARED = 1.2
+# A depth step is found to half a pixel.
+_MISPLACED = 0.5
+# Solves whose labels are measured in all views, where these are asked for.
+_AROUND = 2
+# Interpolation errs alike in all views: no label of so many is known better than this, px.
+_ALIKE = 0.003
+# Which of the four diffusions is which; those of the slopes come first.
+_MAP, _ERROR = 2, 3
+
+
+class Labels(NamedTuple):
+    """Labels and data weights per pixel."""
+
+    weight: Array
+    value: Array
+
+
+class Map(NamedTuple):
+    """A map, the standard error of its labels, and how the diffusions went."""
+
+    disparity: Array
+    error: Array
+    iterations: Array
+    converged: Array
+
+
+def sparse_map(labels: Labels, lab: Array, start: Array, params: Parameters, sizes: Sizes) -> Map:
+    """Repeated diffusion of the points' labels alone."""
+
+    def solve(state: tuple[Array, Array], turn: Array) -> Any:
+        smooth = _smooth(state[0])
+        edges = edge_smoothness(lab, smooth, params.smoothness)
+        last = turn == sizes.solves - 1
+        return _solved(
+            labels, edges, state[0], params.centre, sizes, sloped=jnp.asarray(False), last=last
+        )
+
+    return Map(*_repeated(solve, start, sizes.solves))
+
+
+def dense_map(
+    from_points: Labels,
+    views: Sight,
+    lab: Array,
+    first: Array,
+    sharper: Callable[[Array], Array],
+    params: Parameters,
+    sizes: Sizes,
+) -> Map:
+    """Repeated measurement in the views and diffusion, with slopes from the second solve on."""
+
+    def seen(disparity: Array) -> tuple[Look, Array]:
+        found = look(*views.splines, disparity, views.params, radius=sizes.radius)
+        residual = mismatch(found, lab, disparity, views.params, passes=sizes.passes)
+        if views.grid is not None:
+            found = found._replace(cross=jnp.zeros_like(disparity))
+        return found, residual
+
+    def plain(disparity: Array, turn: Array) -> tuple[Array, Look]:
+        return disparity, seen(disparity)[0]
+
+    def sharpened(disparity: Array, turn: Array) -> tuple[Array, Look]:
+        both = jnp.stack([disparity, sharper(disparity)])
+        found, (before, after) = lax.map(jax.checkpoint(seen), both)
+        slack = jnp.where(turn == 0, _WORSE_FIRST, _WORSE).astype(disparity.dtype)
+        keep = after > slack * (before + 2 * views.params.noise**2)
+        # What was seen of the chosen map need not be looked up again.
+        kept, shown = jax.tree.map(lambda pair: jnp.where(keep, pair[0], pair[1]), (both, found))
+        return kept, shown._replace(views=found.views[0])
+
+    def around(disparity: Array, turn: Array) -> tuple[Array, Look]:
+        assert views.grid is not None
+        return disparity, look_around(views.grid, disparity, views.params, radius=sizes.radius)
+
+    # Sharpening inside of the loop, at its turn, keeps the program small: one solver, not two.
+    if sizes.sharpening == "none":
+        ways, order = [plain], [0] * sizes.solves
+    else:
+        ways, order = [plain, sharpened], [1, *[0] * (sizes.solves - 1)] * 2
+    if views.grid is not None:
+        order += [len(ways)] * _AROUND
+        ways.append(around)
+    turns, chosen = len(order), jnp.asarray(order)
+
+    def solve(state: tuple[Array, Array], turn: Array) -> Any:
+        disparity, _ = state
+        disparity, found = lax.switch(chosen[turn], ways, disparity, turn)
+        measured = labels(found, lab, disparity, views.params, passes=sizes.passes)
+        sparse = from_points
+        if views.grid is not None:
+            # Points were measured in the crosshair, and have no say against all views.
+            every = chosen[turn] == len(ways) - 1
+            sparse = sparse._replace(weight=jnp.where(every, 0, sparse.weight))
+            least = jnp.where(every, _ALIKE**2, 0).astype(disparity.dtype)
+            measured = measured._replace(variance=measured.variance + least)
+        both = _with_dense(sparse, measured, disparity, params.centre, views.params)
+        smooth = _smooth(disparity)
+        edges = edge_smoothness(lab, smooth, params.smoothness)
+        return _solved(
+            both, edges, disparity, params.centre, sizes, sloped=turn > 0, last=turn == turns - 1
+        )
+
+    return Map(*_repeated(solve, first, turns))
+
+
+def _repeated(solve: Callable[..., Any], start: Array, turns: int) -> tuple[Array, ...]:
+    """Runs `solve` from a map: the fields of a `_Map`."""
+    state = (start, jnp.zeros_like(start))
+    (disparity, error), (iterations, converged) = lax.scan(
+        recomputed(solve), state, jnp.arange(turns)
+    )
+    return disparity, error, iterations, jnp.all(converged)
+
+
+def standard_error(
+    of_labels: Float[Array, "y x"], disparity: Float[Array, "y x"]
+) -> Float[Array, "y x"]:
+    """That of the labels, and of the place of the map's steps; infinite without labels."""
+    across, down = jnp.abs(jnp.diff(disparity, axis=1)), jnp.abs(jnp.diff(disparity, axis=0))
+    steepest = jnp.zeros_like(disparity)
+    for side in ((0, 1), (1, 0)):
+        steepest = jnp.maximum(steepest, jnp.pad(across, ((0, 0), side)))
+        steepest = jnp.maximum(steepest, jnp.pad(down, (side, (0, 0))))
+    known = of_labels > 0
+    labels = _SHARED * jnp.where(known, of_labels, 1)
+    return jnp.where(known, jnp.sqrt(labels**2 + (_MISPLACED * steepest) ** 2), jnp.inf)
+
+
+class _Solve(NamedTuple):
+    """One diffusion of the four: those of either slope, of the map and of its error."""
+
+    which: Array
+    wanted: Array
+    weight: Array
+    label: Array
+    start: Array
+    stiffness: Array
+    tolerance: Array
+
+
+def _solved(
+    labels: Labels,
+    edges: tuple[Array, Array],
+    start: Array,
+    params: CentreParams,
+    sizes: Sizes,
+    *,
+    sloped: Array,
+    last: Array,
+) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
+    """Diffuses labels into a map, from `start`; if `sloped`, along the slopes of `start`.
+
+    For either slope, for the map and, at `last`, for its error, a solve each, one after the other
+    by a loop: the solver compiles slowly.
+
+    Returns:
+        The map and, at `last`, the standard error of the labels that every pixel is made from, 0
+        without labels; iterations and convergence of the map's own solve.
+    """
+    held, slopes = slope_labels(start, labels.weight, edges, steepest=_STEEPEST, flat=_FLAT)
+    # What a label of this weight is known to, and at best a tenth of what counts half.
+    uncertain = params.precision * jnp.sqrt(1 / jnp.clip(labels.weight, 1e-9, 0.99) - 1)
+    slope, whole, nothing = params.slant, params.smoothness, jnp.zeros_like(start)
+    solves = _Solve(
+        which=jnp.arange(4),
+        wanted=jnp.stack([sloped, sloped, jnp.asarray(True), last]),
+        weight=jnp.concatenate([held, jnp.stack([labels.weight, labels.weight])]),
+        label=jnp.concatenate([slopes, jnp.stack([labels.value, uncertain])]),
+        start=jnp.stack([nothing, nothing, start, nothing]),
+        stiffness=jnp.stack([slope, slope, whole, whole]),
+        tolerance=sizes.tolerance * jnp.asarray([10, 10, 1, 10], start.dtype),
+    )
+
+    def solve(found: Array, of: _Solve) -> tuple[Array, tuple[Array, Array]]:
+        asked = [jnp.where(of.which == _MAP, rise, 0) for rise in rises(found[:_MAP])]
+        tx, ty = (of.stiffness * t for t in edges)
+
+        def solved() -> tuple[Array, tuple[Array, Array]]:
+            system = System(of.weight, of.label, tx, ty, *asked)
+            # By the estimated error, solves take up to five times the steps for the same map: most
+            # of that error is in pixels without any label to speak of.
+            solver = AutoSolver(tolerance=of.tolerance, by_residual=True)
+            result = diffuse(system, start=of.start, solver=solver)
+            return result.value, (result.stats.iterations, result.stats.converged)
+
+        def skipped() -> tuple[Array, tuple[Array, Array]]:
+            return nothing, (jnp.zeros((), jnp.int32), jnp.asarray(True))
+
+        value, stats = lax.cond(of.wanted, solved, skipped)
+        return lax.dynamic_update_index_in_dim(found, value, of.which, 0), stats
+
+    found, (iterations, converged) = lax.scan(solve, jnp.zeros_like(solves.label), solves)
+    return (found[_MAP], found[_ERROR]), (iterations[_MAP], jnp.all(converged))
+
+
+def _with_dense(
+    from_points: Labels,
+    measured: PhotometricLabels,
+    disparity: Array,
+    params: CentreParams,
+    measuring: Measuring,
+) -> Labels:
+    """Labels of the points together with one measured at every pixel."""
+    floor = measuring.noise**2
+    excess = jnp.maximum(measured.residual, floor) / (params.trust * floor)
+    weight = precision_weight(measured.variance, params) / (1 + excess**2)
+    distance = (from_points.value - disparity) / AGREEMENT
+    sparse = from_points.weight / (1 + distance**2) ** 2
+    total = weight + sparse + _ANCHOR
+    sums = weight * measured.disparity + sparse * from_points.value + _ANCHOR * disparity
+    return Labels(total, sums / jnp.maximum(total, jnp.finfo(total.dtype).tiny))
+
+
+def precision_weight(variance: Array, params: CentreParams) -> Array:
+    precision = params.precision**2
+    return precision / (precision + variance)
+
+
+def _smooth(disparity: Array) -> Array:
+    """The map whose steps cut edges."""
+    return gaussian(disparity, jnp.asarray(_BLUR, disparity.dtype), _BLUR_REACH)

@@ -1,0 +1,167 @@
+"""The solvers to choose from."""
+
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+from jaxtyping import Array, Float
+
+from mvedge_jax._params import number
+
+from . import _banded, _lahbpcg, _multigrid
+from ._coarsen import ratio
+from ._pcg import Iterate
+from ._solver import AbstractSolver, ConjugateGradients, SolverState, check_steps
+from ._stencil import Coefficients, diagonal
+
+# Entries of the inverses of a column that are worked on together: as many as fit in the fastest
+# cache (512 images of 9x512, on one device: 74 ms in groups of 64, 79 of 32, 109 of 16).
+_WINDOW = 64 * 9 * 9
+# Thin images that are worth eliminating: the cost per pixel grows with the square of the short
+# side, and columns come one after the other.
+_THIN, _SHORT = 16, 1 << 14
+
+
+class Multigrid(ConjugateGradients):
+    r"""Conjugate gradients with one V-cycle of multigrid: the choice for images.
+
+    Attributes:
+        tolerance: where to stop, a share of the range of the labels; see `AbstractSolver`.
+        by_residual: stop by the residual instead.
+        max_iterations: steps at most.
+
+    Example:
+        >>> Multigrid(tolerance=1e-6).max_iterations
+        1000
+    """
+
+    def prepare(self, coefficients: Coefficients) -> _multigrid.Hierarchy:
+        """All levels, with operator-dependent interpolation."""
+        return _multigrid.build(coefficients)
+
+    def preconditioner(self, hierarchy: Any) -> Callable[[Array], Array]:
+        """One V-cycle."""
+        return _multigrid.cycle(hierarchy)
+
+
+class HierarchicalBasis(ConjugateGradients):
+    """Conjugate gradients with the locally adapted hierarchical basis of the thesis (LAHBPCG).
+
+    Attributes:
+        tolerance: where to stop, a share of the range of the labels; see `AbstractSolver`.
+        by_residual: stop by the residual instead.
+        max_iterations: steps at most.
+
+    Source: Thesis 6.1 and 7.1.1.
+    """
+
+    def prepare(self, coefficients: Coefficients) -> _lahbpcg.Basis:
+        """Incomplete factors, half an octave at a time."""
+        return _lahbpcg.build(coefficients)
+
+    def preconditioner(self, hierarchy: Any) -> Callable[[Array], Array]:
+        """The product with the inverse of the incomplete factors."""
+        return _lahbpcg.solver(hierarchy)
+
+
+class Jacobi(ConjugateGradients):
+    """Conjugate gradients with the diagonal: a baseline.
+
+    Attributes:
+        tolerance: where to stop, a share of the range of the labels; see `AbstractSolver`.
+        by_residual: stop by the residual instead.
+        max_iterations: steps at most.
+    """
+
+    def prepare(self, coefficients: Coefficients) -> Array:
+        """The diagonal."""
+        return diagonal(coefficients)
+
+    def preconditioner(self, hierarchy: Any) -> Callable[[Array], Array]:
+        """Division by the diagonal."""
+        return lambda residual: ratio(residual, hierarchy)
+
+
+class Elimination(AbstractSolver):
+    """Exact elimination: for images with a short side, such as epipolar-plane images.
+
+    One step suffices, and the estimate is a bound on the rounding that was measured, not computed.
+    With a negative weight, or a tolerance below that bound (4e-6 in float32), what is left is
+    substituted again.
+
+    Attributes:
+        tolerance: where to stop, a share of the range of the labels; see `AbstractSolver`.
+        by_residual: stop by the residual instead.
+        max_iterations: substitutions at most.
+    """
+
+    tolerance: Float[Array, ""] | float = number(1e-4)
+    by_residual: bool = eqx.field(static=True, default=False)
+    max_iterations: int = eqx.field(static=True, default=1000)
+
+    def __check_init__(self) -> None:
+        check_steps(self.max_iterations)
+
+    def prepare(self, coefficients: Coefficients) -> tuple[()]:
+        """Nothing: inverses take `h` times the memory of an image, every solve makes them anew."""
+        return ()
+
+    def iterate(
+        self, state: SolverState, right: Array, absolute: Array, relative: Array
+    ) -> Iterate:
+        """Elimination and substitutions; see `AbstractSolver.iterate`."""
+        return _banded.refine(
+            state.coefficients,
+            right,
+            state.keep,
+            absolute,
+            relative,
+            by_residual=self.by_residual,
+            max_iterations=self.max_iterations,
+        )
+
+    def together(self, shape: tuple[int, int]) -> int:
+        """As many as fit in the fastest cache."""
+        return max(_WINDOW // min(shape) ** 2, 1)
+
+
+class AutoSolver(AbstractSolver):
+    """`Multigrid`, or `Elimination` where the short side has at most 16 of at most 16384 pixels.
+
+    Attributes:
+        tolerance: where to stop, a share of the range of the labels; see `AbstractSolver`.
+        by_residual: stop by the residual instead.
+        max_iterations: steps at most.
+
+    Example:
+        >>> type(AutoSolver().chosen((9, 512))).__name__
+        'Elimination'
+    """
+
+    tolerance: Float[Array, ""] | float = number(1e-4)
+    by_residual: bool = eqx.field(static=True, default=False)
+    max_iterations: int = eqx.field(static=True, default=1000)
+
+    def __check_init__(self) -> None:
+        check_steps(self.max_iterations)
+
+    def chosen(self, shape: tuple[int, ...]) -> AbstractSolver:
+        """The solver for images of a shape, with the same options."""
+        y, x = shape[-2:]
+        thin = min(y, x) <= _THIN and y * x <= _SHORT
+        kind = Elimination if thin else Multigrid
+        return kind(self.tolerance, self.by_residual, self.max_iterations)
+
+    def prepare(self, coefficients: Coefficients) -> Any:
+        """As the chosen solver."""
+        return self.chosen(coefficients.weight.shape).prepare(coefficients)
+
+    def iterate(
+        self, state: SolverState, right: Array, absolute: Array, relative: Array
+    ) -> Iterate:
+        """As the chosen solver; see `AbstractSolver.iterate`."""
+        return self.chosen(right.shape).iterate(state, right, absolute, relative)
+
+    def together(self, shape: tuple[int, int]) -> int:
+        """As the chosen solver."""
+        return self.chosen(shape).together(shape)

@@ -1,0 +1,83 @@
+"""What a way of asking the views has to do for `optimize_edges`."""
+
+import abc
+from typing import NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from mvedge_jax.lightfield import LightField
+from mvedge_jax.losses import Features, LossWeights, Views, gather_views, self_supervised_loss
+
+from ._evidence import Correction
+from ._model import ModelSizes
+from ._objectives import SelfSupervised, Supervised
+from ._result import Verdict
+from ._routine import Rates
+from ._start import Start
+from ._state import State
+
+
+class Prepared(NamedTuple):
+    """An optimisation that is ready to run.
+
+    Attributes:
+        start: the model to start from, and the map from which its first solve starts.
+        first: the map as it was given.
+        base: that map as it is to become better, polished for instance.
+        objective: what to minimise, from `start.model` on.
+        correction: what the views say, if they were asked beforehand.
+    """
+
+    start: Start
+    first: Float[Array, "y x"]
+    base: Float[Array, "y x"]
+    objective: Supervised | SelfSupervised
+    correction: Correction | None = None
+
+
+class Approach(eqx.Module):
+    """How the views are asked, as parameters of `optimize_edges`; abstract.
+
+    Attributes:
+        rates: learning rates that suit the objective.
+        features: what images are compared by in the verdict.
+    """
+
+    rates: eqx.AbstractVar[Rates]
+    features: eqx.AbstractVar[Features]
+
+    @abc.abstractmethod
+    def prepare(self, light_field: LightField, start: Start, sizes: ModelSizes) -> Prepared:
+        """Model and objective to optimise."""
+
+    @abc.abstractmethod
+    def finish(
+        self, light_field: LightField, prepared: Prepared, state: State
+    ) -> tuple[Float[Array, "y x"], Verdict]:
+        """The map that the optimised model makes of the first one, and what the views say of it."""
+
+
+def crosshair_halves(light_field: LightField) -> tuple[Views, Views]:
+    """Every second view on either arm, to train with, and the others, to judge by."""
+    views = gather_views(light_field)
+    count = views.steps.shape[0]
+    return views.take(jnp.arange(0, count, 2)), views.take(jnp.arange(1, count, 2))
+
+
+def explained(
+    light_field: LightField,
+    before: Float[Array, "y x"],
+    after: Float[Array, "y x"],
+    features: Features,
+) -> Float[Array, "2"]:
+    """Reprojection error (7.15) of two maps in the views that judge."""
+    _, held_out = crosshair_halves(light_field)
+    run = eqx.filter_jit(self_supervised_loss)
+    return jnp.stack(
+        [
+            run(disparity, held_out, LossWeights(), features=features)[1].reprojection
+            for disparity in (before, after)
+        ]
+    )

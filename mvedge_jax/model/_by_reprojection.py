@@ -1,0 +1,105 @@
+"""The thesis' objective: the reprojection error (7.15), and views that were not used as judges."""
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from mvedge_jax._params import number
+from mvedge_jax.lightfield import LightField
+from mvedge_jax.losses import Colours, Features, LossWeights
+
+from ._approach import Approach, Prepared, crosshair_halves, explained
+from ._model import ModelParams, ModelSizes, compiled_render, rendering_for
+from ._objectives import SelfSupervised
+from ._polish import PolishParams, polish
+from ._result import Verdict
+from ._routine import Rates
+from ._start import Start, StartParams, fit_to_map, trust_labels
+from ._state import State
+
+
+class ByReprojection(Approach):
+    """Minimises the reprojection error of every second view of the crosshair.
+
+    The other half of it judges: unless the optimisation lowers their error by `margin`, it is
+    dropped. On cotton the true map explains the views 0.7 % worse than that of `edge_to_depth`, and
+    every optimisation that lowered the error by less than a tenth made the map worse: gloss,
+    blurred image edges and bilinear interpolation have a say of that size.
+
+    Attributes:
+        rendering: of the model; by default `ModelParams.narrow`, as the raster asks for.
+        fit: of the model to the first map, in which a tenth more points are added; None if the
+            model of the start renders that map already.
+        polish: of the map, afterwards.
+        weights: of the terms of (7.16).
+        features: what images are compared by.
+        prior: weight of the labels' standard errors, see `Trust`.
+        label: largest change of a label, px per view step.
+        margin: share by which the held-out error must fall, or the first map is polished instead;
+            minus infinity keeps every result.
+        rates: learning rates.
+        subset: views drawn anew for every iteration, or None for all.
+
+    Source:
+        Thesis 7.1.4, Eq. 7.15-7.16.
+
+    Example:
+        >>> ByReprojection(subset=2).margin.item()
+        0.1
+    """
+
+    rendering: ModelParams | None = None
+    fit: StartParams | None = eqx.field(default_factory=StartParams)
+    polish: PolishParams = eqx.field(default_factory=PolishParams)
+    weights: LossWeights = eqx.field(default_factory=LossWeights)
+    features: Features = eqx.field(default_factory=Colours)
+    prior: Float[Array, ""] = number(1e-3)
+    label: Float[Array, ""] = number(0.05)
+    margin: Float[Array, ""] = number(0.1)
+    rates: Rates = eqx.field(default_factory=Rates.self_supervised)
+    subset: int | None = eqx.field(static=True, default=None)
+
+    def prepare(self, light_field: LightField, start: Start, sizes: ModelSizes) -> Prepared:
+        """Fits the model to the first map.
+
+        Args:
+            light_field: its crosshair of views is read.
+            start: see `Start`.
+            sizes: of the model.
+
+        Returns:
+            Model and objective.
+        """
+        rendering = rendering_for(self.rendering, sizes)
+        if self.fit is not None:
+            start = fit_to_map(start, self.fit, rendering, sizes)
+        trust = trust_labels(start, weight=self.prior, label=self.label)
+        training, _ = crosshair_halves(light_field)
+        goal = SelfSupervised(
+            training, trust, rendering, self.weights, self.features, sizes, self.subset
+        )
+        return Prepared(start, start.disparity, start.disparity, goal)
+
+    def finish(
+        self, light_field: LightField, prepared: Prepared, state: State
+    ) -> tuple[Float[Array, "y x"], Verdict]:
+        """The first map, changed as the model changed if the judges want it, and polished.
+
+        Args:
+            light_field: its crosshair of views is read.
+            prepared: from `prepare`.
+            state: of the optimisation.
+
+        Returns:
+            The map, px per view step, and the verdict on the change before it was polished.
+        """
+        before, goal = prepared.first, prepared.objective
+        # The model's own error in rendering the first map does not enter.
+        changed, same = (
+            compiled_render(model, goal.params, goal.sizes, start=guess).disparity
+            for model, guess in ((state.best, state.disparity), (prepared.start.model, before))
+        )
+        after = before + changed - same
+        error = explained(light_field, before, after, self.features)
+        kept = error[1] < (1 - self.margin.astype(error.dtype)) * error[0]
+        return polish(jnp.where(kept, after, before), self.polish), Verdict(error, kept)

@@ -1,0 +1,144 @@
+"""What the views say about a map: a correction per pixel, and how far the views agree on it."""
+
+from functools import partial
+from typing import NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Bool, Float
+
+from mvedge_jax._params import cast, number
+from mvedge_jax.centre import SmoothnessParams, edge_smoothness
+from mvedge_jax.color import srgb_to_lab
+from mvedge_jax.diffusion import AutoSolver, System, diffuse
+from mvedge_jax.losses import Views
+from mvedge_jax.photometry import Grid, Measuring, gaussian, grid_of, labels, look_around
+
+# Gaussians over regions are cut here, px.
+_REGION_REACH = 12
+
+
+class EvidenceParams(eqx.Module):
+    """Parameters of the evidence.
+
+    Attributes:
+        measuring: of the measurement in the views.
+        depth_step: pixels beside which the map jumps by more than this, px, measure nothing: their
+            colours are mixtures.
+        largest: standard deviation of corrections before anything is measured, px; also their
+            limit.
+        error: of the map's labels, px; evidence that is better than this does not count more.
+        smoothness: of the correction, against the evidence.
+        region: radius of the regions over which both halves of the views have to agree, px.
+        edges: where the correction may jump.
+    """
+
+    measuring: Measuring = eqx.field(default_factory=Measuring)
+    depth_step: Float[Array, ""] = number(0.1)
+    largest: Float[Array, ""] = number(0.1)
+    error: Float[Array, ""] = number(0.004)
+    smoothness: Float[Array, ""] = number(1.0)
+    region: Float[Array, ""] = number(3.0)
+    edges: SmoothnessParams = eqx.field(default_factory=SmoothnessParams)
+
+
+class Correction(NamedTuple):
+    """A correction that both halves of the views support.
+
+    Attributes:
+        change: to add to the map, px per view step, smooth within surfaces.
+        weight: how well it is known, in [0, 1].
+        share: how much of what one half of the views proposes the other half confirms, in [0, 1].
+    """
+
+    change: Float[Array, "y x"]
+    weight: Float[Array, "y x"]
+    share: Float[Array, "y x"]
+
+
+@eqx.filter_jit
+def agreed_correction(
+    views: Views,
+    disparity: Float[Array, "y x"],
+    params: EvidenceParams,
+    *,
+    radius: int,
+    passes: int = 2,
+    margin: int = 1,
+) -> Correction:
+    r"""Corrects a map as far as views confirm that were not asked.
+
+    The views are split like a chessboard. Each half proposes a correction u, diffused within
+    surfaces; the share of it that is taken is the one that explains the other half's own
+    measurement m best in a region around,
+    :math:`\alpha = \sum w\,m\,u / \sum w\,u^2`, within [0, 1]. Noise is confirmed by nobody, and
+    goes: no threshold has to be chosen. The result is the mean of both halves.
+
+    Args:
+        views: all that there are. A half without views proposes and confirms nothing.
+        disparity: the map, px per view step, finite.
+        params: see `EvidenceParams`.
+        radius: how far occluders are looked for, px.
+        passes: over the neighbours whose measurements are shared, see `photometric_labels`.
+        margin: how far depth steps spoil measurements, px.
+
+    Returns:
+        The correction and how far it was confirmed.
+    """
+    params = cast(params, disparity.dtype)
+    lab = jnp.moveaxis(srgb_to_lab(jnp.moveaxis(views.centre, 0, -1)), -1, 0)
+    tx, ty = edge_smoothness(lab, disparity, params.edges)
+    solver = AutoSolver(tolerance=jnp.asarray(1e-4, disparity.dtype))
+    clear = _away_from_steps(disparity, params.depth_step, margin)
+    grid = _grid(views)
+    # A view's step is odd or even; the centre view belongs to both halves.
+    odd = jnp.mod(jnp.round(jnp.sum(grid.steps, axis=1)), 2) == 1
+    centre = jnp.all(grid.steps == 0, axis=1)
+
+    def propose(half: Bool[Array, "k"]) -> tuple[Array, Array, Array]:
+        part = grid._replace(available=grid.available & (half | centre))
+        found = look_around(part, disparity, params.measuring, radius=radius)
+        measured = labels(found, lab, disparity, params.measuring, passes=passes)
+        # A pixel that measured nothing says nothing, not that there is no change.
+        known = jnp.where(clear, 1 / measured.variance, 0)
+        told = known / (known + 1 / params.largest**2)
+        change = params.largest * jnp.tanh(told * (measured.disparity - disparity) / params.largest)
+        weight = known * params.error**2 / (1 + known * params.error**2)
+        stiff = params.smoothness
+        system = System(weight + 1e-6, change, stiff * tx, stiff * ty)
+        return diffuse(system, solver=solver).value, change, weight
+
+    proposed, measured, weight = lax.map(propose, jnp.stack([odd, ~odd]))
+    other_measured, other_weight = measured[::-1], weight[::-1]
+    blur = partial(gaussian, sigma=params.region, radius=_REGION_REACH)
+    confirmed = blur(other_weight * other_measured * proposed)
+    asked = blur(other_weight * proposed**2)
+    tiny = jnp.asarray(1e-14, disparity.dtype)
+    share = jnp.clip(confirmed / (asked + tiny), 0, 1)
+    change = jnp.mean(share * proposed, axis=0)
+    return Correction(change, jnp.mean(weight, axis=0), jnp.mean(share, axis=0))
+
+
+def _grid(views: Views) -> Grid:
+    """All views with the centre one first."""
+    images = jnp.concatenate([views.centre[None], views.others])
+    steps = jnp.concatenate([jnp.zeros((1, 2), views.steps.dtype), views.steps])
+    return grid_of(images, steps, jnp.concatenate([jnp.ones(1, bool), views.available]))
+
+
+def _away_from_steps(disparity: Array, step: Array, margin: int) -> Bool[Array, "y x"]:
+    """Where the map does not bend by `step` within `margin` pixels; slants are no steps."""
+    p = jnp.pad(disparity, 1, mode="edge")
+    across = jnp.abs(p[1:-1, 2:] - 2 * disparity + p[1:-1, :-2])
+    down = jnp.abs(p[2:, 1:-1] - 2 * disparity + p[:-2, 1:-1])
+    smooth = jnp.maximum(across, down) < step
+    return _shrink(smooth, margin - 1)
+
+
+def _shrink(mask: Bool[Array, "y x"], times: int) -> Bool[Array, "y x"]:
+    """Takes the outermost pixels off; the image's border is none."""
+    for _ in range(times):
+        p = jnp.pad(mask, 1, constant_values=True)
+        mask = mask & p[:-2, 1:-1] & p[2:, 1:-1] & p[1:-1, :-2] & p[1:-1, 2:]
+    return mask

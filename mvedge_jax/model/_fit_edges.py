@@ -1,0 +1,99 @@
+"""Supervised optimisation of the model towards a known map, in one call."""
+
+from collections.abc import Callable
+
+import equinox as eqx
+import jax
+
+from mvedge_jax.lightfield import GroundTruth
+from mvedge_jax.losses import SupervisedWeights
+
+from ._capacity import without_free_places
+from ._grow import Growth
+from ._model import ModelParams, ModelSizes, compiled_render, rendering_for
+from ._objectives import Supervised, unlimited
+from ._optimise import Progress, Strategy, optimise
+from ._result import Optimised
+from ._routine import Rates, Routine, all_at_once
+from ._start import Start
+from ._state import State, begin, resumed
+
+
+class FitParams(eqx.Module):
+    """Parameters of the supervised optimisation.
+
+    Attributes:
+        rendering: of the model; by default `ModelParams.narrow`, as the raster asks for.
+        weights: of the terms of the loss.
+        rates: learning rates.
+    """
+
+    rendering: ModelParams | None = None
+    weights: SupervisedWeights = eqx.field(default_factory=SupervisedWeights)
+    rates: Rates = eqx.field(default_factory=Rates.supervised)
+
+
+def fit_edges(
+    truth: GroundTruth,
+    start: Start,
+    params: FitParams,
+    sizes: ModelSizes,
+    *,
+    strategy: Strategy | None = None,
+    routine: Routine | None = None,
+    state: State | None = None,
+    progress: Callable[[Progress], None] | None = None,
+) -> Optimised:
+    """Fits points and smoothness to a known map: what the model can represent.
+
+    Runs on the host, in compiled pieces; nothing in it is random.
+
+    Args:
+        truth: the map, px per view step, and where it is known.
+        start: the model to start from, see `start_from_depth`, and a map near what it renders; the
+            errors of its labels are not used. Free places leave.
+        params: see `FitParams`.
+        sizes: of the rendering; `sizes.splat.scale` is the raster's.
+        strategy: how points are moved or added; by default `Growth()`. `FixedPoints()` leaves all
+            to the gradient, as in the thesis.
+        routine: what every iteration does; by default 40 iterations of all parameters at once.
+        state: of an earlier call with the same arguments, to go on from: iterations of `routine`
+            that it has done are skipped.
+        progress: called now and then with how far it is.
+
+    Returns:
+        The map, the model with the lowest loss, the history. Not differentiable: each iteration
+        is a step along the gradient of `Supervised`, which is.
+
+    Raises:
+        ValueError: the shapes of `truth` and `start` differ, or `state` is of another size.
+
+    Source:
+        Thesis 7.1.4, 7.1.5 and 7.2.3; points are moved as named in 8.1.1.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from mvedge_jax.model import DepthModel, FixedPoints
+        >>> one, image = jnp.ones(1), jnp.zeros((6, 8))
+        >>> middle = DepthModel(0 * one, jnp.array([[4.0, 3.0]]), 0 * one, image, one > 0)
+        >>> truth = GroundTruth(image + 0.1, image == 0)  # the point says 0, but 0.1 is true
+        >>> start, sizes = Start(middle, one, image), ModelSizes.on_raster(1)
+        >>> found = fit_edges(truth, start, FitParams(), sizes, strategy=FixedPoints())
+        >>> bool(abs(found.disparity - 0.1).max() < 0.01)
+        True
+    """
+    if truth.disparity.shape != start.disparity.shape:
+        raise ValueError(
+            f"`truth` has the shape {truth.disparity.shape}; the map of `start` has "
+            f"{start.disparity.shape}."
+        )
+    strategy = Growth() if strategy is None else strategy
+    model = strategy.prepare(without_free_places(start.model))
+    rendering = rendering_for(params.rendering, sizes)
+    known = truth.disparity.astype(model.disparity.dtype)
+    goal = Supervised(known, truth.valid, unlimited(model), rendering, params.weights, sizes)
+    table = all_at_once(params.rates, iterations=40) if routine is None else routine
+    begun = resumed(begin(model, start.disparity, key=jax.random.key(0)), state)
+    final, history = optimise(begun, table, goal, strategy=strategy, progress=progress)
+    best = compiled_render(final.best, rendering, sizes, start=final.disparity)
+    return Optimised(best.disparity, final.best, history, final)

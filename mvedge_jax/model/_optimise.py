@@ -1,0 +1,235 @@
+"""Optimisation of the model by gradient descent: a jitted loop, in pieces between two hooks."""
+
+import abc
+from collections.abc import Callable
+from typing import Any, NamedTuple, Protocol, runtime_checkable
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int, PRNGKeyArray
+
+from ._model import DepthModel
+from ._routine import Routine
+from ._state import ADAM, State, parts_of, with_parts
+
+
+@runtime_checkable
+class Objective(Protocol):
+    """What is minimised: a pytree that is called with the model."""
+
+    def __call__(
+        self, model: DepthModel, start: Float[Array, "y x"], *, key: PRNGKeyArray
+    ) -> tuple[Float[Array, ""], Float[Array, "y x"]]:
+        """Loss of `model` and the map it renders; `start` is the previous map."""
+        ...
+
+    def project(self, model: DepthModel) -> DepthModel:
+        """The nearest model that is allowed."""
+        ...
+
+
+class History(NamedTuple):
+    """What happened per iteration.
+
+    Attributes:
+        loss: before the step.
+        gradient: norm of the gradient of Q, Z, R and xy.
+    """
+
+    loss: Float[Array, "i"]
+    gradient: Float[Array, "i 4"]
+
+
+class Plan(NamedTuple):
+    """When a strategy is asked, in numbers for the host.
+
+    Attributes:
+        piece: iterations between two calls; a whole number of pieces compiles only once.
+        last: the last iteration after which points change.
+        most: points that change at a time.
+    """
+
+    piece: int
+    last: int = -1
+    most: int = 0
+
+
+class Grown(NamedTuple):
+    """What adding points did.
+
+    Attributes:
+        state: with the new points; Adam's moments of each are those of its first gradient.
+        objective: whose trust knows the new points.
+        added: how many points are new.
+        recycled: how many of them took the place of a point that did nothing.
+        refused: how many found no place.
+    """
+
+    state: State
+    objective: Objective
+    added: Int[Array, ""]
+    recycled: Int[Array, ""]
+    refused: Int[Array, ""]
+
+
+class Strategy(eqx.Module):
+    """How the number and the places of points change, which no gradient does; abstract.
+
+    `prepare` is called once for a model, `plan` before the first iteration, `after_piece` between
+    any two pieces of iterations, all on the host.
+    """
+
+    @abc.abstractmethod
+    def prepare(self, model: DepthModel) -> DepthModel:
+        """The model with the free places that the strategy will fill."""
+
+    @abc.abstractmethod
+    def plan(self, state: State, routine: Routine, objective: Objective) -> Plan:
+        """When points change, and how many at most."""
+
+    @abc.abstractmethod
+    def after_piece(self, plan: Plan, state: State, objective: Objective) -> Grown | None:
+        """What `state` and `objective` become, or None if nothing is due."""
+
+
+class FixedPoints(Strategy):
+    """Points move by their gradients alone, and none are added.
+
+    Attributes:
+        piece: iterations that are compiled as one, between two reports of progress; by default a
+            quarter of all.
+
+    Raises:
+        ValueError: `piece` is below 1.
+    """
+
+    piece: int | None = eqx.field(static=True, default=None)
+
+    def __check_init__(self) -> None:
+        if self.piece is not None and self.piece < 1:
+            raise ValueError(f"`piece` must be at least 1 iteration, got {self.piece}.")
+
+    def prepare(self, model: DepthModel) -> DepthModel:
+        """The model as it is."""
+        return model
+
+    def plan(self, state: State, routine: Routine, objective: Objective) -> Plan:
+        """Nothing is ever due."""
+        return Plan(max(routine.length // 4, 1) if self.piece is None else self.piece)
+
+    def after_piece(self, plan: Plan, state: State, objective: Objective) -> None:
+        """Nothing."""
+
+
+class Progress(NamedTuple):
+    """How far an optimisation is.
+
+    Attributes:
+        iteration: how many iterations were done.
+        iterations: how many there will have been.
+        loss: of the last iteration, before its step.
+        state: after it, and after `grown`.
+        grown: what adding points did, where a strategy did it after this piece.
+    """
+
+    iteration: int
+    iterations: int
+    loss: float
+    state: State
+    grown: Grown | None
+
+
+@eqx.filter_jit
+def advance(state: State, routine: Routine, objective: Objective) -> tuple[State, History]:
+    """Does as many iterations as `routine` has, as one compiled loop.
+
+    A step that is not finite is skipped. The best parameters are those with the lowest loss,
+    judged before each step.
+
+    Args:
+        state: where to go on.
+        routine: what every iteration does.
+        objective: what is minimised.
+
+    Returns:
+        The new state and the history of these iterations.
+    """
+
+    def step(state: State, row: tuple[Array, Array]) -> tuple[State, History]:
+        rates, restart = row
+        key, draw = jax.random.split(state.key)
+
+        def loss_of(parts: tuple[Array, Array, Array, Array]) -> tuple[Array, Array]:
+            return objective(with_parts(state.model, parts), state.disparity, key=draw)
+
+        parts = parts_of(state.model)
+        (loss, disparity), gradient = jax.value_and_grad(loss_of, has_aux=True)(parts)
+        fresh = ADAM.init(parts)
+        moments = jax.tree.map(lambda old, new: jnp.where(restart, new, old), state.moments, fresh)
+        updates: Any
+        # Optax raises a Python number to the power of its integer step count.
+        with jax.numpy_dtype_promotion("standard"):
+            updates, moments = ADAM.update(gradient, moments)
+        sound = jnp.isfinite(loss)
+        for leaf in gradient:
+            sound = sound & jnp.all(jnp.isfinite(leaf))
+        moved = tuple(
+            part - jnp.where(sound, rate.astype(part.dtype) * update, 0)
+            for part, update, rate in zip(parts, updates, rates, strict=True)
+        )
+        moments = jax.tree.map(lambda new, old: jnp.where(sound, new, old), moments, state.moments)
+        better = sound & (loss < state.best_loss)
+        best = jax.tree.map(lambda a, b: jnp.where(better, a, b), state.model, state.best)
+        model = objective.project(with_parts(state.model, (moved[0], moved[1], moved[2], moved[3])))
+        norms = jnp.stack([jnp.sqrt(jnp.sum(leaf**2)) for leaf in gradient])
+        new = State(
+            model,
+            moments,
+            jnp.where(jnp.isfinite(disparity), disparity, state.disparity),
+            best,
+            jnp.where(better, loss, state.best_loss),
+            state.iteration + 1,
+            key,
+        )
+        return new, History(loss, norms)
+
+    return jax.lax.scan(step, state, (routine.rates, routine.restart))
+
+
+def optimise(
+    state: State,
+    routine: Routine,
+    objective: Objective,
+    *,
+    strategy: Strategy | None = None,
+    progress: Callable[[Progress], None] | None = None,
+) -> tuple[State, History]:
+    """Runs a routine in compiled pieces, with the host looking in between.
+
+    Args:
+        state: from `begin`, or from a file: iterations of `routine` that it has done are skipped.
+        routine: what every iteration does.
+        objective: what is minimised.
+        strategy: adds or moves points between pieces; by default `FixedPoints()`.
+        progress: called after every piece, to show or to save how far it is.
+
+    Returns:
+        The last state and the history of the iterations that were done.
+    """
+    strategy = FixedPoints() if strategy is None else strategy
+    plan = strategy.plan(state, routine, objective)
+    pieces = []
+    for done in range(int(state.iteration), routine.length, plan.piece):
+        state, history = advance(state, routine.part(done, done + plan.piece), objective)
+        pieces.append(history)
+        grown = strategy.after_piece(plan, state, objective)
+        if grown is not None:
+            state, objective = grown.state, grown.objective
+        if progress is not None:
+            at, loss = int(state.iteration), float(history.loss[-1])
+            progress(Progress(at, routine.length, loss, state, grown))
+    if not pieces:
+        dtype = state.best_loss.dtype
+        return state, History(jnp.zeros(0, dtype), jnp.zeros((0, 4), dtype))
+    return state, jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *pieces)

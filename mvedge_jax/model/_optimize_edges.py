@@ -1,0 +1,80 @@
+"""Self-supervised optimisation of the model against the views, in one call."""
+
+from collections.abc import Callable
+
+import jax
+from jaxtyping import PRNGKeyArray
+
+from mvedge_jax.lightfield import LightField
+
+from ._approach import Approach
+from ._model import ModelSizes
+from ._optimise import Progress, optimise
+from ._result import Optimised
+from ._routine import Routine, all_at_once
+from ._start import Start
+from ._state import State, begin, resumed
+
+
+def optimize_edges(
+    light_field: LightField,
+    start: Start,
+    params: Approach,
+    sizes: ModelSizes,
+    *,
+    routine: Routine | None = None,
+    state: State | None = None,
+    progress: Callable[[Progress], None] | None = None,
+    key: PRNGKeyArray | None = None,
+) -> Optimised:
+    """Optimises points and smoothness so that the rendered map explains the views.
+
+    Runs on the host, in compiled pieces. Ground truth is not read.
+
+    Args:
+        light_field: the views.
+        start: the model to start from and the first map, see `start_from_depth`.
+        params: how the views are asked: `ByEvidence()`, or `ByReprojection()` as in the thesis.
+        sizes: of the rendering; `sizes.splat.scale` is the raster's.
+        routine: what every iteration does; by default 40 iterations of all parameters at once.
+        state: of an earlier call with the same arguments, to go on from: iterations of `routine`
+            that it has done are skipped.
+        progress: called after every quarter with how far it is.
+        key: draws the views of `ByReprojection.subset`, by default always the same; nothing else is
+            random.
+
+    Returns:
+        The map, the model with the lowest loss, the history, what the views say of it. Not
+        differentiable: each iteration is a step along the gradient of its objective, which is.
+
+    Raises:
+        ValueError: `start` has not the shape of the views, or `state` is of another size.
+
+    Source:
+        Thesis 7.1.4 and 7.1.5. `ByEvidence` says what differs, and why.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from mvedge_jax.model import ByReprojection, DepthModel
+        >>> flat = LightField(jnp.full((3, 3, 8, 8, 3), 0.5))  # views that have nothing to say
+        >>> one, image = jnp.ones(1), jnp.zeros((8, 8))
+        >>> model = DepthModel(0 * one, jnp.full((1, 2), 4.0), 0 * one, image, one > 0)
+        >>> start, sizes = Start(model, 0.01 * one, image), ModelSizes.on_raster(1)
+        >>> params = ByReprojection(fit=None)  # the model of the start renders its map
+        >>> found = optimize_edges(flat, start, params, sizes)
+        >>> bool(abs(found.disparity).max() < 1e-3)
+        True
+    """
+    shape = light_field.views.shape[2:4]
+    if start.disparity.shape != shape:
+        raise ValueError(
+            f"The map of `start` has the shape {start.disparity.shape}; the views have {shape}."
+        )
+    blind = light_field.without_truth()
+    prepared = params.prepare(blind, start, sizes)
+    table = all_at_once(params.rates, iterations=40) if routine is None else routine
+    key = jax.random.key(0) if key is None else key
+    begun = begin(prepared.start.model, prepared.start.disparity, key=key)
+    final, history = optimise(resumed(begun, state), table, prepared.objective, progress=progress)
+    disparity, verdict = params.finish(blind, prepared, final)
+    return Optimised(disparity, final.best, history, final, verdict)

@@ -1,0 +1,86 @@
+"""Depth steps of a map that was made from points in doubtful places, moved to image edges."""
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from mvedge_jax._params import cast, number
+from mvedge_jax.centre import SmoothnessParams, edge_smoothness
+from mvedge_jax.color import planes_to_lab
+from mvedge_jax.diffusion import System, diffuse
+
+from ._evidence import _shrink
+
+
+class RelocateParams(eqx.Module):
+    """Parameters of the relocation.
+
+    Attributes:
+        step: neighbours whose disparities differ by more than this lie at a depth step, px.
+        trust: data weight of what is not near a depth step.
+        smoothness: where disparities may jump instead: at image edges, whatever the depth.
+    """
+
+    step: Float[Array, ""] = number(0.2)
+    trust: Float[Array, ""] = number(1e4)
+    smoothness: SmoothnessParams = eqx.field(
+        default_factory=lambda: SmoothnessParams(colour=jnp.asarray(0.5))
+    )
+
+
+@eqx.filter_jit
+def relocate_steps(
+    disparity: Float[Array, "y x"],
+    image: Float[Array, "c y x"],
+    params: RelocateParams,
+    *,
+    reach: int = 1,
+) -> Float[Array, "y x"]:
+    """Moves depth steps by up to `reach` pixels to where the image has an edge.
+
+    What lies near a depth step is forgotten and diffused anew from both sides, with a smoothness
+    that follows the image alone. It mends steps that are in doubt, such as those of points whose
+    positions are noisy: on *cotton*, on which the defaults were chosen, with noise of 1 px, 89 % of
+    the mean squared error that the noise brought. Steps of `edge_to_depth`, which had more to go
+    by than the image, get worse by a little.
+
+    Args:
+        disparity: the map, px per view step, finite.
+        image: centre view, sRGB in [0, 1].
+        params: see `RelocateParams`.
+        reach: how far from a step the map is forgotten, px; static.
+
+    Returns:
+        The map; differentiable but for where its steps are.
+
+    Raises:
+        ValueError: the image has another size than the map, or `reach` is not positive.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> image = jnp.zeros((3, 5, 12)).at[:, :, 6:].set(1.0)
+        >>> disparity = jnp.zeros((5, 12)).at[:, 7:].set(1.0)  # a pixel off
+        >>> found = relocate_steps(disparity, image, RelocateParams())
+        >>> found[2, 4:9].round(2).tolist()
+        [0.0, 0.0, 1.0, 1.0, 1.0]
+    """
+    if image.shape[1:] != disparity.shape:
+        raise ValueError(f"`image` has the shape {image.shape}; the map has {disparity.shape}.")
+    if reach < 1:
+        raise ValueError(f"`reach` must be at least 1 pixel, got {reach}.")
+    params = cast(params, disparity.dtype)
+    lab = planes_to_lab(image)
+    # By differences, not bends (`_away_from_steps`): steps of noisy points are spread over pixels.
+    clear = _clear(disparity, params.step) & _clear(disparity.T, params.step).T
+    weight = jnp.where(_shrink(clear, reach - 1), params.trust, 0)
+    # Where all is steps there is nothing to go by, and the map stays.
+    weight = jnp.where(jnp.any(weight > 0), weight, params.trust)
+    tx, ty = edge_smoothness(lab, disparity, params.smoothness, powers=(4.0, 0.0))
+    return diffuse(System(weight, disparity, tx, ty)).value
+
+
+def _clear(disparity: Float[Array, "y x"], step: Array) -> Bool[Array, "y x"]:
+    """Pixels that differ from their neighbours along x by less than a step."""
+    same = jnp.abs(jnp.diff(disparity, axis=1)) < step
+    same = jnp.pad(same, ((0, 0), (1, 1)), constant_values=True)
+    return same[:, 1:] & same[:, :-1]

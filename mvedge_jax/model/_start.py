@@ -1,0 +1,201 @@
+"""Where the optimisation starts: a model that renders what the edges gave."""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from mvedge_jax._params import cast, number
+from mvedge_jax.centre import DepthResult
+from mvedge_jax.lightfield import LightField
+
+from ._capacity import with_capacity
+from ._grow import Growth, grow
+from ._model import DepthModel, ModelParams, ModelSizes, image_roughness, map_roughness
+from ._objectives import Supervised, Trust, unlimited
+from ._optimise import advance
+from ._routine import Rates, all_at_once
+from ._state import begin
+
+
+class StartParams(eqx.Module):
+    """How a model is made from points and a first map.
+
+    Attributes:
+        agreement: a point whose disparity differs by more from the map takes the map's, px.
+        reference_error: standard error at which a point has the weight 1, px.
+        offset: added to Q; positive values trust labels more than smoothness.
+        rates: of the fit to the map: Q, Z, R, xy.
+    """
+
+    agreement: Float[Array, ""] = number(0.05)
+    reference_error: Float[Array, ""] = number(0.005)
+    offset: Float[Array, ""] = number(0.0)
+    rates: Float[Array, "4"] = number((0.15, 0.004, 0.08, 0.02))
+
+
+class Start(NamedTuple):
+    """A model, what is known of its labels, and the map that it stands for.
+
+    Attributes:
+        model: the parameters.
+        error: standard error of each label, px per view step; infinite where nothing is known.
+        disparity: a map near the one that `model` renders, px per view step.
+    """
+
+    model: DepthModel
+    error: Float[Array, "n"]
+    disparity: Float[Array, "y x"]
+
+
+def start_from_depth(
+    light_field: LightField, depth: DepthResult, *, params: StartParams | None = None
+) -> Start:
+    """Makes a model from what `edge_to_depth` found.
+
+    Args:
+        light_field: whose depth it is.
+        depth: of its centre view.
+        params: see `StartParams`, whose defaults are taken without them.
+
+    Returns:
+        The model, from points on their surfaces and the steps of the map, see
+        `start_from_points`. Differentiable in the views, the map, labels and positions.
+    """
+    points = depth.points
+    return start_from_points(
+        points.xy + depth.surface.offset,
+        points.disparity,
+        points.error,
+        points.valid,
+        light_field.centre_view,
+        depth.disparity,
+        StartParams() if params is None else params,
+    )
+
+
+def start_from_image(start: Start, centre: Float[Array, "y x c"]) -> Start:
+    """The smoothness of the thesis' start: Q from the image gradient instead of a map's steps.
+
+    Args:
+        start: a model.
+        centre: the centre view, sRGB.
+
+    Returns:
+        The same with other Q. Differentiable in the view.
+
+    Source:
+        Thesis 7.1.5.
+    """
+    rough = image_roughness(centre, jnp.asarray(0.3))
+    return start._replace(model=eqx.tree_at(lambda m: m.roughness, start.model, rough))
+
+
+def start_from_points(
+    xy: Float[Array, "n 2"],
+    disparity: Float[Array, "n"],
+    error: Float[Array, "n"],
+    valid: Bool[Array, "n"],
+    centre: Float[Array, "y x c"],
+    first: Float[Array, "y x"],
+    params: StartParams,
+) -> Start:
+    """Makes a model from edge points and a first dense map.
+
+    Args:
+        xy: positions of the points (on their surfaces), px.
+        disparity: their labels.
+        error: their standard errors.
+        valid: points that take part; those outside the image do not.
+        centre: the centre view.
+        first: a first dense map, which says where depth steps are.
+        params: see `StartParams`.
+
+    Returns:
+        The model: weights from standard errors, smoothness from the steps of map and image.
+    """
+    dtype = centre.dtype
+    params = cast(params, dtype)
+    height, width = first.shape
+    column = jnp.clip(jnp.round(xy[:, 0]), 0, width - 1).astype(jnp.int32)
+    row = jnp.clip(jnp.round(xy[:, 1]), 0, height - 1).astype(jnp.int32)
+    there = first[row, column]
+    agrees = jnp.abs(disparity - there) <= params.agreement
+    label = jnp.where(agrees, disparity, there)
+    error = jnp.where(agrees, error, 2 * params.reference_error)
+    rough = map_roughness(first, centre) + params.offset
+    weight = jnp.clip(jnp.log(jnp.maximum(error, 1e-4) / params.reference_error), -1, 3)
+    clean = [jnp.where(valid, part, 0).astype(dtype) for part in (label, weight)]
+    places = jnp.where(valid[:, None], xy, 0).astype(dtype)
+    model = DepthModel(clean[0], places, clean[1], rough.astype(dtype), valid)
+    return Start(model, jnp.where(valid, error, 1).astype(dtype), first.astype(dtype))
+
+
+def fit_to_map(
+    start: Start,
+    params: StartParams,
+    rendering: ModelParams,
+    sizes: ModelSizes,
+    *,
+    iterations: int = 30,
+    extra: int | None = None,
+) -> Start:
+    """Fits a model to its own map, so that optimisation starts from that map's quality.
+
+    Args:
+        start: a model and the map to reproduce.
+        params: learning rates.
+        rendering: of the model.
+        sizes: of the model.
+        iterations: of Adam, on all parameters.
+        extra: points to add where the model reproduces the map worst, in the middle of the fit; by
+            default a tenth of the points.
+
+    Returns:
+        The fitted model and the same map; new points have an infinite standard error.
+    """
+    first, n = start.disparity, start.model.valid.size
+    extra = int(jnp.sum(start.model.valid)) // 10 if extra is None else extra
+    model = with_capacity(start.model, n + extra)
+    error = jnp.pad(start.error, (0, extra), constant_values=jnp.inf)
+    limits = eqx.tree_at(lambda t: t.position, unlimited(model), jnp.asarray(1.0))
+    known = jnp.ones(first.shape, bool)
+    goal = Supervised(first, known, limits, rendering, sizes=sizes)
+    routine = all_at_once(Rates(rate=params.rates), iterations=iterations)
+    state = begin(model, first, key=jax.random.key(0))
+    half = iterations // 2
+    state, _ = advance(state, routine.part(0, half), goal)
+    if extra:
+        wrong = jnp.abs(state.disparity - first)
+        grown = grow(state, goal, wrong, first, Growth(), count=extra)
+        replaced = grown.state.model.xy != state.model.xy
+        error = jnp.where(jnp.any(replaced, axis=1), jnp.inf, error)
+        state, goal = grown.state, grown.objective
+        assert isinstance(goal, Supervised)
+    state, _ = advance(state, routine.part(half, iterations), goal)
+    return Start(state.best, error, first)
+
+
+def trust_labels(
+    start: Start,
+    *,
+    weight: Float[Array, ""] | float = 1e-3,
+    label: Float[Array, ""] | float = 0.05,
+    position: Float[Array, ""] | float = 1.0,
+) -> Trust:
+    """Trust in the labels of a start, by their standard errors.
+
+    Args:
+        start: the model and its errors.
+        weight: of the prior.
+        label: largest change of a label, px per view step.
+        position: largest change of a position, px.
+
+    Returns:
+        The trust; labels of infinite error have limits, but no prior.
+    """
+    one = start.model.disparity.dtype
+    weight, label, position = (jnp.asarray(v).astype(one) for v in (weight, label, position))
+    return Trust(start.model, start.error, weight, label, position)

@@ -1,0 +1,312 @@
+"""Reading the views of the crosshair around a map."""
+
+from collections.abc import Sequence
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Float
+
+from mvedge_jax._crosshair import Arm
+from mvedge_jax._fence import fenced
+from mvedge_jax._params import cast
+from mvedge_jax._unstack import unstack
+
+from ._filters import box_mean
+from ._measuring import Measuring
+from ._reach import occlusion_reach
+from ._spline import cubic_taps
+
+
+class Look(NamedTuple):
+    """What the views show of every pixel around a map: sums that windows add up.
+
+    With the steps `k = (k_x, k_y)` of the views, less their weighted mean, colours `r` and mean
+    gradients `g` per channel, the map's error `e` and the drift `h` per view step are those that
+    minimise the sum of `(r + k . (g e - h))²`. Of the crosshair, each arm has steps along one axis
+    only, and a mean of its own.
+
+    Attributes:
+        right: `-sum (k . g) r`, `[y, x]`.
+        information: `sum (k . g)²`, `[y, x]`.
+        power: `sum r²`, `[y, x]`.
+        freedom: views that see the pixel less the mean colours that they determine, `[y, x]`.
+        views: how many there are whose gradients were averaged: of the crosshair, those of an arm.
+        spread: `sum k_x²` and `sum k_y²`, `[y, x]`.
+        cross: `sum k_x k_y`, `[y, x]`; None for the crosshair, which has none.
+        slope: `sum k_x (k . g)` and `sum k_y (k . g)`, per channel `[y, x]`.
+        trend: `sum k_x r` and `sum k_y r`, per channel `[y, x]`.
+    """
+
+    right: Array
+    information: Array
+    power: Array
+    freedom: Array
+    views: Array
+    spread: tuple[Array, Array]
+    cross: Array | None
+    slope: tuple[tuple[Array, ...], tuple[Array, ...]]
+    trend: tuple[tuple[Array, ...], tuple[Array, ...]]
+
+
+class _ArmLook(NamedTuple):
+    """The fields of a `Look`, of one arm."""
+
+    right: Array
+    information: Array
+    power: Array
+    freedom: Array
+    spread: Array
+    slope: tuple[Array, ...]
+    trend: tuple[Array, ...]
+
+
+class _Moments(NamedTuple):
+    """Sums over the views that see a pixel: weights, steps, colours, gradients."""
+
+    weight: Array
+    step: Array
+    square: Array
+    colour: list[Array]
+    trend: list[Array]
+    power: Array
+    gradient: list[Array]
+
+
+@partial(jax.jit, static_argnames="radius")
+def look(
+    horizontal: Arm,
+    vertical: Arm,
+    disparity: Float[Array, "y x"],
+    params: Measuring,
+    *,
+    radius: int,
+) -> Look:
+    """Reads colours and gradients of all views around a map.
+
+    Args:
+        horizontal: the horizontal arm, planes holding spline coefficients.
+        vertical: the vertical arm, likewise, transposed.
+        disparity: px per view step, `[y, x]`.
+        params: see `Measuring`.
+        radius: how far occluders are looked for, px.
+
+    Returns:
+        What `labels` and `mismatch` read. Differentiable.
+    """
+    params = cast(params, disparity.dtype)
+
+    def arm_look(arm: Arm, disparity: Array) -> _ArmLook:
+        # Stored, or the vertical arm is summed up across the rows in memory.
+        return fenced(lambda a, d, p: _arm_look(a, d, p, radius), arm, disparity, params)
+
+    there = jnp.concatenate([horizontal.available, vertical.available])
+    across = arm_look(horizontal, disparity)
+    down = jax.tree.map(jnp.transpose, arm_look(vertical, disparity.T))
+    return Look(
+        across.right + down.right,
+        across.information + down.information,
+        across.power + down.power,
+        across.freedom + down.freedom,
+        0.5 * jnp.sum(there.astype(disparity.dtype)),
+        (across.spread, down.spread),
+        None,
+        (across.slope, down.slope),
+        (across.trend, down.trend),
+    )
+
+
+@partial(jax.jit, static_argnames="radius")
+def view_weights(
+    horizontal: Arm,
+    vertical: Arm,
+    disparity: Float[Array, "y x"],
+    params: Measuring,
+    *,
+    radius: int,
+) -> Float[Array, "s y x"]:
+    """How far each view shows what the centre view shows: the weights that `look` gives them.
+
+    Args:
+        horizontal: the horizontal arm, planes holding spline coefficients.
+        vertical: the vertical arm, likewise, transposed.
+        disparity: px per view step, `[y, x]`.
+        params: see `Measuring`.
+        radius: how far occluders are looked for, px.
+
+    Returns:
+        In [0, 1]: 0 where a nearer surface of the map hides a pixel or the image ends, less than
+        one half where colours are further from those of the other views than these are from each
+        other. The vertical arm first. Differentiable at the occlusions found.
+    """
+    params = cast(params, disparity.dtype)
+
+    def weights(arm: Arm, disparity: Array) -> Array:
+        found = _arm_views(arm, disparity, params, radius)
+        return jnp.insert(found.weight, arm.centre, found.own, axis=0)
+
+    down = jnp.swapaxes(fenced(weights, vertical, disparity.T), 1, 2)
+    return jnp.concatenate([down, fenced(weights, horizontal, disparity)])
+
+
+class _ArmViews(NamedTuple):
+    """What the views of an arm but the centre one show, and how far they are trusted."""
+
+    own: Array
+    weight: Array
+    relative: list[Array]
+    gradients: list[Array]
+    slopes: list[Array]
+
+
+def _arm_look(arm: Arm, disparity: Array, params: Measuring, radius: int) -> _ArmLook:
+    """The sums of one arm, per pixel."""
+    seen = _arm_views(arm, disparity, params, radius)
+    steps = arm.steps[_others(arm)]
+    return _sums(_moments(seen.weight, steps, seen.relative, seen.gradients, seen.own, seen.slopes))
+
+
+def _others(arm: Arm) -> np.ndarray:
+    return np.delete(np.arange(arm.planes.shape[0]), arm.centre)
+
+
+def _arm_views(arm: Arm, disparity: Array, params: Measuring, radius: int) -> _ArmViews:
+    negative, positive = occlusion_reach(disparity, radius=radius, step=0.05)
+    columns = jnp.arange(disparity.shape[1], dtype=disparity.dtype)[None, :]
+    last = disparity.shape[1] - 1
+    centre, slopes = _sample_whole(arm.planes[arm.centre])
+
+    @jax.checkpoint
+    def one(view: tuple[Array, Array, Array]) -> tuple[Array, ...]:
+        planes, step, there = view
+        position = columns + step * disparity
+        values, slopes = _sample(planes, position)
+        reach = jnp.where(step < 0, negative, positive)
+        inside = (position >= 0) & (position <= last)
+        seen = there & inside & (jnp.abs(step) < reach - 0.5)
+        relative = tuple(v - c for v, c in zip(values, centre, strict=True))
+        return (seen.astype(disparity.dtype), *relative, *slopes)
+
+    # Colours are relative to the centre view, whose own are therefore 0.
+    others = _others(arm)
+    seen, *rest = lax.map(one, (arm.planes[others], arm.steps[others], arm.available[others]))
+    relative, gradients = rest[: len(centre)], rest[len(centre) :]
+    first = _moments(seen, arm.steps[others], relative, gradients, jnp.ones_like(disparity), slopes)
+    own, weight = _trusted(seen, relative, first, params)
+    return _ArmViews(own, weight, relative, gradients, slopes)
+
+
+def _moments(
+    weight: Array,
+    steps: Array,
+    values: list[Array],
+    gradients: list[Array],
+    own: Array,
+    slopes: list[Array],
+) -> _Moments:
+    """Sums over the views; `own` and `slopes` are weight and gradients of the centre view."""
+    weights, colours = unstack(weight), [unstack(v) for v in values]
+
+    def total(factors: Sequence[Array], images: Sequence[Array] | None = None) -> Array:
+        terms = factors if images is None else [f * i for f, i in zip(factors, images, strict=True)]
+        return sum(terms[1:], terms[0])
+
+    first = [w * step for w, step in zip(weights, steps, strict=True)]
+    second = [w * step**2 for w, step in zip(weights, steps, strict=True)]
+    squares = [_square(of) for of in zip(*colours, strict=True)]
+    return _Moments(
+        own + total(weights),
+        total(first),
+        total(second),
+        [total(weights, colour) for colour in colours],
+        [total(first, colour) for colour in colours],
+        total(weights, squares),
+        [own * s + total(weights, unstack(g)) for s, g in zip(slopes, gradients, strict=True)],
+    )
+
+
+def _square(colour: Sequence[Array]) -> Array:
+    total = colour[0] ** 2
+    for channel in colour[1:]:
+        total = total + channel**2
+    return total
+
+
+def _trusted(
+    seen: Array, values: list[Array], moments: _Moments, params: Measuring
+) -> tuple[Array, Array]:
+    """Weights of the centre view and of the others: those far from the mean count less."""
+    means = [c / moments.weight for c in moments.colour]
+    spread = moments.power
+    for mean, colour in zip(means, moments.colour, strict=True):
+        spread = spread - mean * colour
+    floor = len(values) * params.noise**2
+    scale = params.outlier * jnp.maximum(box_mean(spread / moments.weight, 1), floor)
+
+    def one(view: tuple[Array, ...]) -> Array:
+        present, *colours = view
+        distance = jnp.zeros_like(present)
+        for colour, mean in zip(colours, means, strict=True):
+            distance = distance + (colour - mean) ** 2
+        return present / (1 + box_mean(distance, 1) / scale)
+
+    nothing = jnp.zeros_like(scale)
+    own = one((jnp.ones_like(scale), *(nothing for _ in values)))
+    return own, lax.map(jax.checkpoint(one), (seen, *values))
+
+
+def _sums(moments: _Moments) -> _ArmLook:
+    mean_step = moments.step / moments.weight
+    spread = jnp.maximum(moments.square - mean_step * moments.step, 0)
+    gradients = [g / moments.weight for g in moments.gradient]
+    trends = [t - mean_step * c for t, c in zip(moments.trend, moments.colour, strict=True)]
+    right = jnp.zeros_like(mean_step)
+    contrast = jnp.zeros_like(mean_step)
+    power = moments.power
+    for colour, trend, gradient in zip(moments.colour, trends, gradients, strict=True):
+        right = right - gradient * trend
+        contrast = contrast + gradient * gradient
+        power = power - colour * colour / moments.weight
+    return _ArmLook(
+        right,
+        contrast * spread,
+        power,
+        moments.weight - 1,
+        spread,
+        tuple(spread * g for g in gradients),
+        tuple(trends),
+    )
+
+
+def _sample_whole(planes: Float[Array, "c y x"]) -> tuple[list[Array], list[Array]]:
+    """Cubic splines and their derivatives at the pixels themselves."""
+    padded = jnp.pad(planes, ((0, 0), (0, 0), (1, 1)), mode="edge")
+    before, after = padded[..., :-2], padded[..., 2:]
+    values, slopes = (before + 4 * planes + after) / 6, 0.5 * (after - before)
+    return list(values), list(slopes)
+
+
+def _sample(
+    planes: Float[Array, "c y x"], position: Float[Array, "y x"]
+) -> tuple[tuple[Array, ...], tuple[Array, ...]]:
+    """Cubic splines at positions along x, and their derivatives; clamped at the ends."""
+    last = planes.shape[-1] - 1
+    whole = jnp.floor(position)
+    f = position - whole
+    index = whole.astype(jnp.int32)
+    weights, derivatives = cubic_taps(f)
+    taps = [
+        jnp.take_along_axis(planes, jnp.clip(index + j, 0, last)[None], axis=-1)
+        for j in (-1, 0, 1, 2)
+    ]
+    channels = range(planes.shape[0])
+
+    def combine(factors: tuple[Array, ...]) -> tuple[Array, ...]:
+        a, b, c, d = factors
+        before, at, after, beyond = taps
+        return tuple(a * before[i] + b * at[i] + c * after[i] + d * beyond[i] for i in channels)
+
+    return combine(weights), combine(derivatives)

@@ -1,0 +1,47 @@
+"""What a measurement in the views takes for granted."""
+
+import equinox as eqx
+from jaxtyping import Array, Float
+
+from mvedge_jax._params import number
+
+
+class PhotometricParams(eqx.Module):
+    """Parameters of the dense photometric measurement.
+
+    Attributes:
+        stiffness: how sure it is that colours do not drift from view to view, in squared view
+            steps: 1 says nothing, infinity allows no drift.
+        same_surface: neighbours whose disparity differs by much more than this do not take part in
+            a pixel's measurement.
+        same_colour: nor do those whose CIELAB colour differs by much more than this.
+        outlier: residuals this many times larger than the noise stop counting.
+    """
+
+    stiffness: Float[Array, ""] = number(1.0, "squared view steps")
+    same_surface: Float[Array, ""] = number(0.07, "px")
+    same_colour: Float[Array, ""] = number(8.0, "CIELAB")
+    outlier: Float[Array, ""] = number(1.0, "noise variances")
+
+
+class Measuring(PhotometricParams):
+    """The same in views of a certain noise, which `sight` says.
+
+    Attributes:
+        stiffness: see `PhotometricParams`; larger where noise would pass for drift.
+        same_surface: see there.
+        same_colour: see there; larger where noise hides the colours of surfaces.
+        outlier: see there.
+        noise: standard deviation of the images' noise, quantisation and interpolation included, in
+            units of sRGB; the floor of what residuals are taken to mean.
+        least_noise: the same where standard errors are computed: the mean of a window over many
+            views is finer than the step of a single colour.
+        gradient_noise: energy of an image's derivative per variance of its noise, 1/px². For white
+            noise and cubic splines it is 2.49; blurred views have less.
+        largest_step: a measurement moves by at most this, px per view step.
+    """
+
+    noise: Float[Array, ""] = number(1.5 / 255, "sRGB")
+    least_noise: Float[Array, ""] = number(0.4 / 255, "sRGB")
+    gradient_noise: Float[Array, ""] = number(2.5, "1/px²")
+    largest_step: Float[Array, ""] = number(0.2, "px")

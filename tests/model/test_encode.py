@@ -1,0 +1,50 @@
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from mvedge_jax.model import decode, encode, load_encoding, save_encoding
+
+
+def depth_map(shape=(19, 23)):
+    y, x = np.mgrid[: shape[0], : shape[1]].astype(float)
+    smooth = 0.3 * np.sin(x / 7) * np.cos(y / 6)
+    return jnp.asarray(np.where((x - 11) ** 2 + (y - 9) ** 2 < 25, smooth + 1.5, smooth))
+
+
+@pytest.mark.slow
+def test_more_points_reproduce_better_and_enough_nearly_perfectly(tmp_path):
+    truth = depth_map()
+    errors, sizes = [], []
+    for k in (12, 60, 300):
+        encoding = encode(truth, k, iterations=8)
+        assert encoding.pixel.shape == (k,)
+        errors.append(float(jnp.sqrt(jnp.mean((decode(encoding) - truth) ** 2))))
+        sizes.append(save_encoding(tmp_path / "code.npz", encoding))
+    assert errors[0] > 2 * errors[1] > 4 * errors[2]
+    assert errors[2] < 2e-3
+    assert sizes == sorted(sizes)
+
+
+def test_a_file_gives_back_the_same(tmp_path):
+    encoding = encode(depth_map(), 40, iterations=0)
+    path = tmp_path / "code.npz"
+    assert save_encoding(path, encoding) == path.stat().st_size
+    again = load_encoding(path)
+    for a, b in zip(jax.tree.leaves(encoding), jax.tree.leaves(again), strict=True):
+        np.testing.assert_array_equal(a, b)
+    np.testing.assert_array_equal(decode(encoding), decode(again))
+
+
+def test_flat_maps_and_bad_input(tmp_path):
+    flat = jnp.full((5, 6), 0.25)
+    np.testing.assert_allclose(decode(encode(flat, 1, iterations=0)), 0.25, atol=1e-9)
+    with pytest.raises(ValueError, match="`k` must be from 1 to the 30 pixels there are, got 31"):
+        encode(flat, 31)
+    with pytest.raises(ValueError, match="`disparity` must be finite"):
+        encode(flat.at[0, 0].set(jnp.nan), 3)
+    with pytest.raises(FileNotFoundError, match="no encoding at"):
+        load_encoding(tmp_path / "none.npz")
+    np.savez(tmp_path / "other.npz", a=np.zeros(2))
+    with pytest.raises(ValueError, match=r"has the arrays \['a'\]"):
+        load_encoding(tmp_path / "other.npz")

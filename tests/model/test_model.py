@@ -1,0 +1,226 @@
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from helpers import check_modes, count_traces
+
+from mvedge_jax.diffusion import AutoSolver, Elimination, Multigrid
+from mvedge_jax.losses import LossWeights, SupervisedWeights, Views, self_supervised_loss
+from mvedge_jax.model import (
+    DepthModel,
+    ModelParams,
+    ModelSizes,
+    SelfSupervised,
+    Supervised,
+    downsample,
+    image_roughness,
+    map_roughness,
+    render_model,
+    unlimited,
+    upsample,
+)
+from mvedge_jax.splatting import SplatParams, SplatSizes
+
+SHAPE = (13, 16)
+render = eqx.filter_jit(render_model)
+
+
+def small_model(n=25, dtype: type = np.float64, seed=0):
+    rng = np.random.default_rng(seed)
+    return DepthModel(
+        jnp.asarray(rng.uniform(-0.5, 1, n).astype(dtype)),
+        jnp.asarray(rng.uniform(0, [SHAPE[1] - 1, SHAPE[0] - 1], (n, 2)).astype(dtype)),
+        jnp.asarray((0.3 * rng.normal(size=n)).astype(dtype)),
+        jnp.asarray(rng.uniform(0, 2, SHAPE).astype(dtype)),
+        jnp.ones(n, bool),
+    )
+
+
+def exact():
+    """A solver whose own error is far below that of the differences."""
+    return ModelParams(solver=AutoSolver(tolerance=jnp.asarray(1e-13)))
+
+
+def random_views(seed=1):
+    rng = np.random.default_rng(seed)
+    y, x = np.mgrid[: SHAPE[0], : SHAPE[1]].astype(float)
+
+    def image(shift):
+        return np.stack(
+            [0.5 + 0.3 * np.sin(0.6 * x + shift + c) * np.cos(0.5 * y) for c in range(3)]
+        )
+
+    others = jnp.asarray(np.stack([image(0.3 * k) for k in range(3)]))
+    steps = jnp.asarray(rng.normal(size=(3, 2)))
+    return Views(jnp.asarray(image(0.0)), others, steps, jnp.ones(3, bool))
+
+
+@pytest.mark.parametrize("scale", [pytest.param(1, marks=pytest.mark.slow), 2])
+def test_gradient_of_the_whole_chain(scale):
+    """Splat, diffuse, warp, loss: with respect to Z, xy, R and Q, each on its own."""
+    sizes = ModelSizes(splat=SplatSizes(scale=scale, lanes=16))
+    model, params, views = small_model(), exact(), random_views()
+    visible = jnp.asarray(np.random.default_rng(2).random((3, *SHAPE)) > 0.2)
+    moving, fixed = eqx.partition(model, eqx.is_inexact_array)
+
+    @jax.jit
+    def loss_and_gradient(tree):
+        def loss(tree):
+            disparity = render_model(eqx.combine(tree, fixed), params, sizes).disparity
+            return self_supervised_loss(disparity, views, LossWeights(), visible=visible)[0]
+
+        return jax.value_and_grad(loss)(tree)
+
+    gradient = loss_and_gradient(moving)[1]
+    for part in ("disparity", "xy", "log_weight", "roughness"):
+        leaf = getattr(moving, part)
+        direction = jax.random.normal(jax.random.key(3), leaf.shape)
+
+        def along(t, part=part, leaf=leaf, direction=direction):
+            moved = eqx.tree_at(lambda m: getattr(m, part), moving, leaf + t * direction)
+            return float(loss_and_gradient(moved)[0])
+
+        numeric = (along(1e-6) - along(-1e-6)) / 2e-6
+        analytic = float(jnp.vdot(getattr(gradient, part), direction))
+        assert analytic == pytest.approx(numeric, rel=1e-5), part
+
+
+@pytest.mark.parametrize("kind", [Elimination, Multigrid])
+def test_both_modes_and_the_second_derivative(kind):
+    """Of the rendered map, with respect to points and parameters."""
+    solver = kind(tolerance=1e-13)
+    params = eqx.tree_at(lambda p: p.solver, exact(), solver)
+    params = jax.tree.map(jnp.asarray, params)
+    target = jnp.asarray(np.random.default_rng(4).normal(size=SHAPE))
+    still, turning = eqx.partition(params, lambda leaf: leaf is params.solver.tolerance)
+
+    def loss(tree):
+        model, params = tree
+        params = eqx.combine(still, params)
+        return jnp.sum(jnp.sin(render_model(model, params, ModelSizes()).disparity - target))
+
+    check_modes(loss, (small_model(), turning), rtol=1e-5, key=jax.random.key(6))
+
+
+@pytest.mark.parametrize("name", ["supervised", "self-supervised"])
+def test_both_modes_and_the_second_derivative_of_the_objectives(name):
+    model, params, sizes = small_model(), exact(), ModelSizes()
+    target = jnp.asarray(np.random.default_rng(4).normal(size=SHAPE))
+    objective: Supervised | SelfSupervised
+    if name == "supervised":
+        weights = SupervisedWeights()
+        objective = Supervised(
+            target, jnp.ones(SHAPE, bool), unlimited(model), params, weights, sizes
+        )
+    else:
+        views = random_views()
+        objective = SelfSupervised(views, unlimited(model), params, LossWeights(), sizes=sizes)
+    key = jax.random.key(8)
+
+    def loss(model):
+        return objective(model, jnp.zeros(SHAPE), key=key)[0]
+
+    check_modes(loss, model, rtol=1e-3, step=1e-7, key=jax.random.key(7))
+
+
+def test_a_plane_of_equal_labels_is_reproduced_and_a_mask_ignored():
+    model = small_model()
+    flat = eqx.tree_at(lambda m: m.disparity, model, jnp.full(25, 0.7))
+    sizes = ModelSizes()
+    np.testing.assert_allclose(render(flat, exact(), sizes).disparity, 0.7, atol=1e-9)
+    masked = DepthModel(
+        model.disparity.at[3].set(jnp.nan), model.xy.at[4].set(jnp.nan), model.log_weight,
+        model.roughness, model.valid.at[jnp.array([3, 4])].set(False),
+    )  # fmt: skip
+    clean = eqx.tree_at(lambda m: m.valid, model, masked.valid)
+    a, b = (render(m, exact(), sizes).disparity for m in (masked, clean))
+    np.testing.assert_array_equal(a, b)
+
+
+@pytest.mark.slow
+def test_unnormalised_labels_fade_beside_points():
+    model = small_model(n=1)
+    model = eqx.tree_at(
+        lambda m: (m.xy, m.disparity), model, (jnp.array([[8.0, 6.0]]), jnp.ones(1))
+    )
+    full = render(model, exact(), ModelSizes()).disparity
+    faded = render(model, exact(), ModelSizes(normalised=False)).disparity
+    np.testing.assert_allclose(full, 1, atol=1e-9)
+    assert 1e-6 < float(1 - faded.mean()) < 1e-2
+
+
+@pytest.mark.parametrize("scale", [1, 2])
+def test_narrow_points_leave_the_pixel_beside_them_to_others(scale):
+    """Most of it, at any scale; a point of the thesis' width takes it over entirely."""
+    xy = jnp.array([[5.0, 6.0], [6.0, 6.0], [1.0, 1.0]])
+    model = DepthModel(
+        jnp.array([1.0, 0.0, 0.0]), xy, jnp.zeros(3), jnp.full(SHAPE, 8.0), jnp.ones(3, bool)
+    )
+    sizes = ModelSizes(splat=SplatSizes(scale=scale, lanes=16))
+    narrow = render(model, ModelParams.narrow(scale), sizes).disparity
+    assert float(narrow[6, 5]) > 0.9
+    assert float(narrow[6, 6]) < 0.5
+    thesis = ModelParams(
+        splat=SplatParams(
+            sigma_label=jnp.asarray(0.65 * scale), sigma_weight=jnp.asarray(0.35 * scale)
+        )
+    )
+    assert float(render(model, thesis, sizes).disparity[6, 6]) > 0.9
+
+
+def test_no_points_at_all_render_to_zero_with_finite_gradients():
+    model = eqx.tree_at(lambda m: m.valid, small_model(), jnp.zeros(25, bool))
+
+    def total(tree):
+        return jnp.sum(render_model(eqx.combine(tree, model), exact(), ModelSizes()).disparity)
+
+    value, gradient = jax.jit(jax.value_and_grad(total))(eqx.filter(model, eqx.is_inexact_array))
+    assert float(value) == 0
+    assert all(bool(jnp.isfinite(leaf).all()) for leaf in jax.tree.leaves(gradient))
+
+
+def test_resampling_is_aligned_and_adjoint_to_averaging():
+    ramp = jnp.broadcast_to(jnp.arange(7.0)[None], (5, 7))
+    up = upsample(ramp, 2)
+    assert up.shape == (10, 14)
+    np.testing.assert_allclose(up[0, 1:-1], (np.arange(1, 13) + 0.5) / 2 - 0.5, atol=1e-12)
+    np.testing.assert_allclose(downsample(up, 2)[:, 1:-1], ramp[:, 1:-1], atol=1e-12)
+
+
+def test_initial_roughness_follows_edges():
+    image = jnp.zeros((6, 8, 3)).at[:, 4:].set(1.0)
+    rough = image_roughness(image, jnp.asarray(0.1))
+    np.testing.assert_allclose(rough[:, 3:5], 5.0, atol=0.1)
+    np.testing.assert_allclose(rough[:, :3], 0, atol=1e-6)
+    step = jnp.zeros((6, 8)).at[:, 4:].set(0.5)
+    both = map_roughness(step, image)
+    assert float(both[:, 4].min()) == 10.0
+    assert float(jnp.delete(both, 4, axis=1).max()) < 1e-6
+    # a colour edge alone is no reason to cut
+    assert float(map_roughness(jnp.zeros((6, 8)), image).max()) < 1e-6
+
+
+def test_one_trace_and_float32():
+    traced, traces = count_traces(lambda m, p: render_model(m, p, ModelSizes()).disparity)
+    model = small_model(dtype=np.float32)
+    first = traced(model, ModelParams())
+    traced(eqx.tree_at(lambda m: m.disparity, model, model.disparity + 1), ModelParams())
+    assert traces() == 1
+    assert first.dtype == jnp.float32
+    wide = render(small_model(), exact(), ModelSizes()).disparity
+    assert float(jnp.abs(first.astype(float) - wide).max()) < 1e-3
+
+
+def test_objective_with_all_views_masked_is_finite():
+    views = random_views()
+    views = Views(views.centre, views.others, views.steps, jnp.zeros(3, bool))
+    model = small_model()
+    objective = SelfSupervised(views, unlimited(model))
+
+    def loss(tree):
+        return objective(eqx.combine(tree, model), jnp.zeros(SHAPE), key=jax.random.key(0))[0]
+
+    value, gradient = jax.jit(jax.value_and_grad(loss))(eqx.filter(model, eqx.is_inexact_array))
+    assert bool(jnp.isfinite(value))
+    assert all(bool(jnp.isfinite(leaf).all()) for leaf in jax.tree.leaves(gradient))

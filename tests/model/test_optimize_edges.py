@@ -1,0 +1,80 @@
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy import ndimage
+
+from mvedge_jax.lightfield import GroundTruth, LightField
+from mvedge_jax.model import (
+    ByEvidence,
+    ByReprojection,
+    DepthModel,
+    ModelParams,
+    ModelSizes,
+    PolishParams,
+    Start,
+    optimize_edges,
+    polish,
+    render_model,
+)
+
+SHAPE = (20, 22)
+SIZES = ModelSizes.on_raster(1)
+TRUE = 0.3
+
+
+def plane(*, truth=None):
+    """A textured plane, 5x5 views."""
+    rng = np.random.default_rng(0)
+    texture = ndimage.gaussian_filter(rng.uniform(size=(40, 42, 3)), (1, 1, 0)) * 2 - 0.5
+    y, x = np.mgrid[: SHAPE[0], : SHAPE[1]].astype(float) + 10
+    views = np.zeros((5, 5, *SHAPE, 3))
+    for v, u, c in np.ndindex(5, 5, 3):
+        place = [y - (2 - v) * TRUE, x - (2 - u) * TRUE]
+        views[v, u, ..., c] = ndimage.map_coordinates(texture[..., c], place, order=3)
+    return LightField(jnp.asarray(np.clip(views, 0, 1)), truth=truth)
+
+
+def level(value, n=60):
+    """Points everywhere that all say `value`, and the map of them."""
+    xy = np.random.default_rng(1).uniform(0, [SHAPE[1] - 1, SHAPE[0] - 1], (n, 2))
+    label = jnp.full(n, value)
+    model = DepthModel(label, jnp.asarray(xy), 0 * label, jnp.zeros(SHAPE), jnp.ones(n, bool))
+    return Start(model, jnp.full(n, 0.01), jnp.full(SHAPE, value))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("params", [ByEvidence(), ByReprojection(subset=3)], ids=type)
+def test_a_wrong_map_moves_towards_the_truth_that_is_not_read(params):
+    start, told = level(TRUE + 0.02), []
+    lie = GroundTruth(jnp.full(SHAPE, -5.0), jnp.ones(SHAPE, bool))
+    key = jax.random.key(2)
+    found = optimize_edges(plane(truth=lie), start, params, SIZES, progress=told.append, key=key)
+    error = np.abs(np.asarray(found.disparity) - TRUE)[4:-4, 4:-4]
+    assert error.max() < 0.01
+    assert found.verdict is not None
+    assert bool(found.verdict.kept)
+    assert float(found.verdict.error[1]) < 0.5 * float(found.verdict.error[0])
+    assert (found.verdict.confirmed is not None) == isinstance(params, ByEvidence)
+    assert [now.iteration for now in told] == [10, 20, 30, 40]
+    assert all(now.grown is None for now in told)
+
+
+@pytest.mark.parametrize("margin", [1.0, -jnp.inf])
+def test_what_the_judges_do_not_confirm_is_dropped_and_the_first_map_polished(margin):
+    start = level(TRUE)
+    params = ByReprojection(fit=None, margin=jnp.asarray(margin))
+    found = optimize_edges(plane(), start, params, SIZES)
+    assert found.verdict is not None
+    assert bool(found.verdict.kept) == (margin < 0)
+    first = polish(start.disparity, PolishParams())
+    rendered = render_model(found.model, ModelParams.narrow(1), SIZES).disparity
+    expected = first if margin > 0 else polish(rendered, PolishParams())
+    np.testing.assert_allclose(found.disparity, expected, atol=1e-4)
+    assert float(jnp.abs(rendered - first).max()) > 1e-3
+
+
+def test_a_start_of_another_shape_is_refused():
+    start = level(TRUE)._replace(disparity=jnp.zeros((3, 4)))
+    with pytest.raises(ValueError, match=r"`start` has the shape \(3, 4\); the views have \(20"):
+        optimize_edges(plane(), start, ByEvidence(), SIZES)

@@ -1,0 +1,88 @@
+"""Depth steps that move to image edges."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from helpers import count_traces
+
+from mvedge_jax.model import RelocateParams, relocate_steps
+
+
+def scene(off, *, down=False, size=24):
+    """A map whose step lies `off` pixels beside the edge of its image, and the true map."""
+    columns = jnp.arange(size)[None] + jnp.zeros((size, 1), int)
+    image = jnp.where(columns >= 11, jnp.array([0.7, 0.5, 0.2])[:, None, None], 0.3)
+    maps = [jnp.where(columns >= edge, 0.8, -0.4) for edge in (11 + off, 11)]
+    if down:
+        image, maps = jnp.swapaxes(image, 1, 2), [one.T for one in maps]
+    return image, *maps
+
+
+@pytest.mark.parametrize("down", [False, True])
+@pytest.mark.parametrize("off", [-1, 0, 1])
+def test_a_step_moves_to_the_image_edge(off, down):
+    image, disparity, truth = scene(off, down=down)
+    np.testing.assert_allclose(
+        relocate_steps(disparity, image, RelocateParams()), truth, rtol=0, atol=0.02
+    )
+
+
+@pytest.mark.parametrize("reach", [1, 2, 3])
+def test_it_reaches_as_far_as_it_says(reach):
+    image, disparity, truth = scene(reach)
+    found = relocate_steps(disparity, image, RelocateParams(), reach=reach)
+    np.testing.assert_allclose(found, truth, rtol=0, atol=0.02)
+    image, disparity, truth = scene(reach + 1)
+    found = relocate_steps(disparity, image, RelocateParams(), reach=reach)
+    assert jnp.abs(found - truth).max() > 0.1
+
+
+def test_surfaces_without_steps_stay():
+    image, _, _ = scene(0)
+    rows, columns = jnp.mgrid[:24, :24]
+    slanted = (2 * rows - 3 * columns) / 20
+    found = relocate_steps(slanted, image, RelocateParams())
+    np.testing.assert_allclose(found, slanted, rtol=0, atol=1e-4)
+
+
+def test_a_map_of_steps_alone_stays():
+    image, _, _ = scene(0)
+    steps = jnp.where((jnp.arange(24)[:, None] + jnp.arange(24)[None]) % 2 == 0, 1.0, 0.0)
+    found = relocate_steps(steps, image, RelocateParams())
+    np.testing.assert_allclose(found, steps, rtol=0, atol=0.01)
+
+
+def test_gradient_against_differences():
+    image, disparity, _ = scene(1)
+    params = RelocateParams()
+    weights = jax.random.normal(jax.random.key(0), disparity.shape)
+
+    def total(disparity, image):
+        return jnp.sum(weights * relocate_steps(disparity, image, params))
+
+    slopes = jax.grad(total, (0, 1))(disparity, image)
+    move = (
+        jax.random.normal(jax.random.key(1), disparity.shape),
+        0.1 * jax.random.normal(jax.random.key(2), image.shape),
+    )
+    slope = sum(jnp.vdot(a, b) for a, b in zip(slopes, move, strict=True))
+    ahead, behind = (total(disparity + s * move[0], image + s * move[1]) for s in (1e-5, -1e-5))
+    np.testing.assert_allclose(slope, (ahead - behind) / 2e-5, rtol=1e-4)
+
+
+def test_one_trace_for_many_values():
+    image, disparity, _ = scene(1)
+    traced, traces = count_traces(lambda d, p: relocate_steps(d, image, p))
+    for step in (0.1, 0.3):
+        traced(disparity, RelocateParams(step=jnp.asarray(step)))
+    assert traces() == 1
+
+
+def test_errors():
+    image, disparity, _ = scene(1)
+    # A type error where shapes are checked at run time, as in these tests.
+    with pytest.raises((ValueError, TypeError), match="image"):
+        relocate_steps(disparity, image[:, :, :-1], RelocateParams())
+    with pytest.raises(ValueError, match="`reach` must be at least 1 pixel, got 0"):
+        relocate_steps(disparity, image, RelocateParams(), reach=0)
