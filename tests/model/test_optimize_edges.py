@@ -62,16 +62,21 @@ def test_a_wrong_map_moves_towards_the_truth_that_is_not_read(params):
 
 @pytest.mark.parametrize("margin", [1.0, -jnp.inf])
 def test_what_the_judges_do_not_confirm_is_dropped_and_the_first_map_polished(margin):
-    start = level(TRUE)
+    ramp = jnp.broadcast_to(jnp.linspace(TRUE, TRUE + 0.05, SHAPE[1]), SHAPE)
+    start = level(TRUE + 0.05)._replace(disparity=ramp)
     params = ByReprojection(fit=None, margin=jnp.asarray(margin))
     found = optimize_edges(plane(), start, params, SIZES)
     assert found.verdict is not None
     assert bool(found.verdict.kept) == (margin < 0)
-    first = polish(start.disparity, PolishParams())
-    rendered = render_model(found.model, ModelParams.narrow(1), SIZES).disparity
-    expected = first if margin > 0 else polish(rendered, PolishParams())
-    np.testing.assert_allclose(found.disparity, expected, atol=1e-4)
-    assert float(jnp.abs(rendered - first).max()) > 1e-3
+
+    def rendered(model):
+        return render_model(model, ModelParams.narrow(1), SIZES).disparity
+
+    change = rendered(found.model) - rendered(start.model)
+    assert float(jnp.abs(change).max()) > 2e-3
+    kept = ramp + change if margin < 0 else ramp
+    # Solves from another start agree to their own tolerance.
+    np.testing.assert_allclose(found.disparity, polish(kept, PolishParams()), atol=5e-4)
 
 
 def test_a_start_of_another_shape_is_refused():
