@@ -101,10 +101,7 @@ def _check(name, size, zero, *, directions=2, **choices):
     assert {r.name for r in found if r.zero} == set(zero), report
 
 
-SCENES = pytest.mark.parametrize("name", ["edges", "demo"])
-SIDES = pytest.mark.parametrize(
-    "side", [40, *(pytest.param(side, marks=pytest.mark.slow) for side in (64, 96))]
-)
+NAMES = ("edges", "demo")
 # The thesis' points have none of ours, and which of its lines are points is a choice, too.
 _OURS = {
     *(f"volume.{name}" for name in vars(VolumeParams())),
@@ -130,30 +127,29 @@ MODES = {
 }
 
 
-@SCENES
-@SIDES
+@pytest.mark.parametrize(
+    ("name", "side"),
+    [
+        # The gradient of a whole chain takes minutes to compile: the fast tier has one.
+        pytest.param(name, side, marks=[] if (name, side) == ("edges", 40) else [pytest.mark.slow])
+        for name in NAMES
+        for side in (40, 64, 96)
+    ],
+)
 def test_every_leaf_by_default(name, side):
     _check(name, side, set(THRESHOLDS))
 
 
-@pytest.mark.parametrize(
-    ("mode", "name", "side"),
-    [
-        # The gradient of a whole chain takes minutes to compile: the fast tier has one of these.
-        pytest.param(mode, name, side, marks=[] if fast else [pytest.mark.slow])
-        for mode in MODES
-        for name in ("edges", "demo")
-        for side in (40, 64, 96)
-        for fast in [mode == "points only" and name == "edges" and side == 40]
-    ],
-)
-def test_every_leaf_in_other_modes(mode, name, side):
+@pytest.mark.slow
+@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("name", NAMES)
+def test_every_leaf_in_other_modes(mode, name):
     choices, zero = MODES[mode]
-    _check(name, side, zero, directions=1, given=True, **choices)
+    _check(name, 40, zero, directions=1, given=True, **choices)
 
 
 @pytest.mark.slow
-@SCENES
+@pytest.mark.parametrize("name", NAMES)
 def test_second_derivatives_of_the_chain(name):
     """Forward over reverse, and what `linearize` gives, along a direction of everything."""
     loss, params, views = _problem(name, 32, levels=12, median_radius=3)
