@@ -98,6 +98,8 @@ def test_sizes_follow_the_range_and_explain_mistakes():
     assert hash(narrow) != hash(wide)
     with pytest.raises(ValueError, match="`solves` must be at least 1, got 0"):
         dataclasses.replace(narrow, solves=0)
+    with pytest.raises(ValueError, match='`views` must be "crosshair" where `dense` is False'):
+        dataclasses.replace(narrow, views="all", dense=False)
     with pytest.raises((ValueError, TypeError), match="left"):
         dataclasses.replace(narrow, side="left")
     single = LightField(jnp.zeros((1, 1, 8, 8, 3)), disparity_range=(0.0, 1.0))

@@ -71,6 +71,11 @@ def test_the_experiment_changes_the_crosshair_and_forgets_the_truth(scene):
     inner = (np.asarray(scene.views)[there] > 0.1) & (np.asarray(scene.views)[there] < 0.9)
     assert abs(difference[inner].std() / 0.02 - 1) < 0.05
     np.testing.assert_allclose(255 * views, np.round(255 * views), atol=1e-4)
+    every = robustness.changed(scene, robustness.CHANGES["noise .02"], every=True)
+    assert bool(every.available.all())
+    np.testing.assert_array_equal(np.asarray(every.views)[there], views[there])
+    rest = (np.asarray(every.views) - np.asarray(scene.views))[~there]
+    assert abs(rest.std() / 0.02 - 1) < 0.05
     clean = robustness.changed(scene, robustness.CHANGES["clean"])
     np.testing.assert_array_equal(
         np.asarray(clean.views)[there], np.asarray(scene.views, np.float32)[there]

@@ -69,7 +69,11 @@ def test_an_existing_folder_is_not_touched(scene, tmp_path, capsys):
 
 @pytest.mark.parametrize(
     ("options", "message"),
-    [(["--range", "1", "-1"], "low < high"), (["--views", "4"], "odd")],
+    [
+        (["--range", "1", "-1"], "low < high"),
+        (["--views", "4"], "odd"),
+        (["--all-views", "--no-dense"], '`views` must be "crosshair" where `dense` is False'),
+    ],
 )
 def test_mistakes_are_one_line(scene, tmp_path, capsys, options, message):
     assert _main.main(["depth", str(scene), str(tmp_path / "out"), *options]) == 2

@@ -25,6 +25,18 @@ def test_known_gains_are_recovered(sigma):
     assert (along[~CROSS] == 1).all()
 
 
+def test_gains_of_all_views_are_recovered_and_those_of_the_crosshair_do_not_change():
+    gain = 1 + 0.05 * np.random.default_rng(3).standard_normal((5, 5)).astype(np.float32)
+    gain[2, 2] = 1
+    field = changed(textured(low=0.2), gain=gain)
+    every, cross = (
+        np.asarray(exposure_along(field, jnp.float32(1), FLAT, every=which).gain)
+        for which in (True, False)
+    )
+    assert np.abs(every / gain - 1).max() < 0.003
+    np.testing.assert_allclose(every[CROSS], cross[CROSS], atol=1e-3)
+
+
 def test_equal_views_keep_their_brightness():
     field = changed(textured(low=0.2))
     assert np.abs(np.asarray(rough_exposure(field).gain) - 1).max() < 0.003
