@@ -130,7 +130,8 @@ def edge_to_depth(
         the views and in every leaf of `params` at the selections made: points, hypotheses, sides,
         levels of the median. A leaf that only selects is a threshold: its derivative is 0
         (`tests/centre/test_derivatives.py` lists them). In single precision the derivative of
-        a single pixel is lost below 1e-38: multiply a loss that is smaller than 1e-10 up.
+        a single pixel is lost below 1e-38, and above 1e38 it is NaN: scale a loss that is smaller
+        than 1e-10 or larger than 1e20.
 
     Raises:
         ValueError: the light field has a single view per arm, or the entropy search has no `key`.

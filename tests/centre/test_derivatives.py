@@ -165,10 +165,9 @@ def test_second_derivatives_of_the_chain(name):
 
 @pytest.mark.slow
 def test_the_chain_keeps_the_gradient_of_a_loss_of_any_size():
-    """In float32, down to where derivatives of single pixels are below what the format can hold.
+    """In float32, as far as the docstring of `edge_to_depth` promises it.
 
-    That is the limit which the docstring of `edge_to_depth` states: at 1e-15 the worst leaf has
-    lost 2e-5, at 1e-20 4e-3.
+    Powers of two, which change no rounding: what differs has left the range of the format.
     """
     loss, params, views = _problem("edges", 32, dtype=np.float32, levels=12, median_radius=3)
 
@@ -177,7 +176,7 @@ def test_the_chain_keeps_the_gradient_of_a_loss_of_any_size():
         return jax.grad(lambda tree: scale * loss(tree))((params, views))
 
     expected = gradient(jnp.float32(1))
-    for scale in (1e-10, 1e10, 1e20):
+    for scale in (2.0**-33, 2.0**33, 2.0**66):
         found = gradient(jnp.float32(scale))
         pairs = zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True)
         for a, b in pairs:
