@@ -62,7 +62,7 @@ def depth(
         side: how surface vectors are chosen; all but the first are baselines of the thesis.
         dense: measure disparity at every pixel, beside the edges; off, only edges are diffused.
         all_views: measure disparity in all views at the end, not in the central row and column
-            alone: more accurate, three times as slow.
+            alone: more accurate, twice as slow.
         overwrite: replace OUT if it is an earlier result of mvedge, with nothing else in it.
     """
     with stage(f"reading {scene}"):
