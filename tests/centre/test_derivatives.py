@@ -101,7 +101,10 @@ def _check(name, size, zero, *, directions=2, **choices):
     assert {r.name for r in found if r.zero} == set(zero), report
 
 
-NAMES = ("edges", "demo")
+SCENES = pytest.mark.parametrize("name", ["edges", "demo"])
+SIDES = pytest.mark.parametrize(
+    "side", [40, *(pytest.param(side, marks=pytest.mark.slow) for side in (64, 96))]
+)
 # The thesis' points have none of ours, and which of its lines are points is a choice, too.
 _OURS = {
     *(f"volume.{name}" for name in vars(VolumeParams())),
@@ -127,29 +130,30 @@ MODES = {
 }
 
 
-@pytest.mark.parametrize(
-    ("name", "side"),
-    [
-        # The gradient of a whole chain takes minutes to compile: the fast tier has one.
-        pytest.param(name, side, marks=[] if (name, side) == ("edges", 40) else [pytest.mark.slow])
-        for name in NAMES
-        for side in (40, 64, 96)
-    ],
-)
+@SCENES
+@SIDES
 def test_every_leaf_by_default(name, side):
     _check(name, side, set(THRESHOLDS))
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("mode", MODES)
-@pytest.mark.parametrize("name", NAMES)
-def test_every_leaf_in_other_modes(mode, name):
+@pytest.mark.parametrize(
+    ("mode", "name", "side"),
+    [
+        # The gradient of a whole chain takes minutes to compile: the fast tier has one of these.
+        pytest.param(mode, name, side, marks=[] if fast else [pytest.mark.slow])
+        for mode in MODES
+        for name in ("edges", "demo")
+        for side in (40, 64, 96)
+        for fast in [mode == "points only" and name == "edges" and side == 40]
+    ],
+)
+def test_every_leaf_in_other_modes(mode, name, side):
     choices, zero = MODES[mode]
-    _check(name, 40, zero, directions=1, given=True, **choices)
+    _check(name, side, zero, directions=1, given=True, **choices)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", NAMES)
+@SCENES
 def test_second_derivatives_of_the_chain(name):
     """Forward over reverse, and what `linearize` gives, along a direction of everything."""
     loss, params, views = _problem(name, 32, levels=12, median_radius=3)
@@ -164,11 +168,22 @@ def test_second_derivatives_of_the_chain(name):
 
 
 @pytest.mark.slow
-def test_the_chain_keeps_the_gradient_of_a_loss_of_any_size():
-    """In float32, as far as the docstring of `edge_to_depth` promises it.
-
-    Powers of two, which change no rounding: what differs has left the range of the format.
-    """
+@pytest.mark.parametrize(
+    "scales",
+    [
+        (2.0**-33, 2.0**33, 2.0**66),
+        pytest.param(
+            (1e-20, 1e-10, 1e10, 1e20),
+            marks=pytest.mark.xfail(
+                reason="sums that cancel round otherwise: 1e-10 changes `median.epsilon` by 1.3e-4",
+                strict=True,
+            ),
+        ),
+    ],
+    ids=["powers of two", "any"],
+)
+def test_the_chain_keeps_the_gradient_of_a_loss_of_any_size(scales):
+    """In float32. A power of two changes no rounding, so what differs there has left the range."""
     loss, params, views = _problem("edges", 32, dtype=np.float32, levels=12, median_radius=3)
 
     @jax.jit
@@ -176,7 +191,7 @@ def test_the_chain_keeps_the_gradient_of_a_loss_of_any_size():
         return jax.grad(lambda tree: scale * loss(tree))((params, views))
 
     expected = gradient(jnp.float32(1))
-    for scale in (2.0**-33, 2.0**33, 2.0**66):
+    for scale in scales:
         found = gradient(jnp.float32(scale))
         pairs = zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True)
         for a, b in pairs:
