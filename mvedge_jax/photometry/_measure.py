@@ -18,8 +18,8 @@ from ._window import weighted_sum
 
 _Tree = TypeVar("_Tree")
 
-# Rounding to eight bits leaves this standard deviation, sRGB, in the best of images.
-_ROUNDING = 1 / 255 / 12**0.5
+# Standard errors never take noise for less than this many times that of rounding.
+_LEAST_NOISE = 1.386
 # Where the signal is a smaller share of the information than this, it does not move the map.
 _LEAST_SHARE = 1e-4
 # Standard error, px, below which neighbours count alike.
@@ -117,14 +117,14 @@ def labels(
     information = jnp.maximum(information, 0)
     freedom = jnp.maximum(channels * total.freedom, 1)
     residual = jnp.maximum(power, 0) / freedom
-    floor = params.least_noise**2
+    floor = (_LEAST_NOISE * params.rounding) ** 2
     tiny = floor * 1e-6
     # The step explains a part of the residual itself.
     explained = right * right / (information + tiny)
     noise = jnp.maximum(power - explained, 0) / freedom
     spread = total.spread[0] + total.spread[1]
     gradient = params.gradient_noise * channels * spread / found.views
-    signal = jnp.maximum(information - gradient * jnp.maximum(noise, _ROUNDING**2), 0)
+    signal = jnp.maximum(information - gradient * jnp.maximum(noise, params.rounding**2), 0)
     # Without any signal the step is 0. Shares instead of squares: these underflow in float32.
     share = signal / (information + tiny)
     step = right / (information + tiny) * share / (share**2 + _LEAST_SHARE**2)

@@ -34,14 +34,15 @@ class Measuring(PhotometricParams):
         outlier: see there.
         noise: standard deviation of the images' noise, quantisation and interpolation included, in
             units of sRGB; the floor of what residuals are taken to mean.
-        least_noise: the same where standard errors are computed: the mean of a window over many
-            views is finer than the step of a single colour.
+        rounding: standard deviation of what the images were rounded by, sRGB. No residual means
+            less, and standard errors know noise no better than 1.4 of it: over many views the mean
+            of a window is finer than the step of a single colour.
         gradient_noise: energy of an image's derivative per variance of its noise, 1/px². For white
             noise and cubic splines it is 2.49; blurred views have less.
         largest_step: a measurement moves by at most this, px per view step.
     """
 
     noise: Float[Array, ""] = number(1.5 / 255, "sRGB")
-    least_noise: Float[Array, ""] = number(0.4 / 255, "sRGB")
+    rounding: Float[Array, ""] = number(1 / 255 / 12**0.5, "sRGB")
     gradient_noise: Float[Array, ""] = number(2.5, "1/px²")
     largest_step: Float[Array, ""] = number(0.2, "px")

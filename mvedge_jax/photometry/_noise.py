@@ -12,6 +12,11 @@ from mvedge_jax._crosshair import Arm
 from ._filters import keys_taps, window_sum
 
 _STEP = 1.0 / 255  # of 8-bit views, the rule
+# Steps, coarsest first, that views are looked at for; what has none is as if rounded to the last,
+# for interpolation and rendering are no finer.
+_STEPS, _FINEST = (1 / 255, 1 / 1023), 0.1 / 255
+# Standard deviation of a rounding error, in steps.
+_UNIFORM = 12**-0.5
 # Second differences in the smoothest fifth of an image, and the least of some thirty hypotheses
 # and two half arms, lie below the noise by these factors; measured on white noise.
 _SINGLE = 1 / 0.85
@@ -26,17 +31,21 @@ class Noise(NamedTuple):
             views as they are compared (after exposure and gains): sRGB in [0, 1] or a multiple.
         alpha: how much the noise rules the measurements, 0..1: 0 where it is no more than what
             8 bits leave, one half at a standard deviation of about 1.5 of 255.
+        rounding: standard deviation of what the views were rounded by when they were stored, in
+            units of sRGB: .29 of 255 in views of 8 bits.
     """
 
     deviation: Float[Array, ""]
     alpha: Float[Array, ""]
+    rounding: Float[Array, ""]
 
     @staticmethod
-    def of(deviation: Float[Array, ""]) -> "Noise":
+    def of(deviation: Float[Array, ""], rounding: Float[Array, ""] | None = None) -> "Noise":
         """The noise of a known standard deviation.
 
         Args:
             deviation: in units of the views.
+            rounding: see `Noise`; None for that of 8 bits.
 
         Returns:
             Noise whose `alpha` follows from it. Differentiable.
@@ -47,7 +56,9 @@ class Noise(NamedTuple):
             [0.0, 0.83, 0.99]
         """
         excess = jnp.maximum(deviation**2 - (1.2 * _STEP) ** 2, 0)
-        return Noise(deviation, excess / (excess + 0.004**2))
+        if rounding is None:
+            rounding = jnp.asarray(_STEP * _UNIFORM, deviation.dtype)
+        return Noise(deviation, excess / (excess + 0.004**2), rounding)
 
 
 def measure_noise(
@@ -61,7 +72,8 @@ def measure_noise(
 
     Two measurements, and the lower one counts: second differences in the smoothest places of the
     centre view, which texture everywhere fools, and what the best disparity leaves unexplained
-    between views, which gloss fools. Neither may lie below the quantisation of 8 bits.
+    between views, which gloss fools. Neither may lie below the rounding of the views: that of 8 or
+    10 bits where all colours lie on such steps, else a tenth of that of 8 bits.
 
     Args:
         centre: the centre view, `[c, y, x]`, multiplied by `exposure`.
@@ -70,7 +82,8 @@ def measure_noise(
         disparities: those to try, px per view step; None likewise.
 
     Returns:
-        The noise. Differentiable.
+        The noise. Differentiable; which steps the views have is a choice, and views of 8 bits
+        that are changed a little have none.
 
     Example:
         >>> import jax, jax.numpy as jnp
@@ -83,7 +96,19 @@ def measure_noise(
         longer = max(arms, key=lambda arm: arm.planes.shape[0])
         between = _BETWEEN**2 * between_views_variance(longer, disparities)
         variance = jnp.minimum(variance, between)
-    return Noise.of(jnp.sqrt(jnp.maximum(variance, (exposure * _STEP) ** 2 / 12)))
+    rounding = _rounding(centre / exposure)
+    return Noise.of(jnp.sqrt(jnp.maximum(variance, (exposure * rounding) ** 2)), rounding)
+
+
+def _rounding(image: Array) -> Float[Array, ""]:
+    """Standard deviation of the rounding error of a stored image."""
+    step = jnp.asarray(_FINEST, image.dtype)
+    for candidate in reversed(_STEPS):
+        levels = image / candidate
+        # A quarter on average where the values are no levels.
+        off = jnp.mean(jnp.abs(levels - jnp.round(levels)))
+        step = jnp.where(off < 0.01, candidate, step)
+    return step * _UNIFORM
 
 
 def single_view_variance(

@@ -53,8 +53,20 @@ def test_clipped_pixels_have_no_say():
 
 @pytest.mark.parametrize("shape", [(3, 8, 40), (3, 9, 9), (3, 12, 17)])
 def test_small_and_odd_images_give_at_least_the_quantisation(shape):
-    image = jnp.full(shape, 0.5, jnp.float32)
+    image = jnp.full(shape, 128 / 255, jnp.float32)
     assert float(measure_noise(image, jnp.float32(1)).deviation) == pytest.approx(1 / 255 / 12**0.5)
+
+
+@pytest.mark.parametrize("exposure", [1.0, 3.7])
+@pytest.mark.parametrize(
+    ("levels", "expected"), [(255, 255), (1023, 1023), (65535, 2550), (None, 2550)]
+)
+def test_the_step_of_the_views_is_found_in_them(levels, expected, exposure):
+    image = jax.random.uniform(jax.random.key(0), (3, 24, 24), jnp.float32)
+    if levels is not None:
+        image = jnp.round(levels * image) / levels
+    found = measure_noise(image * exposure, jnp.float32(exposure))
+    assert float(found.rounding) == pytest.approx(1 / expected / 12**0.5, rel=1e-6)
 
 
 def test_a_missing_view_is_not_seen():
