@@ -148,7 +148,7 @@ def _plot(losses: list[float], rows: list[dict[str, Any]]) -> Figure:
             axis.bar([k + shift for k in range(len(names))], heights, 0.38, label=label)
         axis.set_xticks(range(len(names)), [titles[name] for name in names], fontsize=7)
         axis.set(ylabel=column)
-    axes[0].legend()
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper right", ncols=2)
     return figure
 
 

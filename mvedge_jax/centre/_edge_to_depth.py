@@ -71,9 +71,9 @@ class DepthResult(NamedTuple):
     Attributes:
         disparity: px per view step, larger is nearer, `[y, x]`.
         error: standard error of the disparity, px, `[y, x]`: of the labels that a pixel was made
-            from, its own and, where these are weak, those of its surroundings, and what half a
-            pixel of doubt about the place of a depth step amounts to. Infinite if there is no
-            label at all.
+            from, its own and, where these are weak, those of its surroundings, which far from any
+            label give way to the spread of the whole map; and what half a pixel of doubt about the
+            place of a depth step amounts to. Infinite if there is no label at all.
         depth_edge: depth-edge confidence (4.3), px per px, `[y, x]`.
         points: the multi-view edges.
         surface: their surface vectors, scores and probabilities.

@@ -6,6 +6,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from mvedge_jax._root import root
+
 
 class Candidates(NamedTuple):
     """Pixels on an edge, in raster order: the gathers of the refinement then stay local.
@@ -54,7 +56,7 @@ def contrast(colour: Float[Array, "y x c"]) -> Float[Array, "2 y x"]:
         size = colour.shape[axis]
         ahead = jax.lax.slice_in_dim(padded, 2, size + 2, axis=axis)
         energy = ((ahead - jax.lax.slice_in_dim(padded, 0, size, axis=axis)) ** 2).sum(-1)
-        return jnp.where(energy > 0, jnp.sqrt(jnp.where(energy > 0, energy, 1)), 0)
+        return root(energy)
 
     return jnp.stack([along(1), along(0)])
 

@@ -8,6 +8,8 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
+from mvedge_jax._root import root
+
 from ._bank import FilterBank
 from ._response import bank_response
 
@@ -34,8 +36,7 @@ def _local_deviation(epi: Float[Array, "u x c"]) -> Float[Array, "u x c"]:
     rows, columns = epi.shape[:2]
     parts = [padded[j : j + rows, i : i + columns] for j in range(3) for i in range(3)]
     stack = jnp.stack(parts)
-    variance = ((stack - stack.mean(0)[None]) ** 2).mean(0)
-    return jnp.where(variance > 0, jnp.sqrt(jnp.where(variance > 0, variance, 1)), 0)
+    return root(((stack - stack.mean(0)[None]) ** 2).mean(0))
 
 
 def epi_edge_map(

@@ -8,6 +8,8 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float
 
+from mvedge_jax._root import root
+
 from .._linear_map import linear_map
 from ._bank import FilterBank
 
@@ -119,7 +121,7 @@ def strongest_response(arm: Float[Array, "u y x c"], bank: FilterBank) -> Float[
         energy = (out**2).reshape(-1, channels, *out.shape[1:]).sum(1)
         best = jnp.argmax(energy, axis=-1)
         strongest = jnp.take_along_axis(energy, best[..., None], axis=-1)[..., 0]
-        return jnp.where(strongest > 0, jnp.sqrt(jnp.where(strongest > 0, strongest, 1)), 0)
+        return root(strongest)
 
     return in_row_blocks(block, jnp.transpose(padded, (1, 3, 2, 0)))
 

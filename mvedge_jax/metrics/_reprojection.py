@@ -8,6 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from mvedge_jax._root import root
+
 from ..color import srgb_to_lab
 from ..lightfield import LightField
 from ..warping import backward_warp, visible
@@ -118,7 +120,7 @@ def _reprojection(disparity, light_field, tolerance, space, targets, crop) -> Re
             distance = jnp.abs(difference).mean(-1)
         else:
             squares = (difference**2).sum(-1)
-            distance = jnp.where(squares > 0, jnp.sqrt(jnp.where(squares > 0, squares, 1)), 0)
+            distance = root(squares)
         distance = scale * jnp.where(finite, jnp.where(seen, distance, 0), _WORST[space])
         return cropped(distance, crop), cropped(seen | ~finite, crop)
 

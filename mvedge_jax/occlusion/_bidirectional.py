@@ -8,6 +8,7 @@ from jax import lax
 from jaxtyping import Array, Bool, Float
 
 from mvedge_jax._params import cast, number
+from mvedge_jax._root import root
 from mvedge_jax.diffusion import AbstractSolver, AutoSolver, System, diffuse, edge_weights
 from mvedge_jax.epi import EdgePoints
 
@@ -175,5 +176,4 @@ def _gradient_square(image: Array) -> Array:
 
 
 def _gradient_magnitude(image: Array) -> Array:
-    square = _gradient_square(image)
-    return jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1)), 0)
+    return root(_gradient_square(image))

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
-from ._window import length
+from mvedge_jax._root import root
 
 
 def aggregate(
@@ -55,7 +55,7 @@ def _both_ways(cost: Array, lab: Array, slant: Array, jump: Array, colour: Array
     square = jnp.zeros_like(lab[1:, 0])
     for channel in range(lab.shape[1]):
         square = square + jnp.diff(lab[:, channel], axis=0) ** 2
-    price = jump / (1 + length(square) / colour)
+    price = jump / (1 + root(square) / colour)
     free = jnp.zeros_like(lab[:1, 0])
     wall = jnp.full_like(cost[0, :1], jnp.inf)
 

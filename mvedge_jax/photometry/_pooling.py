@@ -5,6 +5,8 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
+from mvedge_jax._root import root
+
 from ._filters import gaussian, highest
 from ._noise import Noise
 
@@ -81,7 +83,7 @@ def _gradient(lab: Float[Array, "c y x"]) -> Float[Array, "y x"]:
             size = channel.shape[axis]
             ahead = lax.slice_in_dim(wide, 2, size + 2, axis=axis)
             square = square + (0.5 * (ahead - lax.slice_in_dim(wide, 0, size, axis=axis))) ** 2
-    return _root(square)
+    return root(square)
 
 
 def _distance(lab: Float[Array, "c y x"], axis: int) -> Array:
@@ -91,12 +93,7 @@ def _distance(lab: Float[Array, "c y x"], axis: int) -> Array:
     square = jnp.zeros_like(lab[0])
     for channel in lab:
         square = square + jnp.pad(jnp.diff(channel, axis=axis), margin) ** 2
-    return _root(square)
-
-
-def _root(square: Array) -> Array:
-    """Square root with the slope 0 at 0."""
-    return jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1)), 0)
+    return root(square)
 
 
 def _smooth(volume: Array, steps: tuple[Array, Array], length: Array) -> Array:

@@ -11,6 +11,7 @@ from jaxtyping import Array, Float
 
 from mvedge_jax._fence import fenced
 from mvedge_jax._linear_map import linear_map
+from mvedge_jax._root import root
 
 from ._filters import highest
 
@@ -130,7 +131,7 @@ def colour_weights(
         square = jnp.zeros_like(lab[0])
         for own, other in zip(lab, others, strict=True):
             square = square + (other - own) ** 2
-        return jnp.exp(-length(square) / scale)
+        return jnp.exp(-root(square) / scale)
 
     # Made once, unlike the sums over them, hence the loop, which compiles faster.
     weights = lax.map(weight, jnp.arange(size * size))
@@ -154,19 +155,7 @@ def contrast(lab: Float[Array, "c y x"], *, radius: int) -> Float[Array, "y x"]:
         smooth = _smooth(_smooth(channel).T).T
         for axis in (0, 1):
             square = square + _slope(smooth, axis) ** 2
-    return highest(length(square), radius)
-
-
-def length(square: Float[Array, "*s"]) -> Float[Array, "*s"]:
-    """Square root with the slope 0 at 0, where there is none: equal colours have no direction.
-
-    Args:
-        square: not negative.
-
-    Returns:
-        Its root. Differentiable.
-    """
-    return jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1)), 0)
+    return highest(root(square), radius)
 
 
 def _smooth(image: Array) -> Array:
