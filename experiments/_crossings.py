@@ -24,7 +24,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from mvedge_jax.color import srgb_to_lab
-from mvedge_jax.epi import EdgePoints
+from mvedge_jax.edges import EdgePoints
 from mvedge_jax.lightfield import LightField
 
 

@@ -11,10 +11,9 @@ import numpy as np
 from mvedge_jax.baselines import plane_sweep
 from mvedge_jax.centre import Parameters, Sizes, edge_to_depth
 from mvedge_jax.datasets import load_light_field, synthetic
-from mvedge_jax.epi import scene_range
+from mvedge_jax.edges import BidirectionalParams, scene_range
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.metrics import boundary_scores, depth_scores
-from mvedge_jax.occlusion import BidirectionalParams
 
 SYNTHETIC = ("edges", "thin", "wide", "noisy", "slanted", "crossing")
 

@@ -29,14 +29,9 @@ from experiments._crossings import crossing_table
 from experiments._report import print_table, shared_data, write_csv, write_json
 from mvedge_jax import plotting
 from mvedge_jax.datasets import load_light_field, synthetic
-from mvedge_jax.epi import (
-    EdgeParams,
-    EdgePoints,
-    EdgeSizes,
-    ThesisSteps,
-    joint_filter,
-    multiview_edges,
-)
+from mvedge_jax.edges import EdgeParams, EdgePoints, EdgeSizes, multiview_edges
+from mvedge_jax.epi import ThesisSteps
+from mvedge_jax.epi._joint_filter import joint_filter
 from mvedge_jax.lightfield import LightField
 
 

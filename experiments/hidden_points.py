@@ -31,8 +31,8 @@ from mvedge_jax.model import (
     all_at_once,
     fit_edges,
     render_model,
-    usefulness,
 )
+from mvedge_jax.model._grow import usefulness
 from mvedge_jax.splatting import SplatSizes
 
 SHAPE = (32, 40)

@@ -22,7 +22,7 @@ from _report import print_table, write_csv, write_json
 from matplotlib.figure import Figure
 
 from mvedge_jax.centre import Parameters, Sizes, edge_to_depth
-from mvedge_jax.epi import scene_range
+from mvedge_jax.edges import scene_range
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.metrics import depth_scores
 

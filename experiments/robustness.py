@@ -23,7 +23,7 @@ from experiments._report import print_table, write_json
 from mvedge_jax.baselines import plane_sweep
 from mvedge_jax.centre import Parameters, Sizes, edge_to_depth
 from mvedge_jax.datasets import load_light_field, synthetic
-from mvedge_jax.epi import scene_range
+from mvedge_jax.edges import scene_range
 from mvedge_jax.lightfield import GroundTruth, LightField
 from mvedge_jax.metrics import depth_scores
 

@@ -11,7 +11,7 @@ from .centre import (
 )
 from .datasets import load_light_field as load_light_field
 from .diffusion import System as System, diffuse as diffuse
-from .epi import EdgePoints as EdgePoints, multiview_edges as multiview_edges
+from .edges import EdgePoints as EdgePoints, multiview_edges as multiview_edges
 from .lightfield import Camera as Camera, GroundTruth as GroundTruth, LightField as LightField
 from .model import (
     ByEvidence as ByEvidence,

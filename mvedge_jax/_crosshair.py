@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from .lightfield import LightField
+from mvedge_jax.lightfield import LightField
 
 
 class Arm(NamedTuple):

@@ -9,7 +9,7 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int
 
-from ._params import as_number
+from mvedge_jax._params import as_number
 
 
 class Camera(eqx.Module):

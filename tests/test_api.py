@@ -141,12 +141,12 @@ def test_the_package_never_mentions_development_data():
 
 
 _FLOORS = (
-    ("_params", "_fence", "_linear_map", "_unstack", "color"),
+    ("_params", "_fence", "_linear_map", "_root", "_unstack", "color", "image"),
     ("lightfield",),
     ("_crosshair",),
     ("photometry",),
     ("diffusion", "splatting", "warping", "epi"),
-    ("occlusion", "losses", "metrics"),
+    ("edges", "losses", "metrics"),
     ("centre", "baselines"),
     ("model",),
     ("datasets", "plotting"),

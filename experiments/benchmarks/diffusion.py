@@ -31,7 +31,7 @@ from jax.sharding import NamedSharding, PartitionSpec
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from _report import peak_memory, print_table, shared_data, write_csv, write_json  # noqa: E402
 
-from mvedge_jax.diffusion import (  # noqa: E402
+from mvedge_jax.diffusion import (
     AbstractSolver,
     AutoSolver,
     HierarchicalBasis,

@@ -23,7 +23,9 @@ from experiments._report import peak_memory, print_table, timed, write_json
 from mvedge_jax._params import cast
 from mvedge_jax.color import srgb_to_lab
 from mvedge_jax.datasets import load_light_field
-from mvedge_jax.epi import EdgeParams, EdgeSizes, multiview_edges, scene_banks, strongest_response
+from mvedge_jax.edges import EdgeParams, EdgeSizes, multiview_edges
+from mvedge_jax.edges._edges import scene_banks
+from mvedge_jax.epi import strongest_response
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.photometry import VolumeParams, hypothesis_count, prepare
 

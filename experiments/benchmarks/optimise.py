@@ -29,9 +29,9 @@ from mvedge_jax.model import (
     all_at_once,
     begin,
     render_model,
-    unlimited,
 )
 from mvedge_jax.model._model import opacities, splat_model
+from mvedge_jax.model._objectives import unlimited
 
 AUTHORS = {700: 2.1, 5000: 5.1, 20000: 18.0, 50000: 36.0}
 

@@ -13,30 +13,26 @@ from mvedge_jax._fence import staged
 from mvedge_jax._params import cast
 from mvedge_jax.color import srgb_to_gray
 from mvedge_jax.diffusion import AutoSolver
-from mvedge_jax.epi import EdgePoints, Edges, EdgeStats, measured_edges, thesis_edges
-from mvedge_jax.lightfield import LightField
-from mvedge_jax.occlusion import (
+from mvedge_jax.edges import (
     Bidirectional,
     BidirectionalParams,
+    EdgePoints,
+    Edges,
+    EdgeStats,
     SurfaceParams,
     SurfaceVectors,
     bidirectional,
     choose,
+    measured_edges,
     point_weight,
     rasterise,
     reprojection_score,
     share,
     surface_vectors,
+    thesis_edges,
 )
-from mvedge_jax.photometry import (
-    Exposure,
-    Noise,
-    Scene,
-    Sight,
-    first_labels,
-    prepare,
-    sight,
-)
+from mvedge_jax.lightfield import LightField
+from mvedge_jax.photometry import Exposure, Noise, Scene, Sight, first_labels, prepare, sight
 
 from ._parameters import CentreParams, Parameters, Sizes
 from ._sharpen import sharpen

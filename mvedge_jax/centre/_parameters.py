@@ -7,15 +7,16 @@ import equinox as eqx
 from jaxtyping import Array, Float
 
 from mvedge_jax._params import described, number
-from mvedge_jax.epi import EdgeParams, EdgeSizes, scene_range
-from mvedge_jax.lightfield import LightField
-from mvedge_jax.occlusion import BidirectionalParams, Side, SurfaceParams
-from mvedge_jax.photometry import (
-    PhotometricParams,
-    VolumeParams,
-    hypothesis_count,
-    occluder_radius,
+from mvedge_jax.edges import (
+    BidirectionalParams,
+    EdgeParams,
+    EdgeSizes,
+    Side,
+    SurfaceParams,
+    scene_range,
 )
+from mvedge_jax.lightfield import LightField
+from mvedge_jax.photometry import PhotometricParams, VolumeParams, hypothesis_count, occluder_radius
 
 from ._sharpen import MedianParams, Sharpening
 from ._smoothness import SmoothnessParams

@@ -11,12 +11,12 @@ from jaxtyping import Array, Float
 from mvedge_jax._fence import recomputed
 from mvedge_jax._root import root
 from mvedge_jax.diffusion import AutoSolver, System, diffuse
+from mvedge_jax.image import gaussian
 from mvedge_jax.photometry import (
     Look,
     Measuring,
     PhotometricLabels,
     Sight,
-    gaussian,
     labels,
     look,
     look_around,

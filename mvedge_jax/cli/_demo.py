@@ -13,13 +13,20 @@ import tyro
 from jax import Array
 from matplotlib.figure import Figure
 
-from .. import plotting
-from ..baselines import plane_sweep
-from ..centre import Parameters, Sizes, edge_to_depth
-from ..datasets import synthetic, write_pfm
-from ..epi import EdgePoints
-from ..lightfield import GroundTruth, LightField
-from ..metrics import BoundaryScores, DepthScores, boundary_scores, depth_scores, reprojection_error
+from mvedge_jax import plotting
+from mvedge_jax.baselines import plane_sweep
+from mvedge_jax.centre import Parameters, Sizes, edge_to_depth
+from mvedge_jax.datasets import synthetic, write_pfm
+from mvedge_jax.edges import EdgePoints
+from mvedge_jax.lightfield import GroundTruth, LightField
+from mvedge_jax.metrics import (
+    BoundaryScores,
+    DepthScores,
+    boundary_scores,
+    depth_scores,
+    reprojection_error,
+)
+
 from ._common import note, stage
 from ._output import output_folder, write_json
 

@@ -11,11 +11,12 @@ import jax
 import numpy as np
 import tyro
 
-from .. import plotting
-from ..centre import DepthResult, DepthStats, Parameters, Sizes, edge_to_depth
-from ..datasets import load_light_field, write_pfm
-from ..lightfield import LightField
-from ..metrics import boundary_scores, calibration, depth_scores
+from mvedge_jax import plotting
+from mvedge_jax.centre import DepthResult, DepthStats, Parameters, Sizes, edge_to_depth
+from mvedge_jax.datasets import load_light_field, write_pfm
+from mvedge_jax.lightfield import LightField
+from mvedge_jax.metrics import boundary_scores, calibration, depth_scores
+
 from ._common import compiled, note, stage, warn
 from ._output import output_folder, write_json
 from ._points import valid_points, write_points

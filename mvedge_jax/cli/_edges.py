@@ -8,10 +8,11 @@ import jax
 import numpy as np
 import tyro
 
-from .. import plotting
-from ..datasets import load_light_field
-from ..epi import EdgeParams, Edges, EdgeSizes, multiview_edges
-from ..lightfield import LightField
+from mvedge_jax import plotting
+from mvedge_jax.datasets import load_light_field
+from mvedge_jax.edges import EdgeParams, Edges, EdgeSizes, multiview_edges
+from mvedge_jax.lightfield import LightField
+
 from ._common import compiled, note, stage, warn
 from ._output import output_folder, write_json
 from ._points import valid_points, write_points

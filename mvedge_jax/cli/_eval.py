@@ -9,8 +9,9 @@ import jax.numpy as jnp
 import numpy as np
 import tyro
 
-from ..datasets import load_ground_truth, read_pfm
-from ..metrics import DepthScores, depth_scores
+from mvedge_jax.datasets import load_ground_truth, read_pfm
+from mvedge_jax.metrics import DepthScores, depth_scores
+
 from ._common import note, stage, warn
 from ._output import output_folder
 
@@ -141,7 +142,7 @@ def _draw(
 ) -> None:
     """The map beside the ground truth at the same colours, and its errors, signed and log."""
     # Matplotlib is slow to import, and only needed with --out.
-    from ..plotting import disparity_limits, plot_comparison, plot_disparity, plot_error
+    from mvedge_jax.plotting import disparity_limits, plot_comparison, plot_disparity, plot_error
 
     caption = f"MSE*100 {float(scores.mse):.3f}, BadPix(0.07) {float(scores.bad_07):.2f} %"
     for file, figure in (

@@ -8,15 +8,16 @@ import jax.numpy as jnp
 import numpy as np
 import tyro
 
-from ..datasets import (
+from mvedge_jax.datasets import (
     ConventionCheck,
     camera_spacing,
     check_convention,
     load_light_field,
     open_source,
 )
-from ..lightfield import Camera, GroundTruth, LightField
-from ..photometry import Exposure, Noise, expose, measure_noise, rough_exposure
+from mvedge_jax.lightfield import Camera, GroundTruth, LightField
+from mvedge_jax.photometry import Exposure, Noise, expose, measure_noise, rough_exposure
+
 from ._common import note, stage, warn
 
 # A camera that is off by more than this many steps moves a point of disparity 1 as many pixels.

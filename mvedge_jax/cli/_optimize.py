@@ -10,13 +10,13 @@ import numpy as np
 import tyro
 from matplotlib.figure import Figure
 
-from .. import plotting
-from ..centre import Parameters, Sizes, edge_to_depth
-from ..datasets import load_light_field, write_pfm
-from ..lightfield import GroundTruth, LightField
-from ..losses import Colours, Features, FilterBank, load_vgg16
-from ..metrics import depth_scores
-from ..model import (
+from mvedge_jax import plotting
+from mvedge_jax.centre import Parameters, Sizes, edge_to_depth
+from mvedge_jax.datasets import load_light_field, write_pfm
+from mvedge_jax.lightfield import GroundTruth, LightField
+from mvedge_jax.losses import Colours, Features, FilterBank, load_vgg16
+from mvedge_jax.metrics import depth_scores
+from mvedge_jax.model import (
     ByEvidence,
     ByReprojection,
     FitParams,
@@ -37,6 +37,7 @@ from ..model import (
     start_from_depth,
     start_from_image,
 )
+
 from ._common import compiled, note, stage, warn
 from ._output import output_folder, write_json
 

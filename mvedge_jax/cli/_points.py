@@ -5,7 +5,7 @@ from pathlib import Path
 import jax
 import numpy as np
 
-from ..epi import EdgePoints
+from mvedge_jax.edges import EdgePoints
 
 _COLUMNS = "x,y,disparity,confidence,standard_error,normal_x,normal_y,views"
 _FORMATS = ("%.3f", "%.3f", "%.5f", "%.5f", "%.2e", "%.4f", "%.4f", "%d")

@@ -9,7 +9,8 @@ import tyro
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
-from ..datasets import synthetic, write_hci
+from mvedge_jax.datasets import synthetic, write_hci
+
 from ._common import note
 from ._output import output_folder
 

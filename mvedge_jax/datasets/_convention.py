@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float
 
-from ..lightfield import LightField
+from mvedge_jax.lightfield import LightField
 
 # Sizes in pixels, contrasts in sRGB units; measured on the benchmark's scenes and a Lytro's.
 _VIEWS = 9  # central views of an arm that are looked at

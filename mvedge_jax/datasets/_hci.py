@@ -7,7 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ..lightfield import Camera
+from mvedge_jax.lightfield import Camera
+
 from ._images import read_raw
 from ._pfm import read_pfm
 from ._source import Source, Truth, check_truth, image_source

@@ -8,7 +8,8 @@ from pathlib import Path
 import h5py
 import numpy as np
 
-from ..lightfield import Camera
+from mvedge_jax.lightfield import Camera
+
 from ._source import Source, Truth, check_truth
 
 

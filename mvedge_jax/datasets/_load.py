@@ -12,7 +12,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from ..lightfield import Camera, GroundTruth, LightField
+from mvedge_jax.lightfield import Camera, GroundTruth, LightField
+
 from ._grid import is_grid, open_grid
 from ._hci import is_hci, open_hci
 from ._hdf5 import open_hdf5

@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from ..lightfield import Camera
+from mvedge_jax.lightfield import Camera
+
 from ._images import read_image
 
 

@@ -9,7 +9,8 @@ import cv2
 import numpy as np
 from jaxtyping import Array, Bool
 
-from ..lightfield import LightField
+from mvedge_jax.lightfield import LightField
+
 from ._pfm import write_pfm
 
 _SENSOR_MM = 35.0  # the benchmark's; only its ratio to the focal length means anything

@@ -8,9 +8,9 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float
 
+from mvedge_jax._linear_map import linear_map
 from mvedge_jax._root import root
 
-from .._linear_map import linear_map
 from ._bank import FilterBank
 
 _ROWS = 16

@@ -9,7 +9,8 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
-from .._params import number
+from mvedge_jax._params import number
+
 from ._alignment import aligned_count, alignment, line_visibility, longest_run
 from ._bank import FilterBank
 from ._entropy import entropy_search

@@ -7,7 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from ..warping import landing, z_buffer
+from mvedge_jax.warping import landing, z_buffer
+
 from ._region import cropped
 
 

@@ -9,10 +9,10 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from mvedge_jax._root import root
+from mvedge_jax.color import srgb_to_lab
+from mvedge_jax.lightfield import LightField
+from mvedge_jax.warping import backward_warp, visible
 
-from ..color import srgb_to_lab
-from ..lightfield import LightField
-from ..warping import backward_warp, visible
 from ._region import cropped
 
 # What a pixel without a disparity is charged: the whole range of a channel, black against white.

@@ -1,19 +1,7 @@
 """What the colours of the views say: brightness, noise, matching costs, the dense measurement."""
 
-from ._cost import (
-    VolumeParams as VolumeParams,
-    best_match as best_match,
-    hypotheses as hypotheses,
-)
-from ._denoise import Smoothed as Smoothed, denoised as denoised, low_pass as low_pass
-from ._exposure import (
-    Exposure as Exposure,
-    expose as expose,
-    exposed_arms as exposed_arms,
-    exposure_along as exposure_along,
-    rough_exposure as rough_exposure,
-)
-from ._filters import box_mean as box_mean, gaussian as gaussian, highest as highest
+from ._cost import VolumeParams as VolumeParams, best_match as best_match, hypotheses as hypotheses
+from ._exposure import Exposure as Exposure, expose as expose, rough_exposure as rough_exposure
 from ._grid import Grid as Grid, grid_of as grid_of, look_around as look_around
 from ._look import Look as Look, look as look, view_weights as view_weights
 from ._measure import (
@@ -21,12 +9,9 @@ from ._measure import (
     labels as labels,
     mismatch as mismatch,
     photometric_labels as photometric_labels,
-    shared as shared,
 )
 from ._measuring import Measuring as Measuring, PhotometricParams as PhotometricParams
 from ._noise import Noise as Noise, measure_noise as measure_noise
-from ._paths import aggregate as aggregate
-from ._pooling import pooled as pooled
 from ._reach import occlusion_reach as occlusion_reach
 from ._scene import (
     Scene as Scene,
@@ -37,4 +22,3 @@ from ._scene import (
     prepare as prepare,
     sight as sight,
 )
-from ._spline import spline_coefficients as spline_coefficients

@@ -15,8 +15,8 @@ from mvedge_jax._crosshair import Arm
 from mvedge_jax._fence import fenced
 from mvedge_jax._params import cast, number
 from mvedge_jax._unstack import unstack
+from mvedge_jax.image import keys_taps
 
-from ._filters import keys_taps
 from ._noise import Noise
 from ._paths import aggregate
 from ._pooling import pooled

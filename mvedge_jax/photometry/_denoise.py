@@ -9,8 +9,8 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from mvedge_jax._crosshair import Arm
+from mvedge_jax.image import box_mean, gaussian, gaussian_taps
 
-from ._filters import box_mean, gaussian, gaussian_taps
 from ._noise import Noise
 
 # A little more than the noise itself: its own local variance scatters, and what is left over

@@ -9,9 +9,8 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from mvedge_jax._crosshair import Arm
+from mvedge_jax.image import gaussian_taps
 from mvedge_jax.lightfield import LightField
-
-from ._filters import gaussian_taps
 
 # Where the 99th percentile of a bright, matt scene lies; floors are meant for such scenes.
 _BRIGHT = 0.56

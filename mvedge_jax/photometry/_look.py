@@ -14,11 +14,10 @@ from mvedge_jax._crosshair import Arm
 from mvedge_jax._fence import fenced
 from mvedge_jax._params import cast
 from mvedge_jax._unstack import unstack
+from mvedge_jax.image import box_mean, cubic_taps
 
-from ._filters import box_mean
 from ._measuring import Measuring
 from ._reach import occlusion_reach
-from ._spline import cubic_taps
 
 
 class Look(NamedTuple):

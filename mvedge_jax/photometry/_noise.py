@@ -8,8 +8,7 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from mvedge_jax._crosshair import Arm
-
-from ._filters import keys_taps, window_sum
+from mvedge_jax.image import keys_taps, window_sum
 
 _STEP = 1.0 / 255  # of 8-bit views, the rule
 # Steps, coarsest first, that views are looked at for; what has none is as if rounded to the last,

@@ -10,6 +10,7 @@ from mvedge_jax._crosshair import Arm, crosshair
 from mvedge_jax._fence import staged
 from mvedge_jax._params import cast
 from mvedge_jax.color import srgb_to_lab
+from mvedge_jax.image import spline_coefficients
 from mvedge_jax.lightfield import LightField
 
 from ._cost import VolumeParams, hypotheses
@@ -20,7 +21,6 @@ from ._look import look
 from ._measure import PhotometricLabels, labels, shared
 from ._measuring import Measuring, PhotometricParams
 from ._noise import Noise, measure_noise
-from ._spline import spline_coefficients
 
 
 class Scene(NamedTuple):

@@ -12,8 +12,7 @@ from jaxtyping import Array, Float
 from mvedge_jax._fence import fenced
 from mvedge_jax._linear_map import linear_map
 from mvedge_jax._root import root
-
-from ._filters import highest
+from mvedge_jax.image import highest
 
 
 def weighted_sum(

@@ -5,7 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.figure import Figure
 
-from ..metrics import BoundaryScores, Calibration, ViewConsistency
+from mvedge_jax.metrics import BoundaryScores, Calibration, ViewConsistency
+
 from ._style import COLOURS, WIDTH, check_names, colour_bar, colour_map, new_figure, show, style
 
 

@@ -7,7 +7,8 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
-from ..lightfield import LightField
+from mvedge_jax.lightfield import LightField
+
 from ._maps import disparity_limits
 from ._style import (
     DISPARITY,

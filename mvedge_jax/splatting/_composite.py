@@ -8,7 +8,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from .._linear_map import linear_map
+from mvedge_jax._linear_map import linear_map
+
 from ._params import SplatSizes
 from ._profile import absorption
 

@@ -15,8 +15,8 @@ from helpers import check_modes
 
 from mvedge_jax.centre import Parameters, Sizes, edge_to_depth
 from mvedge_jax.datasets import synthetic
+from mvedge_jax.edges import BidirectionalParams, SurfaceParams
 from mvedge_jax.epi import ThesisParams, ThesisSteps
-from mvedge_jax.occlusion import BidirectionalParams, SurfaceParams
 from mvedge_jax.photometry import PhotometricParams, VolumeParams
 
 

@@ -4,14 +4,9 @@ import numpy as np
 import pytest
 from helpers import check_gradient
 
-from mvedge_jax.epi import (
-    bank_radius,
-    bank_response,
-    exponential_disparities,
-    line_taps,
-    prewitt_bank,
-    sheared_response,
-)
+from mvedge_jax.epi import bank_radius, exponential_disparities, prewitt_bank, sheared_response
+from mvedge_jax.epi._bank import line_taps
+from mvedge_jax.epi._response import bank_response
 
 _DISPARITY = np.array([-1.7, -0.6, -0.25, 0.0, 0.33, 1.0, 2.0])
 

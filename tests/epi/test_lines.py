@@ -6,22 +6,12 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from mvedge_jax.epi import (
-    EpiLines,
-    aligned_count,
-    alignment,
-    bank_radius,
-    entropy_search,
-    epi_edge_map,
-    fit_lines,
-    joint_filter,
-    line_entropy,
-    line_visibility,
-    longest_run,
-    merge_scales,
-    prewitt_bank,
-    spatial_vote,
-)
+from mvedge_jax.epi import EpiLines, bank_radius, epi_edge_map, fit_lines, prewitt_bank
+from mvedge_jax.epi._alignment import aligned_count, alignment, line_visibility, longest_run
+from mvedge_jax.epi._entropy import entropy_search, line_entropy
+from mvedge_jax.epi._joint_filter import joint_filter
+from mvedge_jax.epi._lines import merge_scales
+from mvedge_jax.epi._vote import spatial_vote
 
 _VIEWS, _WIDTH = 9, 64
 _STEPS = _VIEWS // 2 - np.arange(_VIEWS)

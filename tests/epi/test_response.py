@@ -4,20 +4,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from epi.scenes import plane
+from edges.scenes import plane
 from helpers import check_gradient, check_modes, dot
 from scipy import signal
 
 from mvedge_jax.color import srgb_to_lab
-from mvedge_jax.epi import (
-    FilterBank,
-    bank_radius,
-    bank_response,
-    prewitt_bank,
-    strongest_response,
-)
-from mvedge_jax.epi._candidates import vertex
-from mvedge_jax.epi._response import correlate
+from mvedge_jax.edges._candidates import vertex
+from mvedge_jax.epi import FilterBank, bank_radius, prewitt_bank, strongest_response
+from mvedge_jax.epi._response import bank_response, correlate
 
 
 @pytest.fixture(scope="module")

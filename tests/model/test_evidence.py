@@ -16,13 +16,13 @@ from mvedge_jax.model import (
     RelocateParams,
     StartParams,
     advance,
-    agreed_correction,
     all_at_once,
     begin,
     polish,
     relocate_steps,
-    start_from_points,
 )
+from mvedge_jax.model._evidence import agreed_correction
+from mvedge_jax.model._start import start_from_points
 from mvedge_jax.splatting import SplatSizes
 
 SHAPE = (20, 22)

@@ -21,9 +21,9 @@ from mvedge_jax.model import (
     load_state,
     render_model,
     save_state,
-    unlimited,
-    with_capacity,
 )
+from mvedge_jax.model._capacity import with_capacity
+from mvedge_jax.model._objectives import unlimited
 
 SHAPE = (14, 18)
 SIZES = ModelSizes.on_raster(1)

@@ -13,13 +13,10 @@ from mvedge_jax.model import (
     ModelSizes,
     SelfSupervised,
     Supervised,
-    downsample,
-    image_roughness,
-    map_roughness,
     render_model,
-    unlimited,
-    upsample,
 )
+from mvedge_jax.model._model import downsample, image_roughness, map_roughness, upsample
+from mvedge_jax.model._objectives import unlimited
 from mvedge_jax.splatting import SplatParams, SplatSizes
 
 SHAPE = (13, 16)

@@ -17,19 +17,16 @@ from mvedge_jax.model import (
     advance,
     all_at_once,
     begin,
-    grow,
     load_state,
-    minimise_lbfgs,
     one_at_a_time,
     optimise,
     render_model,
     save_state,
-    unlimited,
-    usefulness,
-    with_capacity,
-    without_free_places,
-    worst_pixels,
 )
+from mvedge_jax.model._capacity import with_capacity, without_free_places
+from mvedge_jax.model._grow import grow, usefulness, worst_pixels
+from mvedge_jax.model._lbfgs import minimise_lbfgs
+from mvedge_jax.model._objectives import unlimited
 from mvedge_jax.splatting import SplatSizes
 
 SHAPE = (14, 18)

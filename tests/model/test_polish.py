@@ -3,7 +3,8 @@ import jax.numpy as jnp
 import numpy as np
 from helpers import check_gradient, count_traces
 
-from mvedge_jax.model import PolishParams, bending, polish
+from mvedge_jax.model import PolishParams, polish
+from mvedge_jax.model._polish import bending
 
 
 def surfaces(shape=(24, 30)):

@@ -5,8 +5,8 @@ import numpy as np
 from scipy import ndimage
 
 from mvedge_jax._crosshair import crosshair
+from mvedge_jax.image import spline_coefficients
 from mvedge_jax.lightfield import LightField
-from mvedge_jax.photometry import spline_coefficients
 
 
 def plane_views(disparity, *, views=(5, 5), size=(20, 28), noise=0.0, seed=0):

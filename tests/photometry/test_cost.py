@@ -10,7 +10,8 @@ from scipy import ndimage
 
 from mvedge_jax._crosshair import crosshair
 from mvedge_jax.lightfield import LightField
-from mvedge_jax.photometry import VolumeParams, aggregate, hypotheses
+from mvedge_jax.photometry import VolumeParams, hypotheses
+from mvedge_jax.photometry._paths import aggregate
 
 
 def test_hypotheses_find_both_sides_of_an_occlusion_edge():

@@ -9,16 +9,9 @@ from photometry.planes import plane_views
 from scipy import ndimage
 
 from mvedge_jax._crosshair import crosshair
+from mvedge_jax.image import spline_coefficients
 from mvedge_jax.lightfield import LightField
-from mvedge_jax.photometry import (
-    Grid,
-    Measuring,
-    grid_of,
-    labels,
-    look_around,
-    photometric_labels,
-    spline_coefficients,
-)
+from mvedge_jax.photometry import Grid, Measuring, grid_of, labels, look_around, photometric_labels
 
 SHAPE = (14, 17)
 LAB = jnp.zeros((3, *SHAPE))

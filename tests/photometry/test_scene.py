@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from epi.scenes import plane, two_planes
+from edges.scenes import plane, two_planes
 
 from mvedge_jax._params import cast
 from mvedge_jax.photometry import (
@@ -17,10 +17,10 @@ from mvedge_jax.photometry import (
     hypothesis_count,
     occluder_radius,
     prepare,
-    shared,
     sight,
     view_weights,
 )
+from mvedge_jax.photometry._measure import shared
 
 
 def _prepared(light_field, low, high, **choices):

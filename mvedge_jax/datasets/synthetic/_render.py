@@ -9,7 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
-from ...lightfield import GroundTruth, LightField
+from mvedge_jax.lightfield import GroundTruth, LightField
+
 from ._trace import Mode, Pinhole, mode_of, sees, trace_view
 from ._world import Scene
 

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from ...lightfield import Camera
+from mvedge_jax.lightfield import Camera
 
 Triple = tuple[float, float, float]
 Pattern = Literal["none", "checks", "bricks", "stripes", "dots"]

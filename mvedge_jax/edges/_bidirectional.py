@@ -10,8 +10,8 @@ from jaxtyping import Array, Bool, Float
 from mvedge_jax._params import cast, number
 from mvedge_jax._root import root
 from mvedge_jax.diffusion import AbstractSolver, AutoSolver, System, diffuse, edge_weights
-from mvedge_jax.epi import EdgePoints
 
+from ._points import EdgePoints
 from ._profile import profiles, step_response
 from ._raster import rasterise
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from mvedge_jax.photometry import spline_coefficients
+from mvedge_jax.image import spline_coefficients
 
 
 @pytest.mark.parametrize("axis", [0, -1])

@@ -8,24 +8,22 @@ from helpers import check_gradient, count_traces
 
 from mvedge_jax._crosshair import crosshair
 from mvedge_jax.diffusion import AutoSolver
-from mvedge_jax.epi import EdgePoints
-from mvedge_jax.lightfield import LightField
-from mvedge_jax.occlusion import (
+from mvedge_jax.edges import (
     BidirectionalParams,
+    EdgePoints,
     SurfaceParams,
-    along_edge,
     bidirectional,
     choose,
     depth_edge_confidence,
-    map_evidence,
-    neighbour_evidence,
     point_weight,
-    profiles,
     rasterise,
     reprojection_score,
-    step_response,
     surface_vectors,
 )
+from mvedge_jax.edges._evidence import map_evidence, neighbour_evidence
+from mvedge_jax.edges._profile import profiles, step_response
+from mvedge_jax.edges._surface import along_edge
+from mvedge_jax.lightfield import LightField
 from mvedge_jax.photometry import occlusion_reach
 
 SHAPE = (24, 32)

@@ -6,8 +6,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float
 
-from mvedge_jax.epi import EdgePoints
-
+from ._points import EdgePoints
 from ._raster import Raster
 
 

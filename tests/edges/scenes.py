@@ -1,4 +1,4 @@
-"""Small light fields with closed-form disparity, for the tests of `epi`."""
+"""Small light fields with closed-form disparity, for tests of points and filters."""
 
 import jax.numpy as jnp
 import numpy as np

@@ -5,11 +5,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from .._crosshair import crosshair
-from .._params import cast
-from ..color import srgb_to_lab
-from ..lightfield import LightField
-from ..photometry import (
+from mvedge_jax._crosshair import crosshair
+from mvedge_jax._params import cast
+from mvedge_jax.color import srgb_to_lab
+from mvedge_jax.lightfield import LightField
+from mvedge_jax.photometry import (
     Exposure,
     Noise,
     VolumeParams,
@@ -18,6 +18,7 @@ from ..photometry import (
     measure_noise,
     rough_exposure,
 )
+
 from ._candidates import contrast
 
 _STEP = 0.1

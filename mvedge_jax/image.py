@@ -1,12 +1,26 @@
-"""What the photometry shares: Gaussian, box, largest value around a pixel, interpolation."""
+"""One of each of what is done to images: sums, blurs, splines."""
 
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 from jaxtyping import Array, Float
 
+_POLE = np.sqrt(3.0) - 2.0
+# The inverse filter decays by 0.27 per sample; 1e-7 of it is left at this radius.
+_RADIUS = 12
+
 
 def window_sum(image: Array, radius: int, axis: int) -> Array:
-    """Sum over `2 radius + 1` neighbours along an axis, borders repeated."""
+    """Sum over `2 radius + 1` neighbours along an axis, borders repeated.
+
+    Args:
+        image: any shape.
+        radius: px to either side.
+        axis: of the neighbours.
+
+    Returns:
+        The sums, of the shape of `image`. Differentiable.
+    """
     margin = [(0, 0)] * image.ndim
     margin[axis] = (radius, radius)
     padded = jnp.pad(image, margin, mode="edge")
@@ -33,7 +47,15 @@ def box_mean(image: Float[Array, "*c y x"], radius: int) -> Float[Array, "*c y x
 
 
 def gaussian_taps(sigma: Float[Array, ""], radius: int) -> Float[Array, " k"]:
-    """Taps of a Gaussian, which sum to 1; `sigma` 0 gives the identity."""
+    """Taps of a Gaussian, which sum to 1.
+
+    Args:
+        sigma: standard deviation, px; 0 gives the identity.
+        radius: where the Gaussian is cut, px.
+
+    Returns:
+        `2 radius + 1` taps. Differentiable from a `sigma` of .1 px.
+    """
     offsets = jnp.arange(-radius, radius + 1, dtype=sigma.dtype)
     # Where a Gaussian is much narrower than a pixel its neighbours get nothing anyway.
     safe = jnp.maximum(sigma, 0.1)
@@ -42,7 +64,16 @@ def gaussian_taps(sigma: Float[Array, ""], radius: int) -> Float[Array, " k"]:
 
 
 def convolved(image: Array, taps: Float[Array, " k"], axis: int) -> Array:
-    """Image filtered along an axis with an odd number of taps, borders repeated."""
+    """Image filtered along an axis, borders repeated.
+
+    Args:
+        image: any shape.
+        taps: an odd number of them, as a correlation has them.
+        axis: along which to filter.
+
+    Returns:
+        The filtered image, of the shape of `image`. Differentiable in both.
+    """
     radius = taps.shape[0] // 2
     axis = axis % image.ndim
     margin = [(0, 0)] * image.ndim
@@ -98,7 +129,16 @@ def highest(image: Float[Array, "y x"], radius: int) -> Float[Array, "y x"]:
 
 
 def keys_taps(fraction: Array) -> tuple[Array, Array, Array, Array]:
-    """Taps of Keys' cubic interpolation at a fraction of a pixel."""
+    """Taps of Keys' cubic interpolation.
+
+    Args:
+        fraction: of a pixel, from the second of four samples to the position, in [0, 1].
+
+    Returns:
+        Weights of the four samples. Differentiable.
+
+    Source: Keys (1981), "Cubic convolution interpolation for digital image processing".
+    """
     f = fraction
     return (
         -0.5 * f * (1 - f) ** 2,
@@ -106,3 +146,50 @@ def keys_taps(fraction: Array) -> tuple[Array, Array, Array, Array]:
         0.5 * f * (1 + f * (4 - 3 * f)),
         0.5 * f * f * (f - 1),
     )
+
+
+def spline_coefficients(values: Float[Array, "*s"], *, axis: int) -> Float[Array, "*s"]:
+    """Coefficients of the cubic B-spline through `values` along an axis, mirrored at the ends.
+
+    The recursive inverse filter is written as a short symmetric one: XLA runs it as one fused
+    stencil, where two recursions over the axis would be sequential.
+
+    Args:
+        values: samples, any shape.
+        axis: along which to interpolate.
+
+    Returns:
+        Coefficients of the same shape. Linear, hence differentiable.
+    """
+    moved = jnp.moveaxis(values, axis, -1)
+    size = moved.shape[-1]
+    kernel = _POLE ** np.abs(np.arange(-_RADIUS, _RADIUS + 1))
+    kernel = jnp.asarray(kernel / kernel.sum(), values.dtype)
+    # Mirroring without repeating the border sample, for axes shorter than the filter as well.
+    period = max(2 * size - 2, 1)
+    index = np.abs(np.arange(-_RADIUS, size + _RADIUS)) % period
+    padded = moved[..., np.minimum(index, period - index) if size > 1 else index * 0]
+    total = sum(
+        (kernel[i] * padded[..., i : i + size] for i in range(1, 2 * _RADIUS + 1)),
+        kernel[0] * padded[..., :size],
+    )
+    return jnp.moveaxis(total, -1, axis)
+
+
+def cubic_taps(fraction: Float[Array, "*s"]) -> tuple[tuple[Array, ...], tuple[Array, ...]]:
+    """Weights of the four coefficients around a position, and their derivatives.
+
+    Args:
+        fraction: of a pixel, from the second of the four to the position, in [0, 1].
+
+    Returns:
+        Weights of value and of slope, four each.
+    """
+    f, g = fraction, 1 - fraction
+    values = (
+        g * g * g / 6,
+        (4 + f * f * (3 * f - 6)) / 6,
+        (4 + g * g * (3 * g - 6)) / 6,
+        f * f * f / 6,
+    )
+    return values, (-0.5 * g * g, f * (1.5 * f - 2), g * (2 - 1.5 * g), 0.5 * f * f)

@@ -5,21 +5,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from epi.scenes import fence, flat_rectangle, plane, two_planes
+from edges.scenes import fence, flat_rectangle, plane, two_planes
 from helpers import check_gradient, count_traces, shared_data
 from scipy import ndimage
 
 from experiments._crossings import crossing_table, crossings, survive
 from experiments.edge_accuracy import depth_edges
 from mvedge_jax.datasets import synthetic
-from mvedge_jax.epi import (
-    EdgeParams,
-    EdgeSizes,
-    ThesisSteps,
-    disparity_range,
-    multiview_edges,
-    prewitt_bank,
-)
+from mvedge_jax.edges import EdgeParams, EdgeSizes, disparity_range, multiview_edges
+from mvedge_jax.epi import ThesisSteps, prewitt_bank
 from mvedge_jax.lightfield import LightField
 
 _SIZES = EdgeSizes(first=0, filters=8, capacity=320)

@@ -8,11 +8,11 @@ import jax.numpy as jnp
 from jax.typing import DTypeLike
 from jaxtyping import Array, Float
 
-from .._params import number
-from ..lightfield import LightField
-from ._bank import FilterBank, bank_radius
+from mvedge_jax._params import number
+from mvedge_jax.epi import FilterBank, ThesisParams, ThesisSteps, bank_radius
+from mvedge_jax.lightfield import LightField
+
 from ._range import scene_range
-from ._thesis import ThesisParams, ThesisSteps
 
 
 class EdgeParams(eqx.Module):

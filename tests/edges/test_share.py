@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from helpers import check_modes
 
-from mvedge_jax.occlusion import share
+from mvedge_jax.edges import share
 
 _TOLERANCE = 0.2
 

@@ -9,9 +9,9 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from mvedge_jax._params import cast, number
-from mvedge_jax.epi import EdgePoints
 
 from ._evidence import map_evidence, neighbour_evidence
+from ._points import EdgePoints
 from ._raster import rasterise
 
 Side = Literal["bidirectional", "thesis", "reprojection", "naive"]

@@ -8,29 +8,28 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from .._params import cast
-from ..color import srgb_to_gray, srgb_to_lab
-from ..lightfield import LightField
-from ..photometry import (
+from mvedge_jax._params import cast
+from mvedge_jax.color import srgb_to_gray, srgb_to_lab
+from mvedge_jax.epi import FilterBank, ThesisParams, prewitt_bank, strongest_response, thesis_points
+from mvedge_jax.image import highest
+from mvedge_jax.lightfield import LightField
+from mvedge_jax.photometry import (
     PhotometricLabels,
     PhotometricParams,
     Scene,
     Sight,
     VolumeParams,
     first_labels,
-    highest,
     hypothesis_count,
     occluder_radius,
     prepare,
     sight,
     view_weights,
 )
-from ._bank import FilterBank, prewitt_bank
+
 from ._candidates import contrast, find_candidates, subpixel, unit_gradient
 from ._params import EdgeParams, EdgeSizes
 from ._points import EdgePoints, Edges, EdgeStats
-from ._response import strongest_response
-from ._thesis import ThesisParams, thesis_points
 
 # Weakest edge considered, in multiples of the noise: half of all pixels would be one without.
 _ABOVE_NOISE = 3.0
