@@ -141,6 +141,17 @@ def _push(sizes: SplatSizes, at: _At, moving: tuple[Array, Physics]) -> Rays:
     return jax.jvp(run, (at.table, at.physics), moving)[1]
 
 
+def _about(sums: Array, relative: Array) -> tuple[Array, Array, Array]:
+    """Σ q (dx, dy), Σ q r² and Σ q about points from those about a tile's centre."""
+    first = sums[:, 1:3] - relative * sums[:, :1]
+    second = (
+        sums[:, 3]
+        - 2 * jnp.sum(relative * sums[:, 1:3], axis=1)
+        + jnp.sum(relative**2, axis=1) * sums[:, 0]
+    )
+    return first, second, sums[:, 0]
+
+
 def _pull(sizes: SplatSizes, at: _At, cotangent: Rays) -> tuple[Array, Physics]:
     table, physics, lists, rays = at
     last = table.shape[0] - 1
@@ -181,19 +192,9 @@ def _pull(sizes: SplatSizes, at: _At, cotangent: Rays) -> tuple[Array, Physics]:
             q = optical * (seen_label * point[:, 2:3] * slope - constant * behind)
             m = sizes.order * power * own_weight * point[:, 3:4]
 
-            def centred(sums: Array) -> tuple[Array, Array, Array]:
-                """Σ q (dx, dy), Σ q r² and Σ q about the points from those about the centre."""
-                first = sums[:, 1:3] - relative * sums[:, :1]
-                second = (
-                    sums[:, 3]
-                    - 2 * jnp.sum(relative * sums[:, 1:3], axis=1)
-                    + jnp.sum(relative**2, axis=1) * sums[:, 0]
-                )
-                return first, second, sums[:, 0]
-
             real = (k < count).astype(table.dtype)[:, None]
-            position_q, square_q, sum_q = centred((q @ moments) * real)
-            position_m, square_m, _ = centred((m @ moments) * real)
+            position_q, square_q, sum_q = _about((q @ moments) * real, relative)
+            position_m, square_m, _ = _about((m @ moments) * real, relative)
             position = 2 * (
                 physics.inverse_label * position_q + physics.inverse_weight * position_m
             )

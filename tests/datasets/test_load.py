@@ -149,12 +149,12 @@ def test_nothing_to_load(tmp_path):
 
 
 def test_views_are_adopted_without_a_copy(tmp_path, monkeypatch):
-    from mvedge_jax.datasets import _load
+    from mvedge_jax.datasets import _read
 
     made = []
-    original = _load._aligned_zeros
+    original = _read._aligned_zeros
     monkeypatch.setattr(
-        _load, "_aligned_zeros", lambda shape: made.append(original(shape)) or made[-1]
+        _read, "_aligned_zeros", lambda shape: made.append(original(shape)) or made[-1]
     )
     loaded = load_light_field(write_grid(tmp_path, random_views((3, 3, 32, 32, 3))))
     assert loaded.views.unsafe_buffer_pointer() == made[0].ctypes.data

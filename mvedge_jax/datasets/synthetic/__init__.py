@@ -5,6 +5,7 @@ and rendered as a light field (`render`) or as posed photographs (`render_posed`
 in JAX.
 """
 
+from ._make import make_scene as make_scene, make_world as make_world
 from ._render import (
     PosedViews as PosedViews,
     render as render,
@@ -32,6 +33,4 @@ from ._world import (
     Solids as Solids,
     Surfaces as Surfaces,
     World as World,
-    make_scene as make_scene,
-    make_world as make_world,
 )

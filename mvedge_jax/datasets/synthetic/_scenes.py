@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import PRNGKeyArray
 
+from ._make import make_scene, make_world
 from ._materials import (
     BLUE,
     BRICK,
@@ -24,7 +25,7 @@ from ._materials import (
     WOOD,
 )
 from ._solids import bar, box, plane, rotation, sphere
-from ._world import FOCAL, FOCUS, GAIN, Material, Scene, Solid, Triple, make_scene, make_world
+from ._world import FOCAL, FOCUS, GAIN, Material, Scene, Solid, Triple
 
 
 def _depth(disparity: float) -> float:

@@ -108,6 +108,52 @@ def _windows(direction: Vector) -> Array:
     return 2.2 * window(-0.9, -0.75, 0.3, 0.35) + 1.2 * window(0.8, -0.5, 0.18, 0.45)
 
 
+class _Hit(NamedTuple):
+    """Where rays meet solids: in the solid's own coordinates, where its texture lives.
+
+    Attributes:
+        local: the point, of the solid.
+        normal: towards the camera, of the world.
+        u: place on the surface, metres.
+        v: likewise.
+    """
+
+    local: Float[Array, "3 r"]
+    normal: Vector
+    u: Float[Array, " r"]
+    v: Float[Array, " r"]
+
+
+def _hit(look: _Look, point: Vector, direction: Vector) -> _Hit:
+    """The point and the normal where rays hit, and where that is on the surface."""
+    axes, half = look.axes, look.half
+    shifted = tuple(p - look.centre[k] for k, p in enumerate(point))
+    local = lax.map(lambda a: sum(a[k] * shifted[k] for k in range(3)), axes)
+    spine = jnp.clip(local[2], -half[2], half[2])
+    inward = 1.0 / jnp.maximum(half[0], 1e-9)
+    rounded = (local[0] * inward, local[1] * inward, (local[2] - spine) * inward)
+    # A box is hit on the face whose plane is nearest; a plane has no other than its third.
+    gaps = [jnp.abs(jnp.abs(local[k]) - half[k]) for k in range(3)]
+    flat = half[2] <= 0.0
+    on_x = (gaps[0] < gaps[1]) & (gaps[0] < gaps[2]) & ~flat
+    on_y = (gaps[1] <= gaps[0]) & (gaps[1] < gaps[2]) & ~flat
+    is_round = look.rounded > 0
+    zero = jnp.zeros_like(local[0])
+    normal_local = tuple(
+        jnp.where(is_round, rounded[k], jnp.where(on, jnp.where(local[k] < 0, -1.0, 1.0), zero))
+        for k, on in enumerate((on_x, on_y, ~on_x & ~on_y))
+    )
+    turned = lax.map(
+        lambda a: sum(a[k] * normal_local[k] for k in range(3)), jnp.swapaxes(axes, 0, 1)
+    )
+    normal = (turned[0], turned[1], turned[2])
+    away = jnp.where(dot(normal, direction) > 0, -1.0, 1.0).astype(local.dtype)
+    normal = _scale(normal, away)
+    u = jnp.where(on_x & ~is_round, local[2], local[0])
+    v = jnp.where((on_y & ~is_round) | is_round, local[2], local[1])
+    return _Hit(local, normal, u, v)
+
+
 def shade(
     world: World,
     origin: Vector,
@@ -140,32 +186,9 @@ def shade(
     distance = jnp.where(missed, 1.0, distance)
     point = along(origin, direction, distance)
 
-    # Into the solid's own coordinates, where its texture and its normal live.
     look = _look_up(world, index)
-    axes, half = look.axes, look.half
-    shifted = tuple(p - look.centre[k] for k, p in enumerate(point))
-    local = lax.map(lambda a: sum(a[k] * shifted[k] for k in range(3)), axes)
-    spine = jnp.clip(local[2], -half[2], half[2])
-    inward = 1.0 / jnp.maximum(half[0], 1e-9)
-    rounded = (local[0] * inward, local[1] * inward, (local[2] - spine) * inward)
-    # A box is hit on the face whose plane is nearest; a plane has no other than its third.
-    gaps = [jnp.abs(jnp.abs(local[k]) - half[k]) for k in range(3)]
-    flat = half[2] <= 0.0
-    on_x = (gaps[0] < gaps[1]) & (gaps[0] < gaps[2]) & ~flat
-    on_y = (gaps[1] <= gaps[0]) & (gaps[1] < gaps[2]) & ~flat
-    on_z = ~on_x & ~on_y
-    is_round = look.rounded > 0
-    zero = jnp.zeros_like(distance)
-    normal_local = tuple(
-        jnp.where(is_round, rounded[k], jnp.where(on, jnp.where(local[k] < 0, -1.0, 1.0), zero))
-        for k, on in enumerate((on_x, on_y, on_z))
-    )
-    turned = lax.map(
-        lambda a: sum(a[k] * normal_local[k] for k in range(3)), jnp.swapaxes(axes, 0, 1)
-    )
-    normal = (turned[0], turned[1], turned[2])
-    away = jnp.where(dot(normal, direction) > 0, -1.0, 1.0).astype(distance.dtype)
-    normal = _scale(normal, away)
+    hit = _hit(look, point, direction)
+    normal = hit.normal
 
     # A slanted surface is seen through a longer footprint; the root is a compromise between the
     # two directions, supersampling does the rest.
@@ -173,7 +196,7 @@ def shade(
     footprint = footprint * lax.rsqrt(slant)
 
     seed = world.surfaces.seed + 31 * index
-    grain = local / look.stretch
+    grain = hit.local / look.stretch
     noise = fractal_noise(
         (grain[0], grain[1], grain[2]),
         look.frequency,
@@ -181,9 +204,7 @@ def shade(
         footprint,
         seed,
     )
-    u = jnp.where(on_x & ~is_round, local[2], local[0])
-    v = jnp.where((on_y & ~is_round) | is_round, local[2], local[1])
-    mask, cell = _pattern(look, seed, u, v, footprint)
+    mask, cell = _pattern(look, seed, hit.u, hit.v, footprint)
     blend = jnp.clip(0.5 + 0.75 * look.contrast * noise, 0.0, 1.0)
     accent = mask * (0.8 + 0.2 * blend)
     tint = 1.0 + look.tint * (cell - 0.5)
