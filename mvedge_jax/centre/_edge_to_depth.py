@@ -46,8 +46,8 @@ class DepthStats(NamedTuple):
         edges: counts of the point stage.
         points: edge points that reached a pixel.
         sided: points with a surface vector.
-        iterations: of every diffusion, in order.
-        converged: whether every diffusion reached its tolerance.
+        iterations: of the two directional diffusions and of every map, in order.
+        converged: whether every diffusion of maps, slopes and errors reached its tolerance.
         noise: of the views, in their units after `exposure` was taken out.
         exposure: what was taken out of the views before they were compared.
     """
@@ -70,7 +70,7 @@ class DepthResult(NamedTuple):
             from, its own and, where these are weak, those of its surroundings, which far from any
             label give way to the spread of the whole map; and what half a pixel of doubt about the
             place of a depth step amounts to. Infinite if there is no label at all.
-        depth_edge: depth-edge confidence (4.3), px per px, `[y, x]`.
+        depth_edge: depth-edge confidence (Thesis, Section 4.3), px per px, `[y, x]`.
         points: the multi-view edges.
         surface: their surface vectors, scores and probabilities.
         stats: counts and iterations.
@@ -133,7 +133,8 @@ def edge_to_depth(
     Raises:
         ValueError: the light field has a single view per arm, or the entropy search has no `key`.
 
-    Source: Thesis 6.1; 4.2.2; 4.3. What differs, and why, is in the list above.
+    Source: Thesis 6.1, 4.2.2 and 4.3 (sections); what differs, and why, is a page of the
+        documentation.
 
     Example:
         >>> import jax.numpy as jnp

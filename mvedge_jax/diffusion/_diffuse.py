@@ -134,19 +134,20 @@ def _jitted(static: Any, numbers: Any, system: System, start: Array | None) -> D
 
     # The second unknown equals its right-hand side: 1 in the solve for the map, which stops by the
     # range of the labels, and 0 in those for its derivatives, which stop by their own size. (JAX
-    # can transpose the solve only if all of its right-hand side moves, hence the zero terms.)
+    # can transpose the solve only if all of its right-hand side moves, and differentiate what it
+    # has transposed only if all of its solution is used, hence the zero terms.)
     def matrix(sides: tuple[Array, Array]) -> tuple[Array, Array]:
         image = product(coefficients, sides[0])
         return image, sides[1] + 0 * image[..., 0, 0]
 
-    (change, _), found = lax.custom_linear_solve(
+    (change, first), found = lax.custom_linear_solve(
         matrix,
         (right, 1 + 0 * right[..., 0, 0]),
         solve_one,
         symmetric=True,
         has_aux=True,
     )
-    value = jnp.where(keep, base + change, spread(mean))
+    value = jnp.where(keep, base + (change + 0 * spread(first)), spread(mean))
     weighted = fixed.weight * lax.stop_gradient(label)
     scale = jnp.sqrt(inner(weighted, weighted))
     rest = weight * (label - middle) + added - product(coefficients, value - middle)

@@ -45,7 +45,7 @@ class Bidirectional(NamedTuple):
         response: step response of the forward pass minus that of the backward pass, px, `[n]`;
             positive speaks for `+normal`.
         confidence: depth-edge confidence of every point, `lambda_e` of (6.3), px, `[n]`.
-        edge: depth-edge confidence of every pixel (4.3), px per px, `[y, x]`.
+        edge: depth-edge confidence of every pixel (Section 4.3), px per px, `[y, x]`.
         iterations: of both solves.
     """
 

@@ -16,7 +16,9 @@ from ._range import scene_range
 
 
 class EdgeParams(eqx.Module):
-    """Continuous parameters of `multiview_edges`; every one is traced and differentiable.
+    """Continuous parameters of `multiview_edges`; every one is traced.
+
+    `strength_floor` and `error_limit` are thresholds, whose derivative is 0.
 
     Attributes:
         banks: filters of the horizontal and of the vertical arm; None for Prewitt filters on the

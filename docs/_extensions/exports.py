@@ -1,0 +1,51 @@
+"""What griffe cannot know about this package: its exports, and how its docstrings are written."""
+
+import ast
+import re
+from pathlib import Path
+from typing import Any
+
+import griffe
+
+_ROLE = re.compile(r":math:`([^`]*)`")
+_BLOCK = re.compile(r"^( *)\.\. math::((?: +\S.*)?\n(?:\1 +\S.*\n?)*)", re.MULTILINE)
+_EXAMPLE = re.compile(r"^Example:$", re.MULTILINE)
+_SOURCE = re.compile(r"^Source:\s+(\S.*(?:\n +\S.*)*)", re.MULTILINE)
+
+
+def _block(found: re.Match[str]) -> str:
+    lines = [line.strip() for line in found[2].strip().splitlines()]
+    return f"\n{found[1]}$$ {' '.join(lines)} $$\n"
+
+
+def _source(found: re.Match[str]) -> str:
+    return "**Source:** " + " ".join(line.strip() for line in found[1].splitlines())
+
+
+class Exports(griffe.Extension):
+    """Takes `from ._x import y as y` for an export, and writes sections and formulas in one way."""
+
+    def on_module_members(self, *, mod: griffe.Module, **kwargs: Any) -> None:
+        """Lists the names that an `__init__` gives away."""
+        path = mod.filepath
+        if not isinstance(path, Path) or path.name != "__init__.py":
+            return
+        names = [
+            name.asname
+            for node in ast.parse(path.read_text(encoding="utf-8")).body
+            if isinstance(node, ast.ImportFrom)
+            for name in node.names
+            if name.asname is not None and name.asname == name.name
+        ]
+        if mod.exports is None and names:
+            mod.exports = list(names)
+
+    def on_object(self, *, obj: griffe.Object, **kwargs: Any) -> None:
+        """Sections by the names that griffe knows, and formulas between dollars."""
+        docstring = obj.docstring
+        if docstring is None:
+            return
+        text = _BLOCK.sub(_block, docstring.value + "\n")
+        text = _ROLE.sub(lambda found: f"${found[1]}$", text)
+        text = _EXAMPLE.sub("Examples:", text)
+        docstring.value = _SOURCE.sub(_source, text).rstrip()
