@@ -96,7 +96,7 @@ class EdgeSizes:
         return jnp.linspace(low + self.step, high - self.step, count, dtype=dtype)
 
     @staticmethod
-    def for_light_field(light_field: LightField, *, fill: float = 0.6) -> "EdgeSizes":
+    def for_light_field(light_field: LightField, *, fill: float = 0.65) -> "EdgeSizes":
         """Chooses sizes on the host, from the shape and the disparity range of a light field.
 
         Args:

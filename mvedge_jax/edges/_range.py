@@ -29,6 +29,8 @@ _SURE = 1.0
 _WIDEST = 12.0
 # Noise in the shrunk views, grey levels of 100, from which single pixels are not believed.
 _GRAINY = 0.4
+# Share of the pixels beyond either end, and what noise beyond that adds to it: false matches.
+_TAIL, _FALSE = 0.002, 0.016
 
 
 @eqx.filter_jit
@@ -104,7 +106,8 @@ def disparity_range(light_field: LightField, *, start: float = 4.0) -> tuple[flo
             windows = np.lib.stride_tricks.sliding_window_view(around, (5, 5))
             disparities = np.median(windows, axis=(2, 3))
         values = factor * disparities[sure if sure.sum() > 0.05 * edge.sum() else edge]
-        low, high = np.quantile(values, [0.002, 0.998])
+        tail = _TAIL + _FALSE * max(grain - _GRAINY, 0)
+        low, high = np.quantile(values, [tail, 1 - tail])
         wide = factor * _STEP * count
         outermost = (np.abs(values) > 0.95 * wide).mean()
         if outermost < 0.01 or 2 * reach > _WIDEST:

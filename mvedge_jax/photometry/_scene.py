@@ -161,7 +161,7 @@ def sight(scene: Scene, params: PhotometricParams, *, every: LightField | None =
         same_colour=params.same_colour / clear,
         outlier=params.outlier,
         noise=jnp.maximum(jnp.sqrt(kept) * noise.deviation, plain.noise),
-        rounding=noise.rounding,
+        rounding=scene.exposure.scale * noise.rounding,
         # What noise is left in the mean gradients of all views is less than the residual says.
         gradient_noise=plain.gradient_noise * grain * (1 - 0.6 * noise.alpha**4),
         largest_step=plain.largest_step,
