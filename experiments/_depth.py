@@ -94,6 +94,15 @@ def scenes(
         jax.clear_caches()
 
 
+def robust_loss(disparity: jax.Array, light_field: LightField) -> jax.Array:
+    """Mean of `log(1 + (error / 0.03 px)²)` over the pixels whose truth is known."""
+    truth = light_field.truth
+    if truth is None:
+        raise ValueError(f"scene {light_field.name} has no ground truth to learn from.")
+    error = jnp.where(truth.valid, disparity - truth.disparity, 0)
+    return jnp.mean(jnp.log1p((error / 0.03) ** 2))
+
+
 def score(
     name: str, method: Method, light_field: LightField, seconds: float, disparity: jax.Array
 ) -> dict[str, Any]:

@@ -24,7 +24,6 @@ from mvedge_jax._params import cast
 from mvedge_jax.color import srgb_to_lab
 from mvedge_jax.datasets import load_light_field
 from mvedge_jax.edges import EdgeParams, EdgeSizes, multiview_edges
-from mvedge_jax.edges._edges import scene_banks
 from mvedge_jax.epi import strongest_response
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.photometry import VolumeParams, hypothesis_count, prepare
@@ -56,7 +55,8 @@ def textured(size: int, views: int = 9) -> LightField:
 
 def _responses_only(light_field: LightField, params: EdgeParams, sizes: EdgeSizes) -> Any:
     """The largest response over the filters at every pixel, both directions."""
-    banks = scene_banks(params, sizes, light_field.views.shape[:2])
+    del params
+    banks = sizes.banks(light_field.views.shape)
     down = jnp.swapaxes(light_field.vertical_arm, 1, 2)
     return (
         strongest_response(srgb_to_lab(light_field.horizontal_arm), banks[0]),
@@ -74,9 +74,9 @@ def _first_map(light_field: LightField, params: EdgeParams, sizes: EdgeSizes) ->
     return prepare(light_field.without_truth(), tried, volume, window=2)
 
 
-def _peers(light_field: LightField, params: EdgeParams, sizes: EdgeSizes, rows: int) -> dict:
+def _peers(light_field: LightField, sizes: EdgeSizes, rows: int) -> dict:
     """The same 2-D filters over a few EPIs of one direction, scaled to all EPIs of both."""
-    bank = scene_banks(params, sizes, light_field.views.shape[:2])[0]
+    bank = sizes.banks(light_field.views.shape)[0]
     taps = np.asarray(bank.taps, np.float32)
     epis = np.asarray(srgb_to_lab(light_field.horizontal_epis()[:rows]), np.float32)
     height, width = light_field.views.shape[2:4]
@@ -125,7 +125,7 @@ def main(
         compiling = t.first - t.median
         rows.append({"stage": name, "median s": t.median, "best s": t.best, "compile s": compiling})
     ours = rows[0]["best s"]
-    for name, seconds in _peers(light_field, params, sizes, peer_rows).items():
+    for name, seconds in _peers(light_field, sizes, peer_rows).items():
         label = f"{name}: same bank, from {peer_rows} EPIs"
         rows.append({"stage": label, "median s": seconds, "best s": seconds, "compile s": None})
         rows[-1]["stage"] += f"; {seconds / ours:.0f} times ours"

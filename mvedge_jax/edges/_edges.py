@@ -10,7 +10,7 @@ from jaxtyping import Array, Float, PRNGKeyArray
 
 from mvedge_jax._params import cast
 from mvedge_jax.color import srgb_to_gray, srgb_to_lab
-from mvedge_jax.epi import FilterBank, ThesisParams, prewitt_bank, strongest_response, thesis_points
+from mvedge_jax.epi import FilterBank, ThesisParams, strongest_response, thesis_points
 from mvedge_jax.image import highest
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.photometry import (
@@ -48,25 +48,13 @@ _DEVIATES = 2.5
 _WINDOW, _PASSES = 2, 2
 
 
-def scene_banks(
+def _banks(
     params: EdgeParams, sizes: EdgeSizes, views: tuple[int, ...]
 ) -> tuple[FilterBank, FilterBank]:
-    """The filters of both arms: those of `params`, or Prewitt filters on the grid of `sizes`.
-
-    Args:
-        params: see `EdgeParams`.
-        sizes: see `EdgeSizes`.
-        views: rows and columns of the grid of views.
-
-    Returns:
-        The bank of the horizontal arm and that of the vertical one.
-    """
+    """The filters of both arms, given ones or those of the grid."""
     if params.banks is not None:
         return params.banks
-    index = sizes.first + jnp.arange(sizes.filters, dtype=jnp.int32)
-    disparity = index.astype(params.strength_floor.dtype) * sizes.step
-    radius = max(sizes.radius(count) for count in views)
-    return prewitt_bank(disparity, views[1], radius), prewitt_bank(disparity, views[0], radius)
+    return sizes.banks(views, params.strength_floor.dtype)
 
 
 def _frontmost(
@@ -129,7 +117,7 @@ def thesis_edges(
     found = thesis_points(
         arms,
         view,
-        scene_banks(params, sizes, (arms[1].shape[0], arms[0].shape[0])),
+        _banks(params, sizes, (arms[1].shape[0], arms[0].shape[0])),
         cast(own, view.dtype),
         params.strength_floor,
         sizes.thesis,
@@ -248,7 +236,7 @@ def measured_edges(
     """
     (across, down), noise, view = _lab_arms(scene), scene.noise, jnp.moveaxis(scene.centre, 0, -1)
     params = cast(params, view.dtype)
-    banks = scene_banks(params, sizes, (down.shape[0], across.shape[0]))
+    banks = _banks(params, sizes, (down.shape[0], across.shape[0]))
     strength = jnp.stack(
         [strongest_response(across, banks[0]), strongest_response(down, banks[1]).T]
     )

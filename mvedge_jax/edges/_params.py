@@ -9,7 +9,7 @@ from jax.typing import DTypeLike
 from jaxtyping import Array, Float
 
 from mvedge_jax._params import number
-from mvedge_jax.epi import FilterBank, ThesisParams, ThesisSteps, bank_radius
+from mvedge_jax.epi import FilterBank, ThesisParams, ThesisSteps, bank_radius, prewitt_bank
 from mvedge_jax.lightfield import LightField
 
 from ._range import scene_range
@@ -22,7 +22,7 @@ class EdgeParams(eqx.Module):
 
     Attributes:
         banks: filters of the horizontal and of the vertical arm; None for Prewitt filters on the
-            grid of `EdgeSizes`. Give them to learn them.
+            grid of `EdgeSizes`. Give them (`EdgeSizes.banks`) to learn them.
         strength_floor: weakest edge considered in a scene without noise, CIELAB units per px.
         error_limit: largest standard error of an accepted point, px, in a scene without noise.
             Wide, because each point carries its own error and weighs by it, and borders of plain
@@ -94,6 +94,29 @@ class EdgeSizes:
         """
         low, high = self.ends
         return jnp.linspace(low + self.step, high - self.step, count, dtype=dtype)
+
+    def banks(
+        self, views: tuple[int, ...], dtype: DTypeLike = jnp.float32
+    ) -> tuple[FilterBank, FilterBank]:
+        """The Prewitt filters on this grid: the default, and where learning them starts.
+
+        Args:
+            views: rows and columns of the grid of views, perhaps with more after them.
+            dtype: of the filters.
+
+        Returns:
+            The bank of the horizontal arm and that of the vertical one.
+
+        Example:
+            >>> across, down = EdgeSizes(first=-2, filters=5, capacity=64).banks((3, 9))
+            >>> across.taps.shape[:2], down.taps.shape[:2]
+            ((5, 9), (5, 3))
+        """
+        index = self.first + jnp.arange(self.filters, dtype=jnp.int32)
+        disparity = index.astype(dtype) * self.step
+        radius = max(self.radius(count) for count in views[:2])
+        across, down = (prewitt_bank(disparity, count, radius) for count in views[1::-1])
+        return across, down
 
     @staticmethod
     def for_light_field(light_field: LightField, *, fill: float = 0.65) -> "EdgeSizes":

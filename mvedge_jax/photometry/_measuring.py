@@ -35,8 +35,9 @@ class Measuring(PhotometricParams):
         noise: standard deviation of the images' noise, quantisation and interpolation included, in
             units of sRGB; the floor of what residuals are taken to mean.
         rounding: standard deviation of what the images were rounded by, as much larger as they
-            were made brighter, sRGB. No residual means less, and standard errors know noise no better than 1.4 of it: over many views the mean
-            of a window is finer than the step of a single colour.
+            were made brighter, sRGB. No residual means less, and standard errors know noise no
+            better than 1.4 of it: over many views the mean of a window is finer than the step of a
+            single colour.
         gradient_noise: energy of an image's derivative per variance of its noise, 1/px². For white
             noise and cubic splines it is 2.49; blurred views have less.
         largest_step: a measurement moves by at most this, px per view step.

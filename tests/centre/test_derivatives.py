@@ -15,8 +15,9 @@ from helpers import check_modes
 
 from mvedge_jax.centre import Parameters, Sizes, edge_to_depth
 from mvedge_jax.datasets import synthetic
-from mvedge_jax.edges import BidirectionalParams, SurfaceParams
+from mvedge_jax.edges import BidirectionalParams, EdgeSizes, SurfaceParams
 from mvedge_jax.epi import ThesisParams, ThesisSteps
+from mvedge_jax.lightfield import LightField
 from mvedge_jax.photometry import PhotometricParams, VolumeParams
 
 
@@ -150,6 +151,26 @@ def test_every_leaf_by_default(name, side):
 def test_every_leaf_in_other_modes(mode, name, side):
     choices, zero = MODES[mode]
     _check(name, side, zero, directions=1, given=True, **choices)
+
+
+@pytest.mark.slow
+@SCENES
+def test_the_taps_of_the_filters_reach_the_map(name):
+    """A random direction of each arm's taps. The filters' disparities only name them."""
+    side = 40
+    loss, params, views = _problem(name, side)
+    sizes = EdgeSizes.for_light_field(LightField(views))
+
+    def of_banks(tree):
+        banks, views = tree
+        edges = eqx.tree_at(lambda p: p.banks, params.edges, banks, is_leaf=lambda b: b is None)
+        return loss((eqx.tree_at(lambda p: p.edges, params, edges), views))
+
+    banks = sizes.banks(views.shape, views.dtype)
+    found = rows(of_banks, banks, views, agree=3e-4, directions=0, key=jax.random.key(1))
+    report = table(found)
+    assert {r.name for r in found if r.zero} == {"[0].disparity", "[1].disparity"}, report
+    assert max(r.error for r in found) < 1e-3, report
 
 
 @pytest.mark.slow
