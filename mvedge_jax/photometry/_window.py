@@ -91,16 +91,24 @@ def _summed_jvp(window: _Window, primals: Any, tangents: Any) -> tuple[Array, Ar
 
     def weights_from(images: Array, out: Array) -> Array:
         padded = window.padded(images, count)
+        size, (height, width) = window.size(count), shape[1:]
+        reach = (size - 1) * window.spacing
 
-        def weight(offset: Array) -> Array:
-            part = lax.dynamic_slice(padded, window.start(offset, count), shape)
+        def row(y: Array) -> Array:
+            # A row of the window at a time: one pass over the images for all of its offsets.
+            start = window.start(y * size, count)
+            strip = lax.dynamic_slice(padded, start, (shape[0], height, width + reach))
+            return jnp.stack([products(strip, x * window.spacing) for x in range(size)])
+
+        def products(strip: Array, x: int) -> Array:
             # By hand: XLA on CPU does not vectorise a sum over a leading axis.
-            total = part[0] * out[0]
-            for a, b in zip(part[1:], out[1:], strict=True):
-                total = total + a * b
+            total = strip[0, :, x : x + width] * out[0]
+            for a, b in zip(strip[1:], out[1:], strict=True):
+                total = total + a[:, x : x + width] * b
             return total
 
-        return lax.map(weight, jnp.arange(count, dtype=jnp.int32))
+        rows = lax.map(row, jnp.arange(size, dtype=jnp.int32))
+        return rows.reshape(count, height, width)
 
     along = linear_map(lambda w, i: _summed(window, i, w), images_from, weights, images_dot)
     turned = linear_map(partial(_summed, window), weights_from, images, weights_dot)
