@@ -58,7 +58,7 @@ def srgb_to_lab(image: Float[Array, "*s c"]) -> Float[Array, "*s c"]:
     Raises:
         ValueError: if the last axis does not hold three channels.
 
-    Source: CIE 15; the thesis' EPI stages work on these values (REFERENCE_NOTES section 0).
+    Source: CIE 15; the thesis' EPI stages work on these values.
 
     Example:
         >>> import jax.numpy as jnp

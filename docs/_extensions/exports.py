@@ -7,15 +7,8 @@ from typing import Any
 
 import griffe
 
-_ROLE = re.compile(r":math:`([^`]*)`")
-_BLOCK = re.compile(r"^( *)\.\. math::((?: +\S.*)?\n(?:\1 +\S.*\n?)*)", re.MULTILINE)
 _EXAMPLE = re.compile(r"^Example:$", re.MULTILINE)
 _SOURCE = re.compile(r"^Source:\s+(\S.*(?:\n +\S.*)*)", re.MULTILINE)
-
-
-def _block(found: re.Match[str]) -> str:
-    lines = [line.strip() for line in found[2].strip().splitlines()]
-    return f"\n{found[1]}$$ {' '.join(lines)} $$\n"
 
 
 def _source(found: re.Match[str]) -> str:
@@ -23,7 +16,7 @@ def _source(found: re.Match[str]) -> str:
 
 
 class Exports(griffe.Extension):
-    """Takes `from ._x import y as y` for an export, and writes sections and formulas in one way."""
+    """Takes `from ._x import y as y` for an export, and writes sections in one way."""
 
     def on_module_members(self, *, mod: griffe.Module, **kwargs: Any) -> None:
         """Lists the names that an `__init__` gives away."""
@@ -41,11 +34,9 @@ class Exports(griffe.Extension):
             mod.exports = list(names)
 
     def on_object(self, *, obj: griffe.Object, **kwargs: Any) -> None:
-        """Sections by the names that griffe knows, and formulas between dollars."""
+        """Sections by the names that griffe knows."""
         docstring = obj.docstring
         if docstring is None:
             return
-        text = _BLOCK.sub(_block, docstring.value + "\n")
-        text = _ROLE.sub(lambda found: f"${found[1]}$", text)
-        text = _EXAMPLE.sub("Examples:", text)
+        text = _EXAMPLE.sub("Examples:", docstring.value)
         docstring.value = _SOURCE.sub(_source, text).rstrip()

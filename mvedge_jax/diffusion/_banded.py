@@ -138,8 +138,8 @@ def _eliminate(coefficients: Coefficients, right: Array) -> tuple[_Eliminated, A
     r"""Eliminates column after column.
 
     With G the inverse of the last column's matrix and t its ties to the next column, that one has
-    the ties :math:`t_i G_{ij} t_j` in addition, the row sums :math:`w + t\,G e`, where e are the
-    last one's, and the right-hand side :math:`b + t\,G b'`. Keeping the row sums in place of the
+    the ties $t_i G_{ij} t_j$ in addition, the row sums $w + t\,G e$, where e are the
+    last one's, and the right-hand side $b + t\,G b'$. Keeping the row sums in place of the
     diagonal leaves nothing to subtract, so that no digit is lost at any contrast (Grassmann,
     Taksar & Heyman 1985): the error is the rounding of the largest label.
 

@@ -181,7 +181,7 @@ def multiview_edges(
     Raises:
         ValueError: if the entropy search is asked for without `key`.
 
-    Source: Thesis 4.1; REFERENCE_NOTES sections 1-9 for where and why it differs.
+    Source: Thesis 4.1; where it differs, and why, is a page of the documentation.
 
     Example:
         >>> import jax.numpy as jnp

@@ -209,7 +209,7 @@ def thesis_points(
     Raises:
         ValueError: if the entropy search is asked for without a key.
 
-    Source: Thesis 4.1.1-4.1.5; REFERENCE_NOTES sections 1-9.
+    Source: Thesis 4.1.1-4.1.5; what it leaves open is taken from the authors' program.
     """
     if steps.entropy and key is None:
         raise ValueError("`key` must be given for the entropy search, got None.")

@@ -99,7 +99,8 @@ def self_supervised_loss(
         weights.
 
     Source:
-        Thesis 7.1.4, Eq. 7.15-7.16, with the signs and weights that EQUATIONS.md derives.
+        Thesis 7.1.4, Eq. 7.15-7.16, with signs and weights as on the documentation's
+        page of equations.
     """
     weights = cast(weights, disparity.dtype)
     visible = occlusion_masks(disparity, views) if visible is None else visible

@@ -53,9 +53,8 @@ def reprojection_error(
 ) -> Float[Array, "y x"]:
     r"""How much the warped views differ from the centre view.
 
-    .. math::
-        E = \frac{1}{\max(\sum_i M^i, 1)} \sum_i M^i
-            \operatorname{mean}_c |F_c(I) - F_c(W[I^i])|
+    $$ E = \frac{1}{\max(\sum_i M^i, 1)} \sum_i M^i
+    \operatorname{mean}_c |F_c(I) - F_c(W[I^i])| $$
 
     Args:
         disparity: of the centre view, px per view step.

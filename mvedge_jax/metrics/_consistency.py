@@ -78,7 +78,8 @@ def view_consistency(
     Raises:
         ValueError: if the shapes do not fit together or the crop leaves nothing.
 
-    Source: Thesis 6.2.3, Eq. 6.9 and 6.10 with the corrected normalisation (EQUATIONS.md).
+    Source: Thesis 6.2.3, Eq. 6.9 and 6.10 with the normalisation corrected, see the
+        documentation's page of equations.
 
     Example:
         >>> import jax.numpy as jnp

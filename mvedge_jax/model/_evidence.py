@@ -73,7 +73,7 @@ def agreed_correction(
     The views are split like a chessboard. Each half proposes a correction u, diffused within
     surfaces; the share of it that is taken is the one that explains the other half's own
     measurement m best in a region around,
-    :math:`\alpha = \sum w\,m\,u / \sum w\,u^2`, within [0, 1]. Noise is confirmed by nobody, and
+    $\alpha = \sum w\,m\,u / \sum w\,u^2$, within [0, 1]. Noise is confirmed by nobody, and
     goes: no threshold has to be chosen. The result is the mean of both halves.
 
     Args:

@@ -286,7 +286,7 @@ def map_roughness(
 ) -> Float[Array, "y x"]:
     r"""Initial Q from a map that is already there: rough where it steps, and the image with it.
 
-    :math:`Q = \ln(1 + (|\Delta Lab| / c)^{1.5} (|\Delta D| / d)^2)`, the largest over a pixel's
+    $Q = \ln(1 + (|\Delta Lab| / c)^{1.5} (|\Delta D| / d)^2)$, the largest over a pixel's
     edges. The product of both steps matters: either alone leaks or cuts too much.
 
     Args:

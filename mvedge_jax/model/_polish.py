@@ -37,7 +37,7 @@ def bending(
 ) -> Float[Array, ""]:
     r"""How much a map bends within surfaces.
 
-    .. math:: \sum \frac{1}{b} \left(\sqrt{q^2 + b^2} - b\right)
+    $$ \sum \frac{1}{b} \left(\sqrt{q^2 + b^2} - b\right) $$
 
     over the second differences q along x, along y and (twice) mixed, of stencils that no step of
     `guide` crosses. Zero for planes of any slope.
@@ -93,7 +93,7 @@ def polish(
 ) -> Float[Array, "y x"]:
     r"""Removes bends that are within the error of a map.
 
-    Minimises :math:`\sum \ln(1 + (D - D_0)^2 / \sigma^2)` plus the bending of `bending`. Noise of
+    Minimises $\sum \ln(1 + (D - D_0)^2 / \sigma^2)$ plus the bending of `bending`. Noise of
     the labels that diffusion interpolates goes; steps and creases stay.
 
     Args:

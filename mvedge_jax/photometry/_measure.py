@@ -76,7 +76,8 @@ def photometric_labels(
     Returns:
         Labels with their variances. Differentiable with respect to views, disparity, parameters.
 
-    Source: not in the thesis; DESIGN section 5, "Measurement".
+    Source: not in the thesis; Lucas and Kanade (1981), "An iterative image registration technique",
+        for one step along a line of views.
     """
     found = look(horizontal, vertical, disparity, params, radius=radius)
     return labels(found, lab, disparity, params, passes=passes)

@@ -32,7 +32,7 @@ def absorption(
 ) -> tuple[Float[Array, "..."], Float[Array, "..."], Float[Array, "..."], float]:
     r"""Absorption and transmittance of one point of optical thickness `o = τ G`.
 
-    In closed form :math:`a = 1 - e^{-o}`: absorptions along a ray and what is left of it sum to
+    In closed form $a = 1 - e^{-o}$: absorptions along a ray and what is left of it sum to
     one exactly. The quadrature samples the ray as the thesis does (7.13) and agrees within 2e-3.
 
     Args:
@@ -62,7 +62,7 @@ def absorption(
 def super_gaussian(
     squared_distance: Float[Array, "..."], sigma: Float[Array, ""], order: int
 ) -> Float[Array, "..."]:
-    r"""Data weight of a point: :math:`\exp(-(r^2 / 2\sigma^2)^p)`.
+    r"""Data weight of a point: $\exp(-(r^2 / 2\sigma^2)^p)$.
 
     The exponent sits inside the exponential; the printed form is an ordinary Gaussian of width
     σ/√p, under which points between pixels fade.

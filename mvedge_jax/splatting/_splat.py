@@ -76,11 +76,10 @@ def splat(
 ) -> Splat:
     r"""Splats points onto a raster with occlusion in depth order.
 
-    .. math::
-        S = \sum_i Z_i T_i (1 - e^{-\tau G_i}), \quad K = \sum_i w_i \lambda_i T_i, \quad
-        T_i = \exp(-\tau \sum_{j\ \mathrm{nearer}} G_j)
+    $$ S = \sum_i Z_i T_i (1 - e^{-\tau G_i}), \quad K = \sum_i w_i \lambda_i T_i, \quad
+    T_i = \exp(-\tau \sum_{j\ \mathrm{nearer}} G_j) $$
 
-    with :math:`G = e^{-r^2/2\sigma_S^2}`, :math:`\lambda = e^{-(r^2/2\sigma_\lambda^2)^p}`.
+    with $G = e^{-r^2/2\sigma_S^2}$, $\lambda = e^{-(r^2/2\sigma_\lambda^2)^p}$.
 
     Args:
         xy: positions in *raster* pixels, pixel centres at integers.
