@@ -61,7 +61,7 @@ def optimize(
     iterations: int = 40,
     features: Literal["colours", "filters", "vgg16"] = "colours",
     vgg16: Path | None = None,
-    recycle: bool = True,
+    no_recycle: bool = False,
     grow_points: int = 0,
     subset: int | None = None,
     raster: Literal[1, 2] = 1,
@@ -90,8 +90,8 @@ def optimize(
         iterations: in all for `joint`; per parameter and pass for `thesis` (13 there).
         features: what images are compared by, for `--loss reprojection`.
         vgg16: an .npz file of VGG16's first two convolutions, for `--features vgg16`.
-        recycle: with `--supervised`, move points that contribute nothing to where the map is
-            wrong, in rounds; their number stays the same.
+        no_recycle: with `--supervised`, leave points that contribute nothing where they are;
+            otherwise they move to where the map is wrong, in rounds.
         grow_points: points to add there besides; needs `--supervised`.
         subset: views drawn per iteration of `--loss reprojection`; all by default.
         raster: raster pixels per pixel and axis; the thesis has 2, which takes four times as long.
@@ -101,7 +101,7 @@ def optimize(
         seed: of random views.
         overwrite: replace OUT if it is an earlier result of mvedge, with nothing else in it.
     """
-    growth = Growth(recycle=recycle, extra=_at_least(0, "--grow-points", grow_points))
+    growth = Growth(recycle=not no_recycle, extra=_at_least(0, "--grow-points", grow_points))
     if grow_points and not supervised:
         raise ValueError("--grow-points needs --supervised: without truth no residual is known.")
     approach = _approach(loss, features, vgg16, subset)

@@ -25,7 +25,7 @@ def render(
     samples: int = 3,
     seed: int = 0,
     textures: int | None = None,
-    occlusions: bool = True,
+    no_occlusions: bool = False,
     overwrite: bool = False,
 ) -> None:
     """Renders a synthetic scene with exact ground truth for every view.
@@ -43,7 +43,7 @@ def render(
         samples: rays per pixel along each side of a pixel.
         seed: of the sensor's noise.
         textures: seed of another set of textures; the usual ones without it.
-        occlusions: write visible_CamNNN.png.
+        no_occlusions: leave visible_CamNNN.png out.
         overwrite: replace OUT if it is an earlier result of mvedge, with nothing else in it.
     """
     key = None if textures is None else jax.random.key(textures)
@@ -60,7 +60,7 @@ def render(
             scene, shape=shape, samples=samples, progress=advance, key=jax.random.key(seed)
         )
         visible = None
-        if occlusions:
+        if not no_occlusions:
             task = bar.add_task("occlusions", total=views * views)
             visible = np.empty(shape, bool)
             for k, (v, u) in enumerate(np.ndindex(views, views), start=1):
