@@ -122,16 +122,13 @@ def measured(
     figures: dict[str, Any] = {"change": label}
     for name, disparity in (("", found.disparity), ("sweep ", sweep)):
         scores = depth_scores(disparity, truth.disparity, mask=truth.valid)
-        columns = {
-            "MSE*100": scores.mse,
-            "Q25*100": scores.q25,
-            "BP(.01)": scores.bad_01,
-            "BP(.03)": scores.bad_03,
-            "BP(.07)": scores.bad_07,
+        figures |= {
+            f"{name}MSE*100": float(scores.mse),
+            f"{name}Q25*100": float(scores.q25),
+            f"{name}BP(.01)": float(scores.bad_01),
+            f"{name}BP(.03)": float(scores.bad_03),
+            f"{name}BP(.07)": float(scores.bad_07),
         }
-        if name:
-            columns = {key: columns[key] for key in ("MSE*100", "BP(.07)")}
-        figures |= {name + key: float(value) for key, value in columns.items()}
     figures |= {
         "range": f"{low:.2f}..{high:.2f}",
         "range off": max(abs(low - clean[0]), abs(high - clean[1])),
