@@ -24,7 +24,7 @@ SWEEPS = {
     "centre.trust": lambda p: p.centre.trust,
     "smoothness.colour": lambda p: p.smoothness.colour,
     "smoothness.depth": lambda p: p.smoothness.depth,
-    "photometric.stiffness": lambda p: p.photometric.stiffness,
+    "photometric.drift": lambda p: p.photometric.drift,
     "volume.truncation": lambda p: p.volume.truncation,
     "volume.drift": lambda p: p.volume.drift,
     "median.slack": lambda p: p.median.slack,

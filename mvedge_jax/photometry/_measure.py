@@ -1,5 +1,6 @@
 """Dense labels: where the views themselves put the surface, and how well they know it."""
 
+from collections.abc import Callable
 from functools import partial
 from typing import NamedTuple, TypeVar
 
@@ -24,6 +25,8 @@ _LEAST_NOISE = 1.386
 _LEAST_SHARE = 1e-4
 # Standard error, px, below which neighbours count alike.
 _SHARPEST = 0.003
+# Evidence below this share of what half of the drift needs counts alike.
+_SUREST = 0.1
 
 
 class PhotometricLabels(NamedTuple):
@@ -107,22 +110,15 @@ def labels(
     params = cast(params, disparity.dtype)
     total = _gather(found._replace(views=None), lab, disparity, params, passes)
     channels = len(total.slope[0])
-    right, information, power = total.right, total.information, total.power
-    for slope, trend in zip(
-        zip(*total.slope, strict=True), zip(*total.trend, strict=True), strict=True
-    ):
-        along = _undrifted(total, slope, params.stiffness)
-        right = right + _dot(along, trend)
-        information = information - _dot(along, slope)
-        power = power - _dot(_undrifted(total, trend, params.stiffness), trend)
-    information = jnp.maximum(information, 0)
-    freedom = jnp.maximum(channels * total.freedom, 1)
-    residual = jnp.maximum(power, 0) / freedom
     floor = (_LEAST_NOISE * params.rounding) ** 2
     tiny = floor * 1e-6
+    freedom = jnp.maximum(channels * total.freedom, 1)
+    wider = partial(_gathered, lab=lab, disparity=disparity, params=params, spacing=2**passes)
+    stiffness = _stiffness(total, params, floor, wider)
+    right, information, power = _regressed(total, stiffness)
+    residual = jnp.maximum(power, 0) / freedom
     # The step explains a part of the residual itself.
-    explained = right * right / (information + tiny)
-    noise = jnp.maximum(power - explained, 0) / freedom
+    noise = jnp.maximum(power - _explained(right, information, tiny), 0) / freedom
     spread = total.spread[0] + total.spread[1]
     gradient = params.gradient_noise * channels * spread / found.views
     signal = jnp.maximum(information - gradient * jnp.maximum(noise, params.rounding**2), 0)
@@ -135,6 +131,46 @@ def labels(
     effective = signal * share
     variance = jnp.maximum(noise, floor) / (effective + tiny)
     return PhotometricLabels(disparity + step, variance, residual)
+
+
+def _stiffness(
+    total: Look, params: Measuring, floor: Array, wider: Callable[[tuple[Array, Array]], _Tree]
+) -> Array:
+    """How little the drift of every window is believed in, in squared view steps.
+
+    Matt surfaces have none, and looking for it there costs a part of the information; on glossy
+    ones it is what there is to explain. The surroundings tell: what drifts explain in them,
+    beyond disparities, is compared with what as many numbers explain of noise.
+    """
+    channels, tiny = len(total.slope[0]), floor * 1e-6
+    right, information, left = _regressed(total, params.stiffness)
+    left = jnp.maximum(left - _explained(right, information, tiny), 0)
+    rigid = jnp.maximum(total.power - _explained(total.right, total.information, tiny), 0)
+    axes = sum(spread / (spread + params.stiffness) for spread in total.spread)
+    noise = jnp.maximum(left / jnp.maximum(channels * total.freedom, 1), floor)
+    gain, noise = wider((jnp.maximum(rigid - left, 0), channels * axes * noise))
+    evidence = gain / (noise + tiny)
+    doubt = params.drift / (evidence + _SUREST * params.drift + tiny)
+    spread = 0.5 * (total.spread[0] + total.spread[1])
+    return params.stiffness + spread * doubt**4
+
+
+def _regressed(total: Look, stiffness: Array) -> tuple[Array, Array, Array]:
+    """Right-hand side, information and power of a window, less what its drift explains."""
+    right, information, power = total.right, total.information, total.power
+    for slope, trend in zip(
+        zip(*total.slope, strict=True), zip(*total.trend, strict=True), strict=True
+    ):
+        along = _undrifted(total, slope, stiffness)
+        right = right + _dot(along, trend)
+        information = information - _dot(along, slope)
+        power = power - _dot(_undrifted(total, trend, stiffness), trend)
+    return right, jnp.maximum(information, 0), power
+
+
+def _explained(right: Array, information: Array, tiny: Array) -> Array:
+    """What the step of the disparity takes off the power."""
+    return right * right / (information + tiny)
 
 
 def _undrifted(total: Look, sums: tuple[Array, Array], stiffness: Array) -> tuple[Array, Array]:
@@ -217,12 +253,17 @@ def _gather(own: _Tree, lab: Array, disparity: Array, params: Measuring, passes:
     Passes over 3x3 pixels, each twice as far apart as the one before: the window of the second is
     7x7, that of the third 15x15, for 9 terms a pass.
     """
+    for i in range(passes):
+        own = _gathered(own, lab, disparity, params, spacing=2**i)
+    return own
+
+
+def _gathered(own: _Tree, lab: Array, disparity: Array, params: Measuring, spacing: int) -> _Tree:
+    """One pass of `_gather`."""
     fields, tree = jax.tree.flatten(own)
-    total = jnp.stack(fields)
-    for spacing in (2**i for i in range(passes)):
-        weights = _alike(lab, disparity, params, spacing)
-        # Nothing is known beyond the border.
-        total = weighted_sum(total, weights, spacing=spacing, mode="constant")
+    weights = _alike(lab, disparity, params, spacing)
+    # Nothing is known beyond the border.
+    total = weighted_sum(jnp.stack(fields), weights, spacing=spacing, mode="constant")
     return tree.unflatten(unstack(total))
 
 

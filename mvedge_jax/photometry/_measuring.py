@@ -10,15 +10,15 @@ class PhotometricParams(eqx.Module):
     """Parameters of the dense photometric measurement.
 
     Attributes:
-        stiffness: how sure it is that colours do not drift from view to view, in squared view
-            steps: 1 says nothing, infinity allows no drift.
+        drift: how much more a drift of the colours from view to view must explain, around a
+            pixel, than it does of noise, for half of it to be believed; 0 believes every drift.
         same_surface: neighbours whose disparity differs by much more than this do not take part in
             a pixel's measurement.
         same_colour: nor do those whose CIELAB colour differs by much more than this.
         outlier: residuals this many times larger than the noise stop counting.
     """
 
-    stiffness: Float[Array, ""] = number(1.0, "squared view steps")
+    drift: Float[Array, ""] = number(0.5, "noise variances")
     same_surface: Float[Array, ""] = number(0.07, "px")
     same_colour: Float[Array, ""] = number(8.0, "CIELAB")
     outlier: Float[Array, ""] = number(1.0, "noise variances")
@@ -28,7 +28,9 @@ class Measuring(PhotometricParams):
     """The same in views of a certain noise, which `sight` says.
 
     Attributes:
-        stiffness: see `PhotometricParams`; larger where noise would pass for drift.
+        drift: see `PhotometricParams`.
+        stiffness: how sure it is from the start that colours do not drift: 1 says nothing; larger
+            where noise would pass for drift.
         same_surface: see there.
         same_colour: see there; larger where noise hides the colours of surfaces.
         outlier: see there.
@@ -43,6 +45,7 @@ class Measuring(PhotometricParams):
         largest_step: a measurement moves by at most this, px per view step.
     """
 
+    stiffness: Float[Array, ""] = number(1.0, "squared view steps")
     noise: Float[Array, ""] = number(1.5 / 255, "sRGB")
     rounding: Float[Array, ""] = number(1 / 255 / 12**0.5, "sRGB")
     gradient_noise: Float[Array, ""] = number(2.5, "1/px²")

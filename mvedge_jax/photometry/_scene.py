@@ -156,7 +156,8 @@ def sight(scene: Scene, params: PhotometricParams, *, every: LightField | None =
     plain = cast(Measuring(), scene.lab.dtype)
     measuring = Measuring(
         # Drift cannot be told from noise, nor surfaces by their colours.
-        stiffness=params.stiffness / clear**2,
+        drift=params.drift,
+        stiffness=plain.stiffness / clear**2,
         same_surface=params.same_surface,
         same_colour=params.same_colour / clear,
         outlier=params.outlier,

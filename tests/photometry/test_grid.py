@@ -17,7 +17,13 @@ SHAPE = (14, 17)
 LAB = jnp.zeros((3, *SHAPE))
 # Nothing is an outlier, nothing is noise, and steps are not limited.
 PLAIN = with_values(
-    Measuring, outlier=1e12, gradient_noise=0.0, largest_step=1e6, stiffness=2.0, noise=1.0
+    Measuring,
+    outlier=1e12,
+    gradient_noise=0.0,
+    largest_step=1e6,
+    stiffness=2.0,
+    drift=0.0,
+    noise=1.0,
 )
 
 

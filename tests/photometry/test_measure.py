@@ -120,6 +120,23 @@ def test_drift_does_not_move_a_label():
     assert with_drift < 2e-3
 
 
+def test_matt_surfaces_pay_nothing_for_drift():
+    # Noise without drift: to believe every drift costs information, to ask for evidence none.
+    truth = 0.31
+    arms = plane_arms(truth, size=(40, 48), noise=0.01)
+    inner = (slice(8, -8), slice(8, -8))
+
+    def error(**settings):
+        params = with_values(Measuring, **settings)
+        start, plain = jnp.full((40, 48), truth), jnp.zeros((3, 40, 48))
+        labels = photometric_labels(*arms, plain, start, params, radius=2, passes=1)
+        return float(jnp.sqrt(jnp.mean((labels.disparity - truth)[inner] ** 2)))
+
+    rigid, asked, believed = error(stiffness=1e9), error(), error(drift=0.0)
+    assert believed > 1.05 * rigid
+    assert asked - rigid < 0.3 * (believed - rigid)
+
+
 def test_elimination_equals_the_regression_with_all_unknowns():
     # One window over everything: the normal equations in the disparity and six drifts, in NumPy.
     rng = np.random.default_rng(5)
@@ -149,7 +166,7 @@ def test_elimination_equals_the_regression_with_all_unknowns():
         slope=per_arm(slope),
         trend=per_arm(trend),
     )
-    params = with_values(Measuring, gradient_noise=0.0, largest_step=1e6, stiffness=2.0)
+    params = with_values(Measuring, gradient_noise=0.0, largest_step=1e6, stiffness=2.0, drift=0.0)
     labels_ = labels(found, jnp.zeros((3, *shape)), jnp.zeros(shape), params, passes=1)
     taps = np.outer([0.5, 1, 0.5], [0.5, 1, 0.5])
 
