@@ -52,8 +52,6 @@ _FORGOTTEN = 55.0
 _MISPLACED = 0.5
 # Solves whose labels are measured in all views, where these are asked for.
 _AROUND = 2
-# Interpolation errs alike in all views: no label of so many is known better than this, px.
-_ALIKE = 0.003
 # Which of the four diffusions is which; those of the slopes come first.
 _MAP, _ERROR = 2, 3
 
@@ -141,8 +139,6 @@ def dense_map(
             # Points were measured in the crosshair, and have no say against all views.
             every = chosen[turn] == len(ways) - 1
             sparse = sparse._replace(weight=jnp.where(every, 0, sparse.weight))
-            least = jnp.where(every, _ALIKE**2, 0).astype(disparity.dtype)
-            measured = measured._replace(variance=measured.variance + least)
         both = _with_dense(sparse, measured, disparity, params.centre, views.params)
         smooth = _smooth(disparity)
         edges = edge_smoothness(lab, smooth, params.smoothness)

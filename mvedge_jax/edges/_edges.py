@@ -251,7 +251,7 @@ def measured_edges(
     limit = params.error_limit * jnp.sqrt(1 + noise.alpha * (_OF_GRAY * grain) ** 2)
     label, variance = _frontmost(measured, limit**2, 2 / max(across.shape[0] // 2, 1))
     disparity = label[row, column]
-    error = jnp.sqrt(variance[row, column] + params.error_floor**2)
+    error = jnp.sqrt(variance[row, column])
     # Where a lens gives no light at all, only the sensor's own pattern agrees between the views.
     # What belongs to the sensor is as much brighter as the views are.
     light = highest(100 * srgb_to_gray(view), 2)[row, column]

@@ -27,8 +27,6 @@ class EdgeParams(eqx.Module):
         error_limit: largest standard error of an accepted point, px, in a scene without noise.
             Wide, because each point carries its own error and weighs by it, and borders of plain
             surfaces have no better ones; with noise in proportion wider.
-        error_floor: smallest standard error, px: interpolation and calibration are not perfect. On
-            clean renderings, whose noise says little, it is most of the error.
         thesis: parameters of the thesis' own chain, which `EdgeSizes.thesis` asks for; None for
             its defaults.
     """
@@ -36,7 +34,6 @@ class EdgeParams(eqx.Module):
     banks: tuple[FilterBank, FilterBank] | None = None
     strength_floor: Float[Array, ""] = number(0.1, "CIELAB/px")
     error_limit: Float[Array, ""] = number(0.1, "px")
-    error_floor: Float[Array, ""] = number(0.003, "px")
     thesis: ThesisParams | None = None
 
 

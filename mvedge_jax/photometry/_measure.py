@@ -23,8 +23,6 @@ _Tree = TypeVar("_Tree")
 _LEAST_NOISE = 1.386
 # Where the signal is a smaller share of the information than this, it does not move the map.
 _LEAST_SHARE = 1e-4
-# Standard error, px, below which neighbours count alike.
-_SHARPEST = 0.003
 # Evidence below this share of what half of the drift needs counts alike.
 _SUREST = 0.1
 
@@ -34,7 +32,8 @@ class PhotometricLabels(NamedTuple):
 
     Attributes:
         disparity: px per view step, `[y, x]`.
-        variance: of the disparity, px², `[y, x]`: residual over contrast.
+        variance: of the disparity, px², `[y, x]`: residual over contrast, and what no residual
+            tells (`PhotometricParams.error_floor`).
         residual: variance of the colours over the views that see the pixel, `[y, x]`.
     """
 
@@ -129,7 +128,7 @@ def labels(
     step = limit * jnp.tanh(step / limit)
     # The right-hand side has the variance of the whole information, the step that of the signal.
     effective = signal * share
-    variance = jnp.maximum(noise, floor) / (effective + tiny)
+    variance = jnp.maximum(noise, floor) / (effective + tiny) + params.error_floor**2
     return PhotometricLabels(disparity + step, variance, residual)
 
 
@@ -213,8 +212,7 @@ def shared(
     """
     params = cast(params, lab.dtype)
     own = measured.disparity
-    # So that no label is so good that nothing else counts.
-    weight = 1 / (measured.variance + _SHARPEST**2)
+    weight = 1 / measured.variance
     total, mean = _gather((weight, weight * own), lab, own, params, passes)
     return measured._replace(disparity=mean / total)
 

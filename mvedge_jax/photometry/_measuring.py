@@ -16,12 +16,15 @@ class PhotometricParams(eqx.Module):
             a pixel's measurement.
         same_colour: nor do those whose CIELAB colour differs by much more than this.
         outlier: residuals this many times larger than the noise stop counting.
+        error_floor: smallest standard error: what interpolation and the pixels' own sampling make
+            of an outline is alike in many views, so that neither noise nor their number tells it.
     """
 
-    drift: Float[Array, ""] = number(0.5, "noise variances")
+    drift: Float[Array, ""] = number(0.7, "noise variances")
     same_surface: Float[Array, ""] = number(0.07, "px")
     same_colour: Float[Array, ""] = number(8.0, "CIELAB")
     outlier: Float[Array, ""] = number(1.0, "noise variances")
+    error_floor: Float[Array, ""] = number(0.004, "px")
 
 
 class Measuring(PhotometricParams):
@@ -34,6 +37,7 @@ class Measuring(PhotometricParams):
         same_surface: see there.
         same_colour: see there; larger where noise hides the colours of surfaces.
         outlier: see there.
+        error_floor: see there.
         noise: standard deviation of the images' noise, quantisation and interpolation included, in
             units of sRGB; the floor of what residuals are taken to mean.
         rounding: standard deviation of what the images were rounded by, as much larger as they

@@ -161,6 +161,7 @@ def sight(scene: Scene, params: PhotometricParams, *, every: LightField | None =
         same_surface=params.same_surface,
         same_colour=params.same_colour / clear,
         outlier=params.outlier,
+        error_floor=params.error_floor,
         noise=jnp.maximum(jnp.sqrt(kept) * noise.deviation, plain.noise),
         rounding=scene.exposure.scale * noise.rounding,
         # What noise is left in the mean gradients of all views is less than the residual says.

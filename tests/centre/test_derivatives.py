@@ -110,7 +110,6 @@ SIDES = pytest.mark.parametrize(
 _OURS = {
     *(f"volume.{name}" for name in vars(VolumeParams())),
     *(f"photometric.{name}" for name in vars(PhotometricParams())),
-    "edges.error_floor",
     "edges.thesis.smoothing",
     "edges.thesis.suppression",
     "edges.thesis.vote",
