@@ -9,7 +9,7 @@ from jax.typing import DTypeLike
 from jaxtyping import Array, Float
 
 from mvedge_jax._params import number
-from mvedge_jax.epi import FilterBank, ThesisParams, ThesisSteps, bank_radius, prewitt_bank
+from mvedge_jax.epi import FilterBank, bank_radius, prewitt_bank
 from mvedge_jax.lightfield import LightField
 
 from ._range import scene_range
@@ -29,15 +29,12 @@ class EdgeParams(eqx.Module):
             surfaces have no better ones; with noise in proportion wider.
         error_floor: smallest standard error, px: interpolation and calibration are not perfect. On
             clean renderings, whose noise says little, it is most of the error.
-        thesis: parameters of the thesis' own chain, which `EdgeSizes.thesis` asks for; None for
-            its defaults.
     """
 
     banks: tuple[FilterBank, FilterBank] | None = None
     strength_floor: Float[Array, ""] = number(0.1, "CIELAB/px")
     error_limit: Float[Array, ""] = number(0.1, "px")
     error_floor: Float[Array, ""] = number(0.003, "px")
-    thesis: ThesisParams | None = None
 
 
 @dataclass(frozen=True)
@@ -50,15 +47,12 @@ class EdgeSizes:
         capacity: slots for points.
         spacing: spacing of the filters, thousandths of a px per view step. Not a parameter: it
             goes with `first` and `filters`, which set shapes.
-        thesis: run the thesis' own chain, with these steps, instead of the search for
-            photo-consistency; for comparison.
     """
 
     first: int
     filters: int
     capacity: int
     spacing: int = 100
-    thesis: ThesisSteps | None = None
 
     def __post_init__(self):
         if self.spacing < 1:

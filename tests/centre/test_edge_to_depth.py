@@ -83,8 +83,6 @@ def test_constant_images_give_a_finite_map(value):
     assert float(jnp.abs(result.disparity).max()) <= 1.5
     # Nothing tells the disparity, and the result says so.
     assert float(result.error.min()) > 1
-    sparse = edge_to_depth(Parameters(), flat, Sizes.for_light_field(flat, dense=False))
-    assert bool(jnp.isinf(sparse.error).all())
 
 
 def test_sizes_follow_the_range_and_explain_mistakes():
@@ -97,10 +95,11 @@ def test_sizes_follow_the_range_and_explain_mistakes():
     assert hash(narrow) != hash(wide)
     with pytest.raises(ValueError, match="`solves` must be at least 1, got 0"):
         dataclasses.replace(narrow, solves=0)
-    with pytest.raises(ValueError, match='`views` must be "crosshair" where `dense` is False'):
-        dataclasses.replace(narrow, views="all", dense=False)
-    with pytest.raises((ValueError, TypeError), match="left"):
-        dataclasses.replace(narrow, side="left")
+    # Past the annotations, which are checked in tests only.
+    wrong = dataclasses.replace(narrow)
+    object.__setattr__(wrong, "views", "some")
+    with pytest.raises(ValueError, match="`views` must be one of .*'some'"):
+        wrong.__post_init__()
     single = LightField(jnp.zeros((1, 1, 8, 8, 3)), disparity_range=(0.0, 1.0))
     with pytest.raises(ValueError, match="single view"):
         Sizes.for_light_field(single)
@@ -110,29 +109,6 @@ def test_sizes_follow_the_range_and_explain_mistakes():
 
 def l1(params, light_field, sizes, truth):
     return jnp.mean(jnp.abs(edge_to_depth(params, light_field, sizes).disparity - truth))
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("mode", ["bidirectional", "thesis", "reprojection", "naive"])
-@pytest.mark.parametrize("dense", [True, False])
-def test_every_mode_gives_a_map(edges_scene, mode, dense):
-    sizes = Sizes.for_light_field(edges_scene, side=mode, dense=dense, **SMALL)
-    result = edge_to_depth(Parameters(), edges_scene.without_truth(), sizes)
-    error = np.abs(np.asarray(result.disparity) - np.asarray(edges_scene.truth.disparity))
-    assert np.median(error) < 0.1
-    assert (int(result.stats.sided) == 0) == (mode == "naive")
-
-
-@pytest.mark.slow
-def test_both_sides_are_kept_where_a_dense_map_tells_the_surfaces(edges_scene):
-    def kept(**choices):
-        return Sizes.for_light_field(edges_scene, **choices).relaxed
-
-    assert kept()
-    assert not kept(dense=False)
-    assert not kept(side="naive")
-    assert kept(dense=False, relaxed=True)
-    assert not kept(relaxed=False)
 
 
 def test_parameters_are_few_and_say_their_units():
@@ -146,19 +122,6 @@ def test_parameters_are_few_and_say_their_units():
     shown = []
     jax.eval_shape(lambda p: shown.append(str(p)), Parameters())
     assert "centre.precision = f64[] px" in shown[0]
-
-
-def test_relaxed_sides_pass_a_gradient_to_the_temperature(edges_scene):
-    sizes = Sizes.for_light_field(edges_scene, relaxed=True, dense=False, **SMALL)
-    truth = edges_scene.truth.disparity
-
-    def loss(temperature):
-        params = Parameters(surface=SurfaceParams(temperature=temperature))
-        return l1(params, edges_scene.without_truth(), sizes, truth)
-
-    gradient = jax.jit(jax.grad(loss))(jnp.asarray(0.05))
-    assert np.isfinite(float(gradient))
-    assert float(gradient) != 0
 
 
 @pytest.mark.slow

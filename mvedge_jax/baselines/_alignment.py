@@ -7,7 +7,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
-from ._lines import EpiLines
+from mvedge_jax.epi import EpiLines
 
 FILTER_ANGLE = math.pi / 13
 VISIBLE_ANGLE = math.pi / 10
