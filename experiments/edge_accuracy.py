@@ -200,7 +200,7 @@ def sweeps(light_field: LightField, params: EdgeParams) -> list[dict]:
             params,
             first=first,
             filters=count,
-            spacing=round(1000 * step),
+            spacing=step,
         )
     return rows
 

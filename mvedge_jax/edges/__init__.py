@@ -13,7 +13,7 @@ from ._edges import (
 from ._params import EdgeParams as EdgeParams, EdgeSizes as EdgeSizes
 from ._points import EdgePoints as EdgePoints, Edges as Edges, EdgeStats as EdgeStats
 from ._profile import step_response as step_response
-from ._range import disparity_range as disparity_range, scene_range as scene_range
+from ._range import scene_range as scene_range
 from ._raster import rasterise as rasterise, share as share
 from ._surface import (
     SurfaceParams as SurfaceParams,

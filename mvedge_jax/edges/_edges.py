@@ -116,7 +116,7 @@ def multiview_edges(
     light_field = light_field.without_truth()
     steps = max(light_field.centre)
     low, high = sizes.ends
-    span = high - low - 2 * sizes.step
+    span = high - low - 2 * sizes.spacing
     scene = prepare(
         light_field,
         sizes.hypotheses(hypothesis_count(span, steps), dtype),

@@ -12,7 +12,8 @@ from scipy import ndimage
 from experiments._crossings import crossing_table, crossings, survive
 from experiments.edge_accuracy import depth_edges
 from mvedge_jax.datasets import synthetic
-from mvedge_jax.edges import EdgeParams, EdgeSizes, disparity_range, multiview_edges
+from mvedge_jax.edges import EdgeParams, EdgeSizes, multiview_edges
+from mvedge_jax.edges._range import disparity_range
 from mvedge_jax.epi import prewitt_bank
 from mvedge_jax.lightfield import LightField
 
