@@ -38,7 +38,7 @@ def chain(name: str, **choices: Any) -> Method:
 
     def run(light_field: LightField) -> jax.Array:
         sizes = Sizes.for_light_field(light_field, **choices)
-        return edge_to_depth(Parameters(), light_field, sizes).disparity
+        return edge_to_depth(light_field, Parameters(), sizes).disparity
 
     return Method(name, run)
 

@@ -76,7 +76,7 @@ class DepthResult(NamedTuple):
 
 
 @eqx.filter_jit
-def edge_to_depth(params: Parameters, light_field: LightField, sizes: Sizes) -> DepthResult:
+def edge_to_depth(light_field: LightField, params: Parameters, sizes: Sizes) -> DepthResult:
     """Estimates the disparity of every pixel of the centre view.
 
     1. Brightness and noise are measured once: gains of the views, again along the first map, are
@@ -99,9 +99,9 @@ def edge_to_depth(params: Parameters, light_field: LightField, sizes: Sizes) -> 
     allows 65530 maps, beyond which the compiler crashes.
 
     Args:
-        params: see `Parameters`.
         light_field: the crosshair of views is read, or all of them (`Sizes.views`); ground truth is
             not.
+        params: see `Parameters`.
         sizes: see `Sizes.for_light_field`.
 
     Returns:
@@ -122,7 +122,7 @@ def edge_to_depth(params: Parameters, light_field: LightField, sizes: Sizes) -> 
     Example:
         >>> import jax.numpy as jnp
         >>> flat = LightField(jnp.full((3, 3, 16, 16, 3), 0.5), disparity_range=(-1.0, 1.0))
-        >>> result = edge_to_depth(Parameters(), flat, Sizes.for_light_field(flat))
+        >>> result = edge_to_depth(flat, Parameters(), Sizes.for_light_field(flat))
         >>> bool(jnp.isfinite(result.disparity).all())
         True
     """

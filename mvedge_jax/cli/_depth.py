@@ -83,10 +83,10 @@ def depth(
             sizes = Sizes.for_light_field(blind, views=measured)
         before = time.perf_counter()
         with stage("compiling, or reading what was compiled before"):
-            estimate = compiled(edge_to_depth, params, blind, sizes)
+            estimate = compiled(edge_to_depth, blind, params, sizes)
         start = time.perf_counter()
         with stage("estimating depth"):
-            result = jax.block_until_ready(estimate(params, blind, sizes))
+            result = jax.block_until_ready(estimate(blind, params, sizes))
         seconds = {
             "compilation": round(start - before, 3),
             "estimation": round(time.perf_counter() - start, 3),

@@ -163,7 +163,7 @@ def _read(scene: Path, views: int | None, scale: float, *, needs_truth: bool) ->
 
 def _start(blind: LightField) -> Start:
     with stage("estimating depth from edges"):
-        call = Parameters(), blind, Sizes.for_light_field(blind)
+        call = blind, Parameters(), Sizes.for_light_field(blind)
         return start_from_depth(blind, jax.block_until_ready(compiled(edge_to_depth, *call)(*call)))
 
 

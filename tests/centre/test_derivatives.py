@@ -50,7 +50,7 @@ def _problem(name, size, *, given=False, dtype: type = np.float64, **choices):
     def loss(tree):
         params, views = tree
         field = eqx.tree_at(lambda f: f.views, blind, views)
-        found = edge_to_depth(params, field, sizes)
+        found = edge_to_depth(field, params, sizes)
         return jnp.mean(jnp.sin(3 * found.disparity + phase))
 
     return loss, params, blind.views
