@@ -8,10 +8,18 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from mvedge_jax.baselines import plane_sweep
+from mvedge_jax.baselines import (
+    SparseParams,
+    SparseSizes,
+    ThesisParams,
+    ThesisSizes,
+    plane_sweep,
+    sparse_depth,
+    thesis_depth,
+)
 from mvedge_jax.centre import Parameters, Sizes, edge_to_depth
 from mvedge_jax.datasets import load_light_field, synthetic
-from mvedge_jax.edges import BidirectionalParams, scene_range
+from mvedge_jax.edges import EdgeParams, EdgeSizes, multiview_edges, scene_range
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.metrics import boundary_scores, depth_scores
 
@@ -25,16 +33,34 @@ class Method(NamedTuple):
     run: Callable[[LightField], jax.Array]
 
 
-def chain(name: str, *, unit_weights: bool = False, **choices: Any) -> Method:
-    """`edge_to_depth` with some of its `Sizes` set by hand; `unit_weights` switches (6.3) off."""
+def chain(name: str, **choices: Any) -> Method:
+    """`edge_to_depth` with some of its `Sizes` set by hand."""
 
     def run(light_field: LightField) -> jax.Array:
-        flat = BidirectionalParams(gain=jnp.asarray(0.0))
-        params = Parameters(bidirectional=flat if unit_weights else None)
         sizes = Sizes.for_light_field(light_field, **choices)
-        return edge_to_depth(params, light_field, sizes).disparity
+        return edge_to_depth(light_field, Parameters(), sizes).disparity
 
     return Method(name, run)
+
+
+def sparse(name: str, *, unit_weights: bool = False, **choices: Any) -> Method:
+    """Our points alone, diffused; `unit_weights` switches (6.3) off."""
+
+    def run(light_field: LightField) -> jax.Array:
+        params = SparseParams(gain=jnp.asarray(0.0)) if unit_weights else SparseParams()
+        sizes = SparseSizes.for_light_field(light_field, **choices)
+        grid = EdgeSizes.for_light_field(light_field)
+        points = multiview_edges(light_field, EdgeParams(), grid).points
+        return sparse_depth(light_field, points, params, sizes).disparity
+
+    return Method(name, run)
+
+
+def thesis(light_field: LightField) -> jax.Array:
+    """The thesis' own chain, its points included."""
+    params = ThesisParams(), SparseParams()
+    sizes = ThesisSizes.for_light_field(light_field), SparseSizes.for_light_field(light_field)
+    return thesis_depth(light_field, params, sizes, key=jax.random.key(0)).disparity
 
 
 def sweep(light_field: LightField) -> jax.Array:
@@ -45,22 +71,20 @@ def sweep(light_field: LightField) -> jax.Array:
 OURS = chain("ours")
 EVERY = chain("ours, all views", views="all")
 SWEEP = Method("plane sweep", sweep)
-# Points only, as in the thesis, and the three ways to place them.
+THESIS = Method("thesis", thesis)
+# Points only, as in the thesis, and the ways to place them.
 SPARSE = (
-    chain("edges only, bidirectional", dense=False),
-    chain("edges only, thesis' response", dense=False, side="thesis"),
-    chain("edges only, reprojection", dense=False, side="reprojection"),
-    chain("edges only, naive", dense=False, side="naive"),
+    sparse("edges only, bidirectional", side="bidirectional"),
+    sparse("edges only, thesis' response"),
+    sparse("edges only, reprojection", side="reprojection"),
+    sparse("edges only, naive", side="naive"),
 )
 ABLATIONS = (
-    chain("ours, thesis' response", side="thesis"),
-    chain("ours, reprojection", side="reprojection"),
-    chain("ours, naive", side="naive"),
     chain("ours, quantised median", sharpening="quantised"),
     chain("ours, no sharpening", sharpening="none"),
-    chain("edges only, quantised median", dense=False, sharpening="quantised"),
-    chain("edges only, no sharpening", dense=False, sharpening="none"),
-    chain("edges only, unit weights", dense=False, unit_weights=True),
+    sparse("edges only, quantised median", side="bidirectional", sharpening="quantised"),
+    sparse("edges only, no sharpening", side="bidirectional", sharpening="none"),
+    sparse("edges only, unit weights", side="bidirectional", unit_weights=True),
 )
 
 

@@ -43,7 +43,7 @@ def load_scene(name: str, data: Path | None, *, size: int = 128) -> LightField:
 def first_map(light_field: LightField) -> Start:
     """Edge points as a model, and the map of `edge_to_depth`."""
     blind = light_field.without_truth()
-    return start_from_depth(blind, edge_to_depth(Parameters(), blind, Sizes.for_light_field(blind)))
+    return start_from_depth(blind, edge_to_depth(blind, Parameters(), Sizes.for_light_field(blind)))
 
 
 def plain(start: Start, centre: jax.Array) -> Start:

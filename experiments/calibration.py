@@ -78,7 +78,7 @@ def calibrated(name: str, size: int, which: str) -> tuple[dict[str, Any], Calibr
     truth, valid = np.asarray(known.disparity), np.asarray(known.valid)
     blind = light_field.without_truth()
     sizes = Sizes.for_light_field(blind, views=which)
-    result = edge_to_depth(Parameters(), blind, sizes)
+    result = edge_to_depth(blind, Parameters(), sizes)
     rows, columns = np.arange(truth.shape[0])[:, None], np.arange(truth.shape[1])[None]
 
     start = jnp.where(jnp.isfinite(known.disparity), known.disparity, 0)

@@ -28,10 +28,9 @@ from scipy import ndimage
 from experiments._crossings import crossing_table
 from experiments._report import print_table, shared_data, write_csv, write_json
 from mvedge_jax import plotting
+from mvedge_jax.baselines import ThesisParams, ThesisSizes, joint_filter, thesis_edges
 from mvedge_jax.datasets import load_light_field, synthetic
 from mvedge_jax.edges import EdgeParams, EdgePoints, EdgeSizes, multiview_edges
-from mvedge_jax.epi import ThesisSteps
-from mvedge_jax.epi._joint_filter import joint_filter
 from mvedge_jax.lightfield import LightField
 
 
@@ -90,11 +89,15 @@ def score(truth: np.ndarray, x: np.ndarray, y: np.ndarray, d: np.ndarray) -> dic
     }
 
 
-def thesis_steps(light_field: LightField, params: EdgeParams, sizes: EdgeSizes) -> list[dict]:
+def thesis_steps(light_field: LightField) -> list[dict]:
     """Rows of the table for the thesis' own chain, each with one step more or another."""
     assert light_field.truth is not None
     truth = np.asarray(light_field.truth.disparity)
-    plain = ThesisSteps(levels=1, alignment="none", vote=False, entropy=False, joint=False)
+    blind, key = light_field.without_truth(), jax.random.key(0)
+    everything = ThesisSizes.for_light_field(blind)
+    plain = dataclasses.replace(
+        everything, levels=1, alignment="none", vote=False, entropy=False, joint=False
+    )
     run = dataclasses.replace(plain, alignment="run")
     both = dataclasses.replace(run, vote=True)
     searched = dataclasses.replace(both, entropy=True)
@@ -111,14 +114,11 @@ def thesis_steps(light_field: LightField, params: EdgeParams, sizes: EdgeSizes) 
         "plain, run and vote": both,
         "  + entropy search (4.5)": searched,
         "    + joint filter (4.6)": smoothed,
-        "      + pyramid: everything": dataclasses.replace(smoothed, levels=2),
+        "      + pyramid: everything": everything,
     }
     table = []
     for name, variant in variants.items():
-        chosen = dataclasses.replace(sizes, thesis=variant)
-        points = multiview_edges(
-            light_field.without_truth(), params, chosen, key=jax.random.key(0)
-        ).points
+        points = thesis_edges(blind, ThesisParams(), variant, key=key).points
         keep = np.asarray(points.valid)
         x, y = np.asarray(points.xy)[keep].T
         row = score(truth, x, y, np.asarray(points.disparity)[keep])
@@ -131,7 +131,7 @@ def steps(light_field: LightField, params: EdgeParams, sizes: EdgeSizes, *, thes
     assert light_field.truth is not None
     truth = np.asarray(light_field.truth.disparity)
     blind = light_field.without_truth()
-    table = thesis_steps(light_field, params, sizes) if thesis else []
+    table = thesis_steps(light_field) if thesis else []
     everything = eqx.tree_at(lambda p: p.error_limit, params, jnp.asarray(jnp.inf))
     row, _ = final(light_field, everything, sizes)
     table.append({"step": "measured, all candidates", **row})
@@ -200,7 +200,7 @@ def sweeps(light_field: LightField, params: EdgeParams) -> list[dict]:
             params,
             first=first,
             filters=count,
-            spacing=round(1000 * step),
+            spacing=step,
         )
     return rows
 

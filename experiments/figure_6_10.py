@@ -54,7 +54,7 @@ def main() -> None:
         @eqx.filter_jit
         def errors(settings: Parameters, blind=blind, sizes=sizes, maps=maps):
             def one(params: Parameters):
-                found = edge_to_depth(params, blind, sizes).disparity
+                found = edge_to_depth(blind, params, sizes).disparity
                 return mse(found, maps[0], mask=maps[1]), q25(found, maps[0], mask=maps[1])
 
             return jax.vmap(one)(settings)

@@ -18,7 +18,7 @@ from _report import print_table, shared_data, write_csv, write_json
 from matplotlib.figure import Figure
 
 from mvedge_jax.lightfield import LightField
-from mvedge_jax.model import Growth, decode, encode, save_encoding
+from mvedge_jax.model import Growth, decode, encode
 
 COLUMNS = {
     "mse": "MSE $\\times$ 100",
@@ -67,7 +67,7 @@ def bytes_table(name: str, light_field: LightField, counts: list[int]) -> list[d
     for k in counts:
         encoding = encode(truth.disparity, min(k, known.size))
         with tempfile.TemporaryDirectory() as folder:
-            size = save_encoding(Path(folder) / "code.npz", encoding)
+            size = encoding.save(Path(folder) / "code.npz")
         found = scores(decode(encoding), light_field)
         rows.append({"scene": name, "code": f"{k} points", "bytes": size, **found})
         print(rows[-1], flush=True)

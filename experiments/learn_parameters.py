@@ -70,7 +70,7 @@ def main() -> None:
     first, parameters = _choice(arguments.what, next(iter(fields.values())), sizes)
 
     def loss(learned: Any, field: LightField) -> tuple[jax.Array, jax.Array]:
-        found = edge_to_depth(parameters(learned), field.without_truth(), sizes).disparity
+        found = edge_to_depth(field.without_truth(), parameters(learned), sizes).disparity
         return robust_loss(found, field), found
 
     value_and_gradient = eqx.filter_jit(jax.value_and_grad(loss, has_aux=True))

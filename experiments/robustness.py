@@ -112,9 +112,9 @@ def measured(
         is_leaf=lambda leaf: leaf is None,
     )
     sizes = Sizes.for_light_field(views, views=which)
-    found = jax.block_until_ready(edge_to_depth(Parameters(), views, sizes))
+    found = jax.block_until_ready(edge_to_depth(views, Parameters(), sizes))
     start = time.perf_counter()
-    found = jax.block_until_ready(edge_to_depth(Parameters(), views, sizes))
+    found = jax.block_until_ready(edge_to_depth(views, Parameters(), sizes))
     seconds = time.perf_counter() - start
     sweep = plane_sweep(views, disparity_range=(low, high)).disparity
     ranges[label] = low, high

@@ -45,7 +45,7 @@ def compared(light_field: LightField, reach: float) -> list[dict[str, Any]]:
     sizes = Sizes.for_light_field(light_field.without_truth())
 
     def loss(logs: Parameters, light_field: LightField) -> jax.Array:
-        found = edge_to_depth(jax.tree.map(jnp.exp, logs), light_field.without_truth(), sizes)
+        found = edge_to_depth(light_field.without_truth(), jax.tree.map(jnp.exp, logs), sizes)
         return robust_loss(found.disparity, light_field)
 
     logs = jax.tree.map(jnp.log, Parameters())

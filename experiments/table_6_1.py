@@ -10,7 +10,7 @@ from pathlib import Path
 import cv2
 import jax
 import numpy as np
-from _depth import ABLATIONS, EVERY, OURS, SPARSE, SWEEP, as_image, scenes, score
+from _depth import ABLATIONS, EVERY, OURS, SPARSE, SWEEP, THESIS, as_image, scenes, score
 from _report import print_table, shared_data, write_csv, write_json
 
 # Thesis, Tab. 6.1 and REFERENCE_NOTES 23 (the authors' code, run by us); full frame.
@@ -34,7 +34,7 @@ def main() -> None:
     parser.add_argument("--size", type=int, default=256, help="side of the rendered scenes, px")
     parser.add_argument("--ablations", action="store_true", help="every form of every step too")
     arguments = parser.parse_args()
-    methods = (OURS, EVERY, *SPARSE, SWEEP, *(ABLATIONS if arguments.ablations else ()))
+    methods = (OURS, EVERY, *SPARSE, THESIS, SWEEP, *(ABLATIONS if arguments.ablations else ()))
     rows = []
     for name, light_field in scenes(arguments.data, arguments.scenes, size=arguments.size):
         blind, truth = light_field.without_truth(), light_field.truth

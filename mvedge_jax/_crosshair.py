@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import DTypeLike
 from jaxtyping import Array, Bool, Float
 
 from mvedge_jax.lightfield import LightField
@@ -28,6 +29,19 @@ class Arm(NamedTuple):
         return self.planes.shape[0] // 2
 
 
+def view_steps(count: int, dtype: DTypeLike) -> Float[Array, " s"]:
+    """What disparity is multiplied by to get from the centre view to each view of an arm.
+
+    Args:
+        count: views of the arm; the centre one is number `count // 2`.
+        dtype: of the result.
+
+    Returns:
+        From the first view to the last one, falling.
+    """
+    return jnp.asarray(count // 2 - np.arange(count), dtype)
+
+
 def crosshair(light_field: LightField) -> tuple[Arm, Arm]:
     """The horizontal and the vertical arm; the vertical one holds transposed images."""
     vc, uc = light_field.centre
@@ -35,10 +49,7 @@ def crosshair(light_field: LightField) -> tuple[Arm, Arm]:
     horizontal = jnp.transpose(light_field.horizontal_arm, (0, 3, 1, 2))
     vertical = jnp.transpose(light_field.vertical_arm, (0, 3, 2, 1))
 
-    def steps(count: int, centre: int) -> Array:
-        return jnp.asarray(centre - np.arange(count), dtype)
-
     return (
-        Arm(horizontal, steps(horizontal.shape[0], uc), light_field.available[vc]),
-        Arm(vertical, steps(vertical.shape[0], vc), light_field.available[:, uc]),
+        Arm(horizontal, view_steps(horizontal.shape[0], dtype), light_field.available[vc]),
+        Arm(vertical, view_steps(vertical.shape[0], dtype), light_field.available[:, uc]),
     )

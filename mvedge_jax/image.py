@@ -1,9 +1,12 @@
-"""One of each of what is done to images: sums, blurs, splines."""
+"""One of each of what is done to images: sums, blurs, slopes, splines, points on pixels."""
 
+from typing import NamedTuple
+
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float, Int
 
 _POLE = np.sqrt(3.0) - 2.0
 # The inverse filter decays by 0.27 per sample; 1e-7 of it is left at this radius.
@@ -193,3 +196,87 @@ def cubic_taps(fraction: Float[Array, "*s"]) -> tuple[tuple[Array, ...], tuple[A
         f * f * f / 6,
     )
     return values, (-0.5 * g * g, f * (1.5 * f - 2), g * (2 - 1.5 * g), 0.5 * f * f)
+
+
+def vertex(below: Array, middle: Array, above: Array) -> Array:
+    """Offset of the extremum of the parabola through three values at -1, 0 and 1.
+
+    Args:
+        below: values at -1, any shape.
+        middle: at 0.
+        above: at 1.
+
+    Returns:
+        Offsets in [-1, 1], 0 where the values lie on a line. Differentiable.
+    """
+    bend = below - 2 * middle + above
+    flat = jnp.abs(bend) <= 1e-6 * (jnp.abs(below) + jnp.abs(above)) + 1e-30
+    offset = 0.5 * (below - above) / jnp.where(flat, 1, bend)
+    return jnp.where(flat, 0, jnp.clip(offset, -1, 1))
+
+
+def unit_gradient(image: Float[Array, "y x"]) -> Float[Array, "y x 2"]:
+    """Unit direction of the smoothed gradient.
+
+    Args:
+        image: `[y, x]`.
+
+    Returns:
+        `(x, y)` per pixel, 0 where the image is flat. Differentiable.
+    """
+    blur = jnp.asarray([1.0, 4.0, 6.0, 4.0, 1.0], image.dtype) / 16
+    slope = jnp.asarray([-1.0, -2.0, 0.0, 2.0, 1.0], image.dtype) / 8
+    across = convolved(convolved(image, blur, 0), slope, 1)
+    down = convolved(convolved(image, blur, 1), slope, 0)
+    gradient = jnp.stack([across, down], -1)
+    square = (gradient**2).sum(-1, keepdims=True)
+    safe = jnp.where(square > 1e-12, square, 1)
+    return jnp.where(square > 1e-12, gradient / jnp.sqrt(safe), 0)
+
+
+def sample(image: Float[Array, "y x"], xy: Float[Array, "n 2"]) -> Float[Array, " n"]:
+    """Bilinear samples of an image; outside, the border repeats.
+
+    Args:
+        image: `[y, x]`.
+        xy: positions `(x, y)`, px.
+
+    Returns:
+        A value per position. Differentiable in both.
+    """
+    coordinates = [xy[:, 1], xy[:, 0]]
+    return jax.scipy.ndimage.map_coordinates(image, coordinates, order=1, mode="nearest")
+
+
+class Pixels(NamedTuple):
+    """The nearest pixels of points, within an image.
+
+    Attributes:
+        row: y of each.
+        column: x of each.
+        inside: which points lie in the image; the pixels of the others are on its border.
+    """
+
+    row: Int[Array, " n"]
+    column: Int[Array, " n"]
+    inside: Bool[Array, " n"]
+
+    def places(self, width: int) -> Int[Array, " n"]:
+        """Index of each pixel in an image of that width, flattened by rows."""
+        return self.row * width + self.column
+
+
+def nearest_pixels(xy: Float[Array, "n 2"], shape: tuple[int, int]) -> Pixels:
+    """The pixels that points are on.
+
+    Args:
+        xy: positions `(x, y)`, px.
+        shape: rows and columns of the image.
+
+    Returns:
+        A pixel per point; no gradient passes through it.
+    """
+    height, width = shape
+    column, row = jnp.round(lax.stop_gradient(xy)).astype(jnp.int32).T
+    inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
+    return Pixels(jnp.clip(row, 0, height - 1), jnp.clip(column, 0, width - 1), inside)

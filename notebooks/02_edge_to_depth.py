@@ -41,7 +41,7 @@ light_field = synthetic.render(
 truth = light_field.truth.disparity
 blind = light_field.without_truth()
 sizes = Sizes.for_light_field(blind, levels=24, median_radius=4)
-result = edge_to_depth(Parameters(), blind, sizes)
+result = edge_to_depth(blind, Parameters(), sizes)
 
 # %% [markdown]
 # ## Points
@@ -96,7 +96,7 @@ print(Parameters())
 
 # %%
 def loss(parameters):
-    return jnp.mean(jnp.abs(edge_to_depth(parameters, blind, sizes).disparity - truth))
+    return jnp.mean(jnp.abs(edge_to_depth(blind, parameters, sizes).disparity - truth))
 
 
 gradient = eqx.filter_jit(eqx.filter_grad(loss))(Parameters())
@@ -113,7 +113,7 @@ for name, leaf in vars(gradient.centre).items():
 # %%
 def at(log_smoothness):
     smoother = eqx.tree_at(lambda p: p.centre.smoothness, Parameters(), jnp.exp(log_smoothness))
-    return edge_to_depth(smoother, blind, sizes).disparity
+    return edge_to_depth(blind, smoother, sizes).disparity
 
 
 here = jnp.log(Parameters().centre.smoothness)
@@ -130,7 +130,7 @@ plotting.plot_disparity([moved], names=["d disparity / d log(smoothness)"])
 
 # %%
 def error_of(logs):
-    found = edge_to_depth(jax.tree.map(jnp.exp, logs), blind, sizes).disparity
+    found = edge_to_depth(blind, jax.tree.map(jnp.exp, logs), sizes).disparity
     return jnp.mean(jnp.log1p(((found - truth) / 0.03) ** 2))
 
 

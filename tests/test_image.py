@@ -1,11 +1,11 @@
-"""Cubic splines against SciPy."""
+"""Splines against SciPy, slopes, points on pixels."""
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy import ndimage
 
-from mvedge_jax.image import spline_coefficients
+from mvedge_jax.image import nearest_pixels, spline_coefficients, unit_gradient, vertex
 
 
 @pytest.mark.parametrize("axis", [0, -1])
@@ -14,3 +14,24 @@ def test_coefficients_are_those_of_scipy(axis):
     coefficients = np.asarray(spline_coefficients(jnp.asarray(values), axis=axis))
     oracle = ndimage.spline_filter1d(values, order=3, axis=axis, mode="mirror")
     np.testing.assert_allclose(coefficients, oracle, atol=3e-6)
+
+
+def test_vertex_of_a_parabola():
+    x = np.array([-1.0, 0.0, 1.0])
+    for top in (-0.4, 0.0, 0.7):
+        values = [jnp.asarray(3.0 - 2 * (at - top) ** 2) for at in x]
+        np.testing.assert_allclose(vertex(*values), top, atol=1e-12)
+    assert float(vertex(*[jnp.asarray(1.0)] * 3)) == 0.0
+
+
+def test_points_are_on_their_nearest_pixels():
+    at = nearest_pixels(jnp.array([[1.2, 2.4], [5.6, -0.2], [-0.7, 1.0]]), (4, 6))
+    np.testing.assert_array_equal(at.inside, [True, False, False])
+    np.testing.assert_array_equal(at.places(6), [13, 5, 6])
+
+
+def test_unit_gradient_of_a_ramp_is_its_direction():
+    y, x = jnp.mgrid[0:9, 0:12].astype(float)
+    found = np.asarray(unit_gradient(0.3 * x - 0.4 * y))[3:-3, 3:-3]
+    np.testing.assert_allclose(found, np.broadcast_to([0.6, -0.8], found.shape), atol=1e-12)
+    np.testing.assert_array_equal(unit_gradient(jnp.full((5, 5), 0.3)), 0)

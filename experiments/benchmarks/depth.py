@@ -100,7 +100,7 @@ def _gradient(sizes: Sizes) -> Any:
 
     def loss(params: Parameters, views: jax.Array, light_field: LightField) -> jax.Array:
         seen = eqx.tree_at(lambda f: f.views, light_field, views)
-        return jnp.mean(jnp.sin(3 * edge_to_depth(params, seen, sizes).disparity))
+        return jnp.mean(jnp.sin(3 * edge_to_depth(seen, params, sizes).disparity))
 
     @eqx.filter_jit
     def value_and_gradient(params: Parameters, light_field: LightField) -> Any:
@@ -121,7 +121,7 @@ def _settings(out: Path, repeats: int) -> None:
 
     def depth(precision, colour):
         params = eqx.tree_at(leaves, Parameters(), (precision, colour))
-        return edge_to_depth(params, light_field, sizes).disparity
+        return edge_to_depth(light_field, params, sizes).disparity
 
     one, two = leaves(Parameters())
     factors = jnp.linspace(0.5, 2.0, 8)

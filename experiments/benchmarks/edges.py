@@ -68,7 +68,7 @@ def _first_map(light_field: LightField, params: EdgeParams, sizes: EdgeSizes) ->
     """Exposure, noise and hypotheses."""
     del params
     low, high = sizes.ends
-    count = hypothesis_count(high - low - 2 * sizes.step, max(light_field.centre))
+    count = hypothesis_count(high - low - 2 * sizes.spacing, max(light_field.centre))
     tried = sizes.hypotheses(count)
     volume = cast(VolumeParams(), tried.dtype)
     return prepare(light_field.without_truth(), tried, volume, window=2)

@@ -1,7 +1,17 @@
-"""What the method has to beat."""
+"""What the method is compared with: the thesis' own chain, depth from points alone, plane sweep."""
 
+from ._joint_filter import joint_filter as joint_filter
+from ._sparse_depth import (
+    SparseDepth as SparseDepth,
+    SparseParams as SparseParams,
+    SparseSizes as SparseSizes,
+    sparse_depth as sparse_depth,
+)
 from ._sweep import (
     Sweep as Sweep,
     SweepSizes as SweepSizes,
     plane_sweep as plane_sweep,
 )
+from ._thesis_depth import thesis_depth as thesis_depth
+from ._thesis_edges import thesis_edges as thesis_edges
+from ._thesis_params import ThesisParams as ThesisParams, ThesisSizes as ThesisSizes

@@ -5,38 +5,29 @@ from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
-from jax.typing import DTypeLike
-from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
+from jaxtyping import Array, Bool, Float, Int
 
-from mvedge_jax._crosshair import Arm
 from mvedge_jax._fence import staged
 from mvedge_jax._params import cast
 from mvedge_jax.color import srgb_to_gray
 from mvedge_jax.diffusion import AutoSolver
 from mvedge_jax.edges import (
-    Bidirectional,
     BidirectionalParams,
     EdgePoints,
-    Edges,
     EdgeStats,
     SurfaceParams,
     SurfaceVectors,
     bidirectional,
-    choose,
     measured_edges,
-    point_weight,
-    rasterise,
-    reprojection_score,
     share,
     surface_vectors,
-    thesis_edges,
 )
 from mvedge_jax.lightfield import LightField
-from mvedge_jax.photometry import Exposure, Noise, Scene, Sight, first_labels, prepare, sight
+from mvedge_jax.photometry import Exposure, Noise, first_labels, prepare, sight
 
-from ._parameters import CentreParams, Parameters, Sizes
+from ._parameters import Parameters, Sizes
 from ._sharpen import sharpen
-from ._solves import AGREEMENT, Labels, dense_map, precision_weight, sparse_map, standard_error
+from ._solves import AGREEMENT, Labels, dense_map, precision_weight, standard_error
 
 
 class DepthStats(NamedTuple):
@@ -85,13 +76,7 @@ class DepthResult(NamedTuple):
 
 
 @eqx.filter_jit
-def edge_to_depth(
-    params: Parameters,
-    light_field: LightField,
-    sizes: Sizes,
-    *,
-    key: PRNGKeyArray | None = None,
-) -> DepthResult:
+def edge_to_depth(light_field: LightField, params: Parameters, sizes: Sizes) -> DepthResult:
     """Estimates the disparity of every pixel of the centre view.
 
     1. Brightness and noise are measured once: gains of the views, again along the first map, are
@@ -114,12 +99,10 @@ def edge_to_depth(
     allows 65530 maps, beyond which the compiler crashes.
 
     Args:
-        params: see `Parameters`.
         light_field: the crosshair of views is read, or all of them (`Sizes.views`); ground truth is
             not.
+        params: see `Parameters`.
         sizes: see `Sizes.for_light_field`.
-        key: for the entropy search of the thesis' own points (`EdgeSizes.thesis`); nothing else is
-            random.
 
     Returns:
         Disparity, standard error, points, statistics. Differentiable, forwards and backwards, in
@@ -131,7 +114,7 @@ def edge_to_depth(
         to about 2e-4 there, as they are sums that cancel.
 
     Raises:
-        ValueError: the light field has a single view per arm, or the entropy search has no `key`.
+        ValueError: the light field has a single view per arm.
 
     Source: Thesis 6.1, 4.2.2 and 4.3 (sections); what differs, and why, is a page of the
         documentation.
@@ -139,7 +122,7 @@ def edge_to_depth(
     Example:
         >>> import jax.numpy as jnp
         >>> flat = LightField(jnp.full((3, 3, 16, 16, 3), 0.5), disparity_range=(-1.0, 1.0))
-        >>> result = edge_to_depth(Parameters(), flat, Sizes.for_light_field(flat))
+        >>> result = edge_to_depth(flat, Parameters(), Sizes.for_light_field(flat))
         >>> bool(jnp.isfinite(result.disparity).all())
         True
     """
@@ -148,34 +131,37 @@ def edge_to_depth(
             "`light_field` must have at least three views in a row or in a column, got a grid of "
             f"{light_field.views.shape[0]}x{light_field.views.shape[1]}."
         )
-    dtype = light_field.views.dtype
-    params, turned, sided = _completed(params, dtype)
-    scene = prepare(
-        light_field.without_truth(),
-        sizes.edges.hypotheses(sizes.hypotheses, dtype),
-        params.volume,
-        window=sizes.window,
-        search=sizes.dense or sizes.edges.thesis is None,
-        every=sizes.views == "all",
-    )
-    every = light_field.without_truth() if sizes.views == "all" else None
+    dtype, blind = light_field.views.dtype, light_field.without_truth()
+    every = blind if sizes.views == "all" else None
+    params = cast(params, dtype)
+    turned = cast(params.bidirectional or BidirectionalParams(), dtype)
+    sided = cast(params.surface or SurfaceParams(), dtype)
+
+    # 1 and 2: brightness, noise, and what every pixel's own measurement says.
+    disparities = sizes.edges.hypotheses(sizes.hypotheses, dtype)
+    scene = prepare(blind, disparities, params.volume, window=sizes.window, every=every is not None)
     ready = staged(lambda scene, params, every: sight(scene, params, every=every))
     views = ready(scene, params.photometric, every)
-    edges, first = _edges(scene, views, params, sizes, key)
-    points, gray = edges.points, srgb_to_gray(jnp.moveaxis(scene.guide, 0, -1))
-    shape = (gray.shape[0], gray.shape[1])
+    measure = partial(first_labels, radius=sizes.radius, passes=sizes.passes)
+    measured = staged(measure)(scene, views)
 
+    # 3: edges.
+    find = partial(measured_edges, sizes=sizes.edges, radius=sizes.radius)
+    edges = staged(find)(scene, views, measured, params.edges)
+    points, first = edges.points, measured.disparity
+
+    # 4: their sides.
+    gray = srgb_to_gray(jnp.moveaxis(scene.guide, 0, -1))
     coarse = AutoSolver(tolerance=jnp.asarray(100 * sizes.tolerance, dtype))
-    directed = partial(bidirectional, normalised=sizes.side == "thesis", solver=coarse)
-    passes = staged(directed)(points, gray, turned)
-    choice = partial(_sides, sizes=sizes, shape=shape)
-    surface = staged(choice)(points, passes, first, views.arms, sided)
-    # Points take their disparity from few pixels, which noise leaves little of.
-    clear = 1 - scene.noise.alpha
-    params = eqx.tree_at(lambda p: p.centre.points, params, params.centre.points * clear)
-    groups = params.centre, turned, sided
-    from_points, hits = _point_labels(points, surface, passes, first, groups, sizes, shape)
+    passes = staged(partial(bidirectional, solver=coarse))(points, gray, turned)
+    choose_side = partial(surface_vectors, shape=(gray.shape[0], gray.shape[1]))
+    surface = staged(choose_side)(points, passes.response, first, sided)
 
+    # 5 and 6: labels, diffused.
+    # Points take their disparity from few pixels, which noise leaves little of.
+    trusted = params.centre.points * (1 - scene.noise.alpha) * points.confidence
+    weight = trusted * precision_weight(points.error**2, params.centre)
+    from_points = _point_labels(points, surface, weight, first, sided)
     sharper = partial(
         sharpen,
         guide=scene.guide,
@@ -184,15 +170,10 @@ def edge_to_depth(
         levels=sizes.levels,
         mode=sizes.sharpening,
     )
-    if first is None:
-        start = 0.5 * (passes.forward + passes.backward)
-        found = sparse_map(from_points, scene.lab, start, params, sizes)
-        found = found._replace(disparity=sharper(found.disparity))
-    else:
-        found = dense_map(from_points, views, scene.lab, first, sharper, params, sizes)
+    found = dense_map(from_points, views, scene.lab, first, sharper, params, sizes)
     stats = DepthStats(
         edges.stats,
-        jnp.sum(hits),
+        jnp.sum(from_points.weight > 0),
         jnp.sum(points.valid & (surface.score != 0)),
         jnp.concatenate([passes.iterations, found.iterations]),
         found.converged,
@@ -203,89 +184,20 @@ def edge_to_depth(
     return DepthResult(found.disparity, error, passes.edge, points, surface, stats)
 
 
-def _completed(
-    params: Parameters, dtype: DTypeLike
-) -> tuple[Parameters, BidirectionalParams, SurfaceParams]:
-    """In the precision of the data, with defaults for the groups that were not given."""
-    turned, sided = params.bidirectional, params.surface
-    turned = BidirectionalParams() if turned is None else turned
-    sided = SurfaceParams() if sided is None else sided
-    return cast(params, dtype), cast(turned, dtype), cast(sided, dtype)
-
-
-def _edges(
-    scene: Scene, views: Sight, params: Parameters, sizes: Sizes, key: PRNGKeyArray | None
-) -> tuple[Edges, Array | None]:
-    """Points, and the map that every pixel's own measurement gives, if `sizes.dense`."""
-    measure = partial(first_labels, radius=sizes.radius, passes=sizes.passes)
-    if sizes.edges.thesis is not None:
-        edges = thesis_edges(scene, params.edges, sizes.edges, key=key)
-        return edges, measure(scene, views).disparity if sizes.dense else None
-    measured = staged(measure)(scene, views)
-    found = partial(measured_edges, sizes=sizes.edges, radius=sizes.radius)
-    edges = staged(found)(scene, views, measured, params.edges)
-    return edges, measured.disparity if sizes.dense else None
-
-
-def _sides(
-    points: EdgePoints,
-    passes: Bidirectional,
-    first: Array | None,
-    arms: tuple[Arm, Arm],
-    params: SurfaceParams,
-    *,
-    sizes: Sizes,
-    shape: tuple[int, int],
-) -> SurfaceVectors:
-    """Surface vectors in the way that `sizes.side` names."""
-    if sizes.side == "bidirectional":
-        return surface_vectors(
-            points, passes.response, first, params, shape=shape, relaxed=sizes.relaxed
-        )
-    if sizes.side == "thesis":
-        score = passes.response
-    elif sizes.side == "reprojection":
-        score = reprojection_score(
-            points, passes.forward, passes.backward, *arms, radius=sizes.radius
-        )
-    else:
-        score = jnp.zeros_like(points.disparity)
-    return choose(points, score, params, relaxed=sizes.relaxed)
-
-
 def _point_labels(
     points: EdgePoints,
     surface: SurfaceVectors,
-    passes: Bidirectional,
-    first: Array | None,
-    params: tuple[CentreParams, BidirectionalParams, SurfaceParams],
-    sizes: Sizes,
-    shape: tuple[int, int],
-) -> tuple[Labels, Array]:
-    """The points' labels on their surfaces, and which pixels have one."""
-    centre, turned, sided = params
-    precise = precision_weight(points.error**2, centre)
-    if first is None:
-        # As in (6.3), scaled so that the strongest weight is 1.
-        limit = jnp.exp(turned.limit)
-        weight = precise * (
-            0.5 + 0.5 * point_weight(passes.confidence, points.valid, turned) / limit
-        )
-    else:
-        weight = centre.points * points.confidence * precise
+    weight: Float[Array, " n"],
+    first: Float[Array, "y x"],
+    params: SurfaceParams,
+) -> Labels:
+    """The points' labels, on either side of their edges as far as it is likely to be theirs."""
     weight = jnp.where(points.valid, weight, 0)
-    if not sizes.relaxed:
-        raster = rasterise(points.xy + surface.offset, points.disparity, points.valid, shape)
-        return Labels(raster.values(weight), raster.values(points.disparity)), raster.hit
-    total, mean = jnp.zeros(shape, weight.dtype), jnp.zeros(shape, weight.dtype)
-    shift = sided.offset * points.normal
-    for sign, share_of in ((1.0, surface.forward), (-1.0, 1 - surface.forward)):
-        place, part = points.xy + sign * shift, weight * share_of
-        if first is None:
-            raster = rasterise(place, points.disparity, points.valid, shape)
-            amount, value = raster.values(part), raster.values(points.disparity)
-        else:
-            agreement = jnp.asarray(AGREEMENT, weight.dtype)
-            amount, value = share(place, points.disparity, part, first, agreement)
+    agreement = jnp.asarray(AGREEMENT, weight.dtype)
+    total, mean = jnp.zeros_like(first), jnp.zeros_like(first)
+    shift = params.offset * points.normal
+    for sign, likely in ((1.0, surface.forward), (-1.0, 1 - surface.forward)):
+        place = points.xy + sign * shift
+        amount, value = share(place, points.disparity, weight * likely, first, agreement)
         total, mean = total + amount, mean + amount * value
-    return Labels(total, mean / jnp.where(total > 0, total, 1)), total > 0
+    return Labels(total, mean / jnp.where(total > 0, total, 1))

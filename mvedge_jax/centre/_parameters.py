@@ -11,7 +11,6 @@ from mvedge_jax.edges import (
     BidirectionalParams,
     EdgeParams,
     EdgeSizes,
-    Side,
     SurfaceParams,
     scene_range,
 )
@@ -47,7 +46,7 @@ class Parameters(eqx.Module):
     """The continuous parameters of `edge_to_depth`: 20 numbers, each traced and with a gradient.
 
     `print` shows their values and units. Filters to be learned (`EdgeParams.banks`) and the groups
-    that decide where points alone are diffused, or one side is chosen, are parameters if given.
+    that choose sides, which matter little beside the dense measurement, are parameters if given.
 
     Attributes:
         edges: of the multi-view edges (Thesis 4.1).
@@ -81,19 +80,8 @@ class Sizes:
         edges: of the point stage.
         hypotheses: disparities tried per pixel.
         radius: how far occluders are looked for, px.
-        dense: measure every pixel's disparity in the views, besides the points; without it only
-            the points are diffused, as in the thesis.
-        views: which of them labels are measured in, if `dense`: `"crosshair"`, or, in two more
-            solves at the end, `"all"`.
-        side: how surface vectors are chosen. `"bidirectional"`: step response of the two
-            directional solves, evidence of the neighbours and of the hypotheses; `"thesis"`:
-            normalised step response alone; `"reprojection"`: the map that reprojects better (Tab.
-            6.2); `"naive"`: no surface vectors, labels stay on their edges (Fig. B.1).
-        relaxed: keep both sides of an edge with probabilities, and share labels between the pixels
-            around them that lie on their surface; else each label goes to one pixel on the side
-            chosen, as in the thesis. `for_light_field` takes it where there is a dense measurement
-            to tell the surfaces and the scores are those of `"bidirectional"`: from points alone
-            it doubles the error of the benchmark's *backgammon*.
+        views: which of them labels are measured in: `"crosshair"`, or, in two more solves at the
+            end, `"all"`.
         solves: diffusions before the sharpening, and again after it.
         window: half the width of the windows in which hypotheses are compared, px.
         passes: over the neighbours whose measurements are shared, see `photometric_labels`.
@@ -109,10 +97,7 @@ class Sizes:
     edges: EdgeSizes
     hypotheses: int
     radius: int
-    dense: bool = True
     views: LabelViews = "crosshair"
-    side: Side = "bidirectional"
-    relaxed: bool = False
     solves: int = 2
     window: int = 2
     passes: int = 2
@@ -134,13 +119,10 @@ class Sizes:
             value = getattr(self, name)
             if value < least:
                 raise ValueError(f"`{name}` must be at least {least}, got {value}.")
-        if self.views == "all" and not self.dense:
-            raise ValueError('`views` must be "crosshair" where `dense` is False, got "all".')
         if not self.tolerance > 0:
             raise ValueError(f"`tolerance` must be positive, got {self.tolerance}.")
         for name, options in (
             ("views", get_args(LabelViews)),
-            ("side", get_args(Side)),
             ("sharpening", get_args(Sharpening)),
         ):
             if getattr(self, name) not in options:
@@ -152,7 +134,7 @@ class Sizes:
 
         Args:
             light_field: its range is measured where it does not come with one.
-            **choices: any field of `Sizes` to set by hand, such as `dense=False`.
+            **choices: any field of `Sizes` to set by hand, such as `views="all"`.
 
         Returns:
             Sizes for `edge_to_depth`.
@@ -186,6 +168,4 @@ class Sizes:
             "hypotheses": hypothesis_count(high - low + 0.2, steps),
             "radius": occluder_radius(high - low, steps, (height, width)),
         }
-        dense, side = choices.get("dense", Sizes.dense), choices.get("side", Sizes.side)
-        defaults["relaxed"] = dense and side == "bidirectional"
         return Sizes(**{**defaults, **choices})

@@ -72,20 +72,6 @@ class Map(NamedTuple):
     converged: Array
 
 
-def sparse_map(labels: Labels, lab: Array, start: Array, params: Parameters, sizes: Sizes) -> Map:
-    """Repeated diffusion of the points' labels alone."""
-
-    def solve(state: tuple[Array, Array], turn: Array) -> Any:
-        smooth = _smooth(state[0])
-        edges = edge_smoothness(lab, smooth, params.smoothness)
-        last = turn == sizes.solves - 1
-        return _solved(
-            labels, edges, state[0], params.centre, sizes, sloped=jnp.asarray(False), last=last
-        )
-
-    return Map(*_repeated(solve, start, sizes.solves))
-
-
 def dense_map(
     from_points: Labels,
     views: Sight,
@@ -146,16 +132,9 @@ def dense_map(
             both, edges, disparity, params.centre, sizes, sloped=turn > 0, last=turn == turns - 1
         )
 
-    return Map(*_repeated(solve, first, turns))
-
-
-def _repeated(solve: Callable[..., Any], start: Array, turns: int) -> tuple[Array, ...]:
-    """Runs `solve` from a map: the fields of a `_Map`."""
-    state = (start, jnp.zeros_like(start))
-    (disparity, error), (iterations, converged) = lax.scan(
-        recomputed(solve), state, jnp.arange(turns)
-    )
-    return disparity, error, iterations, jnp.all(converged)
+    state = (first, jnp.zeros_like(first))
+    state, (iterations, converged) = lax.scan(recomputed(solve), state, jnp.arange(turns))
+    return Map(*state, iterations, jnp.all(converged))
 
 
 def standard_error(

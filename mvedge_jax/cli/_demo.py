@@ -43,7 +43,7 @@ def _plane_sweep(light_field: LightField) -> _Estimate:
 
 
 def _multiview_edges(light_field: LightField) -> _Estimate:
-    result = edge_to_depth(Parameters(), light_field, Sizes.for_light_field(light_field))
+    result = edge_to_depth(light_field, Parameters(), Sizes.for_light_field(light_field))
     return _Estimate(result.disparity, result.points)
 
 

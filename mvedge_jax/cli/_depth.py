@@ -4,7 +4,7 @@ import platform
 import time
 from importlib.metadata import version
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import cv2
 import jax
@@ -40,8 +40,6 @@ def depth(
     flip_u: bool = False,
     flip_v: bool = False,
     range: tuple[float, float] | None = None,
-    side: Literal["bidirectional", "thesis", "reprojection", "naive"] = "bidirectional",
-    no_dense: bool = False,
     all_views: bool = False,
     overwrite: bool = False,
 ) -> None:
@@ -60,8 +58,6 @@ def depth(
         flip_u: reverse the columns of views.
         flip_v: reverse the rows of views.
         range: lowest and highest disparity, px per view step; measured if not given or known.
-        side: how surface vectors are chosen; all but the first are baselines of the thesis.
-        no_dense: diffuse the edges alone; otherwise disparity is measured at every pixel as well.
         all_views: measure disparity in all views at the end, not in the central row and column
             alone: more accurate, twice as slow.
         overwrite: replace OUT if it is an earlier result of mvedge, with nothing else in it.
@@ -84,13 +80,13 @@ def depth(
         blind = light_field.without_truth()
         with stage("choosing sizes"):
             measured = "all" if all_views else "crosshair"
-            sizes = Sizes.for_light_field(blind, side=side, dense=not no_dense, views=measured)
+            sizes = Sizes.for_light_field(blind, views=measured)
         before = time.perf_counter()
         with stage("compiling, or reading what was compiled before"):
-            estimate = compiled(edge_to_depth, params, blind, sizes)
+            estimate = compiled(edge_to_depth, blind, params, sizes)
         start = time.perf_counter()
         with stage("estimating depth"):
-            result = jax.block_until_ready(estimate(params, blind, sizes))
+            result = jax.block_until_ready(estimate(blind, params, sizes))
         seconds = {
             "compilation": round(start - before, 3),
             "estimation": round(time.perf_counter() - start, 3),

@@ -28,12 +28,11 @@ from mvedge_jax.model import (
     Rates,
     Routine,
     Start,
+    State,
     all_at_once,
     fit_edges,
-    load_state,
     one_at_a_time,
     optimize_edges,
-    save_state,
     start_from_depth,
     start_from_image,
 )
@@ -109,7 +108,7 @@ def optimize(
     sizes = ModelSizes.on_raster(raster)
     table = _table(routine, iterations, (fit if supervised else approach).rates)
     light_field = _read(scene, views, scale, needs_truth=supervised)
-    earlier = None if state is None else load_state(state)
+    earlier = None if state is None else State.load(state)
     options: dict[str, Any] = {"routine": table, "state": earlier, "progress": _tell}
     inputs = [path for path in (scene, vgg16, state) if path is not None]
     with output_folder(out, inputs=inputs, overwrite=overwrite) as folder:
@@ -164,7 +163,7 @@ def _read(scene: Path, views: int | None, scale: float, *, needs_truth: bool) ->
 
 def _start(blind: LightField) -> Start:
     with stage("estimating depth from edges"):
-        call = Parameters(), blind, Sizes.for_light_field(blind)
+        call = blind, Parameters(), Sizes.for_light_field(blind)
         return start_from_depth(blind, jax.block_until_ready(compiled(edge_to_depth, *call)(*call)))
 
 
@@ -182,7 +181,7 @@ def _write(
     model, verdict = result.model, result.verdict
     write_pfm(folder / "before.pfm", np.asarray(start.disparity))
     write_pfm(folder / "disparity.pfm", np.asarray(result.disparity))
-    save_state(folder / "state.eqx", result.state)
+    result.state.save(folder / "state.eqx")
     keep = np.asarray(model.valid)
     np.savez_compressed(
         folder / "points.npz",

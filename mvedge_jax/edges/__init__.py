@@ -5,20 +5,17 @@ from ._bidirectional import (
     BidirectionalParams as BidirectionalParams,
     bidirectional as bidirectional,
     depth_edge_confidence as depth_edge_confidence,
-    point_weight as point_weight,
 )
 from ._edges import (
     measured_edges as measured_edges,
     multiview_edges as multiview_edges,
-    thesis_edges as thesis_edges,
 )
 from ._params import EdgeParams as EdgeParams, EdgeSizes as EdgeSizes
 from ._points import EdgePoints as EdgePoints, Edges as Edges, EdgeStats as EdgeStats
-from ._range import disparity_range as disparity_range, scene_range as scene_range
+from ._profile import step_response as step_response
+from ._range import scene_range as scene_range
 from ._raster import rasterise as rasterise, share as share
-from ._reprojection import reprojection_score as reprojection_score
 from ._surface import (
-    Side as Side,
     SurfaceParams as SurfaceParams,
     SurfaceVectors as SurfaceVectors,
     choose as choose,

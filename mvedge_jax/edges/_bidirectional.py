@@ -1,11 +1,12 @@
 """Bidirectional diffusion: push all labels to one side of their edges, then to the other."""
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from mvedge_jax._params import cast, number
 from mvedge_jax._root import root
@@ -24,16 +25,12 @@ class BidirectionalParams(eqx.Module):
         data: weight of a label against a smoothness of 1.
         gradient: squared image gradient, grey levels in 0..1 per px, that halves the smoothness.
         floor: least smoothness.
-        gain: of the step response in the exponent of the confidence (6.3), per px of disparity.
-        limit: largest exponent; the thesis' weight is unbounded, which hurts.
     """
 
     offset: Float[Array, ""] = number(1.0, "px")
     data: Float[Array, ""] = number(100.0, "smoothness of 1")
     gradient: Float[Array, ""] = number(1e-4, "squared grey/px")
     floor: Float[Array, ""] = number(1e-4)
-    gain: Float[Array, ""] = number(3.0, "1/px")
-    limit: Float[Array, ""] = number(4.0)
 
 
 class Bidirectional(NamedTuple):
@@ -62,8 +59,7 @@ def bidirectional(
     gray: Float[Array, "y x"],
     params: BidirectionalParams,
     *,
-    normalised: bool = False,
-    taps: str = "centred",
+    respond: Callable[[Float[Array, "7 n"]], Float[Array, " n"]] = step_response,
     solver: AbstractSolver | None = None,
 ) -> Bidirectional:
     r"""Diffuses the labels from either side of their edges and compares the depth profiles.
@@ -75,8 +71,7 @@ def bidirectional(
         points: positions, disparities, unit normals.
         gray: centre view in [0, 1], `[y, x]`.
         params: see `BidirectionalParams`.
-        normalised: compare profiles stretched to [-1, 1], as the thesis does.
-        taps: see `step_response`.
+        respond: answer to the depth profiles at -3..3 px along the normals.
         solver: of the two systems; by default to 1e-3 of the range of labels, which is far below
             any step that matters here.
 
@@ -100,11 +95,9 @@ def bidirectional(
     both = jnp.stack([points.xy + shift, points.xy - shift])
     (forward, backward), iterations = lax.map(solve, both)
 
-    def respond(image: Array) -> Array:
-        profile = profiles(image, points.xy, points.normal)
-        return step_response(profile, normalised=normalised, taps=taps)
-
-    ahead, behind = respond(forward), respond(backward)
+    ahead, behind = (
+        respond(profiles(image, points.xy, points.normal)) for image in (forward, backward)
+    )
     seen = points.valid & (jnp.sum(points.normal**2, axis=-1) > 0.25)
     return Bidirectional(
         forward,
@@ -114,25 +107,6 @@ def bidirectional(
         depth_edge_confidence(forward, backward),
         iterations,
     )
-
-
-def point_weight(
-    confidence: Float[Array, " n"], valid: Bool[Array, " n"], params: BidirectionalParams
-) -> Float[Array, " n"]:
-    r"""Data weight of points from their depth-edge confidence, $e^{\min(a \lambda_e, l)}$.
-
-    Args:
-        confidence: `Bidirectional.confidence`, px.
-        valid: which slots hold a point.
-        params: `gain` is $a$, `limit` $l$.
-
-    Returns:
-        Weights from 1 up, 0 in slots without a point. Differentiable.
-
-    Source: Thesis 6.1, Eq. 6.3.
-    """
-    params = cast(params, confidence.dtype)
-    return jnp.where(valid, jnp.exp(jnp.minimum(params.gain * confidence, params.limit)), 0)
 
 
 def depth_edge_confidence(

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from mvedge_jax._root import root
+from mvedge_jax.image import vertex
 
 
 class Candidates(NamedTuple):
@@ -29,14 +30,6 @@ class Candidates(NamedTuple):
     alone: Bool[Array, "2 n"]
     total: Int[Array, ""]
     overflow: Int[Array, ""]
-
-
-def vertex(below: Array, middle: Array, above: Array) -> Array:
-    """Offset of the extremum of the parabola through three values at -1, 0 and 1, in [-1, 1]."""
-    bend = below - 2 * middle + above
-    flat = jnp.abs(bend) <= 1e-6 * (jnp.abs(below) + jnp.abs(above)) + 1e-30
-    offset = 0.5 * (below - above) / jnp.where(flat, 1, bend)
-    return jnp.where(flat, 0, jnp.clip(offset, -1, 1))
 
 
 def line_maxima(strength: Float[Array, "y x"], floor: Float[Array, ""]) -> Bool[Array, "y x"]:
@@ -128,24 +121,3 @@ def subpixel(
     moved = jnp.where(candidates.found, shift(strength), 0)
     moved = jnp.where(candidates.alone, shift(centre), moved)
     return jnp.stack([column.astype(moved.dtype), row.astype(moved.dtype)], -1) + moved.T
-
-
-def unit_gradient(gray: Float[Array, "y x"]) -> Float[Array, "y x 2"]:
-    """Unit direction of the smoothed gradient, `(x, y)`; 0 where the image is flat."""
-    taps = jnp.asarray([1.0, 4.0, 6.0, 4.0, 1.0], gray.dtype) / 16
-    slope = jnp.asarray([-1.0, -2.0, 0.0, 2.0, 1.0], gray.dtype) / 8
-
-    def along(image: Array, kernel: Array, axis: int) -> Array:
-        margin = [(0, 0), (0, 0)]
-        margin[axis] = (2, 2)
-        padded = jnp.pad(image, margin, mode="edge")
-        size = image.shape[axis]
-        parts = [kernel[i] * jax.lax.slice_in_dim(padded, i, i + size, axis=axis) for i in range(5)]
-        return sum(parts[1:], parts[0])
-
-    gradient = jnp.stack(
-        [along(along(gray, taps, 0), slope, 1), along(along(gray, taps, 1), slope, 0)], -1
-    )
-    square = (gradient**2).sum(-1, keepdims=True)
-    safe = jnp.where(square > 1e-12, square, 1)
-    return jnp.where(square > 1e-12, gradient / jnp.sqrt(safe), 0)

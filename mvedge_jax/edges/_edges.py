@@ -1,17 +1,14 @@
 """The whole point stage: light field in, multi-view edge points out."""
 
-import math
-
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, Float, PRNGKeyArray
+from jaxtyping import Array, Float
 
 from mvedge_jax._params import cast
 from mvedge_jax.color import srgb_to_gray, srgb_to_lab
-from mvedge_jax.epi import FilterBank, ThesisParams, strongest_response, thesis_points
-from mvedge_jax.image import highest
+from mvedge_jax.epi import strongest_response
+from mvedge_jax.image import highest, unit_gradient
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.photometry import (
     PhotometricLabels,
@@ -27,7 +24,7 @@ from mvedge_jax.photometry import (
     view_weights,
 )
 
-from ._candidates import contrast, find_candidates, subpixel, unit_gradient
+from ._candidates import contrast, find_candidates, subpixel
 from ._params import EdgeParams, EdgeSizes
 from ._points import EdgePoints, Edges, EdgeStats
 
@@ -46,15 +43,6 @@ _DEVIATES = 2.5
 # Half the width, px, of the windows in which hypotheses are compared, and passes over the
 # neighbourhood of a measurement: those of `Sizes`.
 _WINDOW, _PASSES = 2, 2
-
-
-def _banks(
-    params: EdgeParams, sizes: EdgeSizes, views: tuple[int, ...]
-) -> tuple[FilterBank, FilterBank]:
-    """The filters of both arms, given ones or those of the grid."""
-    if params.banks is not None:
-        return params.banks
-    return sizes.banks(views, params.strength_floor.dtype)
 
 
 def _frontmost(
@@ -83,66 +71,6 @@ def _frontmost(
     return jnp.where(nearer, best[0], own), jnp.where(nearer, best[1], variance)
 
 
-def _lab_arms(scene: Scene) -> tuple[Float[Array, "u y x c"], Float[Array, "v x y c"]]:
-    """The views of both arms in CIELAB, channels last."""
-    across, down = (srgb_to_lab(jnp.moveaxis(arm.planes, 1, -1)) for arm in scene.arms)
-    return across, down
-
-
-def thesis_edges(
-    scene: Scene,
-    params: EdgeParams,
-    sizes: EdgeSizes,
-    *,
-    key: PRNGKeyArray | None = None,
-) -> Edges:
-    """The points of the thesis' own chain.
-
-    Args:
-        scene: see `prepare`; no first map is needed.
-        params: see `EdgeParams`.
-        sizes: see `EdgeSizes`; `thesis` must be given.
-        key: for the entropy search.
-
-    Returns:
-        As `multiview_edges`.
-
-    Raises:
-        ValueError: if the entropy search is asked for without `key`.
-    """
-    assert sizes.thesis is not None
-    arms, view = _lab_arms(scene), jnp.moveaxis(scene.centre, 0, -1)
-    params = cast(params, view.dtype)
-    own = ThesisParams() if params.thesis is None else params.thesis
-    found = thesis_points(
-        arms,
-        view,
-        _banks(params, sizes, (arms[1].shape[0], arms[0].shape[0])),
-        cast(own, view.dtype),
-        params.strength_floor,
-        sizes.thesis,
-        capacity=sizes.capacity,
-        key=key,
-    )
-    height, width = view.shape[:2]
-    column = jnp.clip(jnp.round(found.xy[:, 0]).astype(jnp.int32), 0, width - 1)
-    row = jnp.clip(jnp.round(found.xy[:, 1]).astype(jnp.int32), 0, height - 1)
-    normal = unit_gradient(srgb_to_gray(view))[row, column]
-    confidence = found.strength / (found.strength + _CONFIDENT)
-    # All that is known of a line's precision is the spacing of the filters.
-    error = jnp.full_like(found.disparity, sizes.step / math.sqrt(12))
-    points = EdgePoints(
-        found.xy, found.disparity, confidence, error, normal, found.visible, found.valid
-    )
-    points = jax.tree.map(
-        lambda leaf: jnp.where(
-            found.valid.reshape(-1, *[1] * (leaf.ndim - 1)), leaf, jnp.zeros_like(leaf)
-        ),
-        points,
-    )
-    return Edges(points, EdgeStats(found.lines, found.overflow, found.kept, found.valid.sum()))
-
-
 @eqx.filter_jit
 def multiview_edges(
     light_field: LightField,
@@ -151,7 +79,6 @@ def multiview_edges(
     *,
     volume: VolumeParams | None = None,
     photometric: PhotometricParams | None = None,
-    key: PRNGKeyArray | None = None,
 ) -> Edges:
     """Finds edge points with accurate disparities, from the crosshair of a light field.
 
@@ -168,18 +95,13 @@ def multiview_edges(
     Args:
         light_field: only the crosshair of views is read; ground truth is not.
         params: see `EdgeParams`.
-        sizes: see `EdgeSizes.for_light_field`. With `sizes.thesis`, the thesis' own chain runs
-            instead: fitted lines, alignment, vote, entropy search, joint filter (`ThesisSteps`).
+        sizes: see `EdgeSizes.for_light_field`.
         volume: of the hypotheses; None for the defaults.
         photometric: of the measurement; None for the defaults.
-        key: for the entropy search of the thesis' chain; nothing else is random.
 
     Returns:
         Points and statistics. Positions, disparities, confidences and errors are differentiable
         in the views and in every continuous parameter, at the selection made.
-
-    Raises:
-        ValueError: if the entropy search is asked for without `key`.
 
     Source: Thesis 4.1; where it differs, and why, is a page of the documentation.
 
@@ -194,16 +116,13 @@ def multiview_edges(
     light_field = light_field.without_truth()
     steps = max(light_field.centre)
     low, high = sizes.ends
-    span = high - low - 2 * sizes.step
+    span = high - low - 2 * sizes.spacing
     scene = prepare(
         light_field,
         sizes.hypotheses(hypothesis_count(span, steps), dtype),
         cast(VolumeParams() if volume is None else volume, dtype),
         window=_WINDOW,
-        search=sizes.thesis is None,
     )
-    if sizes.thesis is not None:
-        return thesis_edges(scene, params, sizes, key=key)
     measure = cast(PhotometricParams() if photometric is None else photometric, dtype)
     shape = light_field.views.shape[2:4]
     radius = occluder_radius(span, steps, (shape[0], shape[1]))
@@ -234,9 +153,11 @@ def measured_edges(
     Returns:
         Points and statistics, as `multiview_edges`.
     """
-    (across, down), noise, view = _lab_arms(scene), scene.noise, jnp.moveaxis(scene.centre, 0, -1)
-    params = cast(params, view.dtype)
-    banks = _banks(params, sizes, (down.shape[0], across.shape[0]))
+    noise, view = scene.noise, jnp.moveaxis(scene.centre, 0, -1)
+    across, down = (srgb_to_lab(jnp.moveaxis(arm.planes, 1, -1)) for arm in scene.arms)
+    params, banks = cast(params, view.dtype), params.banks
+    if banks is None:
+        banks = sizes.banks((down.shape[0], across.shape[0]), view.dtype)
     strength = jnp.stack(
         [strongest_response(across, banks[0]), strongest_response(down, banks[1]).T]
     )

@@ -6,6 +6,8 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float
 
+from mvedge_jax.image import nearest_pixels
+
 from ._points import EdgePoints
 from ._raster import Raster
 
@@ -34,7 +36,7 @@ def neighbour_evidence(
 
     Source: not in the thesis; measured to choose as well as two solves.
     """
-    height, width = raster.hit.shape
+    shape = (raster.hit.shape[0], raster.hit.shape[1])
     labels = raster.values(points.disparity).reshape(-1)
     there = raster.hit.reshape(-1)
     tangent = jnp.stack([-points.normal[:, 1], points.normal[:, 0]], -1)
@@ -46,12 +48,10 @@ def neighbour_evidence(
         @jax.checkpoint
         def add(total: tuple[Array, Array], place: Array) -> tuple[tuple[Array, Array], None]:
             xy = points.xy + sign * place[0] * points.normal + place[1] * tangent
-            column = jnp.round(lax.stop_gradient(xy[:, 0])).astype(jnp.int32)
-            row = jnp.round(lax.stop_gradient(xy[:, 1])).astype(jnp.int32)
-            inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
-            index = jnp.where(inside, row * width + column, 0)
+            at = nearest_pixels(xy, shape)
+            index = at.places(shape[1])
             near = jnp.exp(-0.5 * jnp.sum(place**2) / radius**2)
-            weight = jnp.where(inside & there[index], near, 0)
+            weight = jnp.where(at.inside & there[index], near, 0)
             difference = jnp.minimum(jnp.abs(labels[index] - points.disparity), cap)
             return (total[0] + weight * difference, total[1] + weight), None
 
@@ -82,13 +82,11 @@ def map_evidence(
         Backward mean minus forward mean over 1 and 2 px, px, `[n]`. Differentiable at the pixels
         chosen.
     """
-    height, width = disparity.shape
+    shape = (disparity.shape[0], disparity.shape[1])
 
     def away(distance: float) -> Array:
-        xy = lax.stop_gradient(points.xy + distance * points.normal)
-        column = jnp.clip(jnp.round(xy[:, 0]).astype(jnp.int32), 0, width - 1)
-        row = jnp.clip(jnp.round(xy[:, 1]).astype(jnp.int32), 0, height - 1)
-        return jnp.minimum(jnp.abs(disparity[row, column] - points.disparity), cap)
+        at = nearest_pixels(points.xy + distance * points.normal, shape)
+        return jnp.minimum(jnp.abs(disparity[at.row, at.column] - points.disparity), cap)
 
     evidence = 0.5 * (away(-1.0) + away(-2.0) - away(1.0) - away(2.0))
     return jnp.where(points.valid, evidence, 0)

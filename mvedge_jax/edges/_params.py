@@ -9,7 +9,7 @@ from jax.typing import DTypeLike
 from jaxtyping import Array, Float
 
 from mvedge_jax._params import number
-from mvedge_jax.epi import FilterBank, ThesisParams, ThesisSteps, bank_radius, prewitt_bank
+from mvedge_jax.epi import FilterBank, bank_radius, prewitt_bank
 from mvedge_jax.lightfield import LightField
 
 from ._range import scene_range
@@ -27,14 +27,11 @@ class EdgeParams(eqx.Module):
         error_limit: largest standard error of an accepted point, px, in a scene without noise.
             Wide, because each point carries its own error and weighs by it, and borders of plain
             surfaces have no better ones; with noise in proportion wider.
-        thesis: parameters of the thesis' own chain, which `EdgeSizes.thesis` asks for; None for
-            its defaults.
     """
 
     banks: tuple[FilterBank, FilterBank] | None = None
     strength_floor: Float[Array, ""] = number(0.1, "CIELAB/px")
     error_limit: Float[Array, ""] = number(0.1, "px")
-    thesis: ThesisParams | None = None
 
 
 @dataclass(frozen=True)
@@ -42,23 +39,20 @@ class EdgeSizes:
     """Static sizes of `multiview_edges`.
 
     Attributes:
-        first: index of the first filter: its disparity is `first * step`.
+        first: index of the first filter: its disparity is `first * spacing`.
         filters: number of filters.
         capacity: slots for points.
-        spacing: spacing of the filters, thousandths of a px per view step. Not a parameter: it
+        spacing: spacing of the filters, px per view step. Not a parameter: it
             goes with `first` and `filters`, which set shapes.
-        thesis: run the thesis' own chain, with these steps, instead of the search for
-            photo-consistency; for comparison.
     """
 
     first: int
     filters: int
     capacity: int
-    spacing: int = 100
-    thesis: ThesisSteps | None = None
+    spacing: float = 0.1
 
     def __post_init__(self):
-        if self.spacing < 1:
+        if not self.spacing > 0:
             raise ValueError(f"`spacing` must be positive, got {self.spacing}.")
         if self.filters < 3:
             raise ValueError(f"`filters` must be at least 3, got {self.filters}.")
@@ -70,14 +64,9 @@ class EdgeSizes:
         return bank_radius(max(map(abs, self.ends)), views)
 
     @property
-    def step(self) -> float:
-        """Spacing of the filters, px per view step."""
-        return self.spacing / 1000
-
-    @property
     def ends(self) -> tuple[float, float]:
         """Lowest and highest disparity of the grid, px per view step."""
-        return self.first * self.step, (self.first + self.filters - 1) * self.step
+        return self.first * self.spacing, (self.first + self.filters - 1) * self.spacing
 
     def hypotheses(self, count: int, dtype: DTypeLike = jnp.float32) -> Float[Array, " d"]:
         """Disparities to try on the range of the bank, without its margin of one filter.
@@ -90,7 +79,7 @@ class EdgeSizes:
             Evenly spaced, px per view step.
         """
         low, high = self.ends
-        return jnp.linspace(low + self.step, high - self.step, count, dtype=dtype)
+        return jnp.linspace(low + self.spacing, high - self.spacing, count, dtype=dtype)
 
     def banks(
         self, views: tuple[int, ...], dtype: DTypeLike = jnp.float32
@@ -110,7 +99,7 @@ class EdgeSizes:
             ((5, 9), (5, 3))
         """
         index = self.first + jnp.arange(self.filters, dtype=jnp.int32)
-        disparity = index.astype(dtype) * self.step
+        disparity = index.astype(dtype) * self.spacing
         radius = max(self.radius(count) for count in views[:2])
         across, down = (prewitt_bank(disparity, count, radius) for count in views[1::-1])
         return across, down
@@ -127,8 +116,7 @@ class EdgeSizes:
             Sizes; equal ones share a compiled program.
         """
         low, high = scene_range(light_field)
-        step = EdgeSizes.spacing / 1000
-        first = math.floor(round(low / step, 6)) - 1
-        last = math.ceil(round(high / step, 6)) + 1
+        first = math.floor(round(low / EdgeSizes.spacing, 6)) - 1
+        last = math.ceil(round(high / EdgeSizes.spacing, 6)) + 1
         height, width = light_field.views.shape[2:4]
         return EdgeSizes(first, last - first + 1, max(int(fill * height * width), 1))

@@ -4,11 +4,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-
-def sample(image: Float[Array, "y x"], xy: Float[Array, "n 2"]) -> Float[Array, " n"]:
-    """Bilinear samples of an image at `(x, y)`; outside, the border repeats. Differentiable."""
-    coordinates = [xy[:, 1], xy[:, 0]]
-    return jax.scipy.ndimage.map_coordinates(image, coordinates, order=1, mode="nearest")
+from mvedge_jax.image import sample
 
 
 def profiles(
@@ -29,7 +25,9 @@ def profiles(
 
 
 def step_response(
-    profile: Float[Array, "7 n"], *, normalised: bool = False, taps: str = "centred"
+    profile: Float[Array, "7 n"],
+    *,
+    taps: tuple[float, ...] = (-1.0, -1.5, -2.0, 2.0, 1.5, 1.0),
 ) -> Float[Array, " n"]:
     r"""Answer of a step filter to depth profiles, always ≥ 0.
 
@@ -38,10 +36,8 @@ def step_response(
 
     Args:
         profile: samples at -3..3 px along the normal, any unit.
-        normalised: stretch every profile to $[-1, 1]$ first, as the thesis does; a flat profile
-            then has the answer 0. The plain answer picks the right side more often.
-        taps: `"centred"` weighs the samples next to the edge more, `[-1, -1.5, -2, 2, 1.5, 1]`
-            scaled to the answer of `"thesis"`, `[-1, -1, 1, 1]`, to a step.
+        taps: an even number of them, at most 6, that sum to 0; scaled to answer a step of 1
+            with 2. By default the samples next to the edge count more.
 
     Returns:
         Twice the height of a clean step. Differentiable where the larger jump does not change.
@@ -54,23 +50,13 @@ def step_response(
         >>> step_response(step).tolist()
         [2.0]
     """
-    dtype = profile.dtype
-    if normalised:
-        low, high = (f(profile, axis=0, keepdims=True) for f in (jnp.min, jnp.max))
-        flat = high - low < 1e-6
-        profile = jnp.where(flat, 0, 2 * (profile - low) / jnp.where(flat, 1, high - low) - 1)
-    if taps == "centred":
-        kernel, first = jnp.asarray([-1.0, -1.5, -2.0, 2.0, 1.5, 1.0], dtype) * (2 / 4.5), 0
-    elif taps == "thesis":
-        kernel, first = jnp.asarray([-1.0, -1.0, 1.0, 1.0], dtype), 1
-    else:
-        raise ValueError(f"`taps` must be 'centred' or 'thesis'; it is {taps!r}.")
-    count = kernel.shape[0]
+    first = 3 - len(taps) // 2
+    scale = 4 / sum(map(abs, taps))
 
     def answer(start: int) -> Array:
         total = jnp.zeros_like(profile[0])
-        for k in range(count):
-            total = total + kernel[k] * profile[start + k]
+        for k, tap in enumerate(taps):
+            total = total + scale * tap * profile[start + k]
         return jnp.abs(total)
 
     before = jnp.abs(profile[3] - profile[2]) > jnp.abs(profile[4] - profile[3])

@@ -6,6 +6,8 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
+from mvedge_jax.image import nearest_pixels
+
 
 class Raster(NamedTuple):
     """Which point each pixel shows.
@@ -43,13 +45,12 @@ def rasterise(
     Returns:
         The selection; no gradient passes through it, values gathered with it keep theirs.
     """
-    xy, disparity = lax.stop_gradient((xy, disparity))
+    disparity = lax.stop_gradient(disparity)
     height, width = shape
-    column = jnp.round(xy[:, 0]).astype(jnp.int32)
-    row = jnp.round(xy[:, 1]).astype(jnp.int32)
-    inside = valid & (column >= 0) & (column < width) & (row >= 0) & (row < height)
+    at = nearest_pixels(xy, shape)
+    inside = valid & at.inside
     count = disparity.shape[0]
-    place = jnp.where(inside, row * width + column, height * width)
+    place = jnp.where(inside, at.places(width), height * width)
     lowest = jnp.full(height * width, -jnp.inf, disparity.dtype)
     nearest = lowest.at[place].max(disparity, mode="drop")
     seen = nearest[jnp.minimum(place, height * width - 1)]

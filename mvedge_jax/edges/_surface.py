@@ -1,6 +1,6 @@
 """Surface vectors: on which side of its edge each label belongs."""
 
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -9,12 +9,11 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from mvedge_jax._params import cast, number
+from mvedge_jax.image import nearest_pixels
 
 from ._evidence import map_evidence, neighbour_evidence
 from ._points import EdgePoints
 from ._raster import rasterise
-
-Side = Literal["bidirectional", "thesis", "reprojection", "naive"]
 
 
 class SurfaceParams(eqx.Module):
@@ -27,7 +26,7 @@ class SurfaceParams(eqx.Module):
         dense: weight of the evidence from a dense map, where there is one.
         radius: standard deviation of the neighbourhood of a label, px.
         cap: where differences of disparity stop counting, px.
-        temperature: of the relaxed choice, px of evidence.
+        temperature: of the probabilities, px of evidence.
     """
 
     offset: Float[Array, ""] = number(1.0, "px")
@@ -44,8 +43,7 @@ class SurfaceVectors(NamedTuple):
 
     Attributes:
         score: positive speaks for `+normal`, px of evidence, `[n]`.
-        forward: probability of `+normal`, `[n]`: 0 or 1 for the hard choice, between for the
-            relaxed one, one half where nothing speaks for either side.
+        forward: probability of `+normal`, `[n]`, one half where nothing speaks for either side.
         offset: surface vectors in px, `(x, y)`, `[n, 2]`; of the likelier side.
     """
 
@@ -62,7 +60,6 @@ def surface_vectors(
     *,
     shape: tuple[int, int],
     reach: int = 6,
-    relaxed: bool = False,
 ) -> SurfaceVectors:
     """Combines what is known about both sides of every edge and smooths it along the edge.
 
@@ -73,11 +70,10 @@ def surface_vectors(
         params: see `SurfaceParams`.
         shape: rows and columns of the centre view.
         reach: how far the score is averaged along the edge to either side, px.
-        relaxed: keep both sides with probabilities instead of choosing one.
 
     Returns:
-        Scores, probabilities, vectors. Differentiable where relaxed; the hard choice is a
-        selection.
+        Scores, probabilities, vectors. The first two are differentiable; which side is the
+        likelier one is a selection.
 
     Source: Thesis 4.2.2.
     """
@@ -93,30 +89,23 @@ def surface_vectors(
     if disparity is not None:
         score = score + params.dense * map_evidence(points, disparity, cap=params.cap)
     score = along_edge(points, score, shape=shape, reach=reach)
-    return choose(points, score, params, relaxed=relaxed)
+    return choose(points, score, params)
 
 
-def choose(
-    points: EdgePoints, score: Float[Array, " n"], params: SurfaceParams, *, relaxed: bool = False
-) -> SurfaceVectors:
+def choose(points: EdgePoints, score: Float[Array, " n"], params: SurfaceParams) -> SurfaceVectors:
     """Turns scores into surface vectors.
 
     Args:
         points: whose normals the vectors follow.
         score: positive speaks for the side that `+normal` points to, `[n]`.
         params: offset and temperature, see `SurfaceParams`.
-        relaxed: weigh both sides by a logistic of the score instead of choosing one.
 
     Returns:
-        The vectors; of points that are not valid, no offset and no preference. Differentiable in
-        `score` where `relaxed`.
+        The vectors, probabilities a logistic of the score; of points that are not valid, no offset
+        and no preference.
     """
     params = cast(params, points.disparity.dtype)
-    if relaxed:
-        forward = jax.nn.sigmoid(score / params.temperature)
-    else:
-        forward = jnp.where(score > 0, 1, jnp.where(score < 0, 0, 0.5)).astype(score.dtype)
-    forward = jnp.where(points.valid, forward, 0.5)
+    forward = jnp.where(points.valid, jax.nn.sigmoid(score / params.temperature), 0.5)
     sign = jnp.sign(lax.stop_gradient(score))
     offset = jnp.where(points.valid, params.offset * sign, 0)[:, None] * points.normal
     return SurfaceVectors(score, forward, offset)
@@ -144,7 +133,6 @@ def along_edge(
     """
     if reach == 0:
         return score
-    height, width = shape
     raster = rasterise(points.xy, points.disparity, points.valid, shape)
     index_map, count = raster.slot.reshape(-1), points.disparity.shape[0]
     padded_score = jnp.concatenate([score, jnp.zeros_like(score[:1])])
@@ -154,11 +142,8 @@ def along_edge(
 
     @jax.checkpoint
     def add(total: tuple[Array, Array], step: Array) -> tuple[tuple[Array, Array], None]:
-        xy = lax.stop_gradient(points.xy + step * tangent)
-        column = jnp.round(xy[:, 0]).astype(jnp.int32)
-        row = jnp.round(xy[:, 1]).astype(jnp.int32)
-        inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
-        other = jnp.where(inside, index_map[jnp.where(inside, row * width + column, 0)], count)
+        at = nearest_pixels(points.xy + step * tangent, shape)
+        other = jnp.where(at.inside, index_map[at.places(shape[1])], count)
         turn = jnp.sum(padded_normal[other] * points.normal, -1)
         same = jnp.exp(-(((padded_disparity[other] - points.disparity) / 0.1) ** 2))
         weight = jnp.where(other < count, jnp.abs(turn) * same, 0)

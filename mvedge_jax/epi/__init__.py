@@ -1,4 +1,4 @@
-"""Epipolar-plane images: oriented filters, lines, the thesis' way to points (Thesis 4.1)."""
+"""Epipolar-plane images: oriented filters and lines (Thesis 4.1.1, 4.1.2)."""
 
 from ._bank import (
     FilterBank as FilterBank,
@@ -6,13 +6,10 @@ from ._bank import (
     exponential_disparities as exponential_disparities,
     prewitt_bank as prewitt_bank,
 )
-from ._lines import EpiLines as EpiLines, epi_edge_map as epi_edge_map, fit_lines as fit_lines
-from ._response import (
-    sheared_response as sheared_response,
-    strongest_response as strongest_response,
+from ._lines import (
+    EpiLines as EpiLines,
+    epi_edge_map as epi_edge_map,
+    fit_lines as fit_lines,
+    merge_scales as merge_scales,
 )
-from ._thesis import (
-    ThesisParams as ThesisParams,
-    ThesisSteps as ThesisSteps,
-    thesis_points as thesis_points,
-)
+from ._response import strongest_response as strongest_response

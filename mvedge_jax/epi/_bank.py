@@ -7,6 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from mvedge_jax._crosshair import view_steps
+
 
 class FilterBank(eqx.Module):
     """One oriented step filter per disparity.
@@ -88,7 +90,7 @@ def line_taps(disparity: Float[Array, " k"], views: int, radius: int) -> Float[A
     Returns:
         Non-negative taps with unit sum. Differentiable in `disparity`, piecewise.
     """
-    steps = jnp.asarray(views // 2 - np.arange(views), disparity.dtype)
+    steps = view_steps(views, disparity.dtype)
     position = disparity[:, None] * steps[None]
     offsets = jnp.asarray(np.arange(-radius, radius + 1), disparity.dtype)
     hat = 1 - jnp.abs(offsets[None, None] - position[..., None])

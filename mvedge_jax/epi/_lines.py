@@ -4,10 +4,10 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
+from mvedge_jax._crosshair import view_steps
 from mvedge_jax._root import root
 
 from ._bank import FilterBank
@@ -61,7 +61,7 @@ def epi_edge_map(
     """
     views, width, _ = epi.shape
     response = jnp.abs(bank_response(epi[:, None], bank)[0])
-    steps = jnp.asarray(views // 2 - np.arange(views), epi.dtype)
+    steps = view_steps(views, epi.dtype)
 
     def row(step: Array, deviation: Array) -> tuple[Array, Array]:
         source = jnp.arange(width, dtype=epi.dtype)[:, None] - step * bank.disparity[None]
@@ -111,7 +111,7 @@ def fit_lines(
     Source: Thesis 4.1.2.
     """
     views, width = confidence.shape
-    steps = jnp.asarray(views // 2 - np.arange(views), confidence.dtype)[:, None]
+    steps = view_steps(views, confidence.dtype)[:, None]
     columns = jnp.arange(width, dtype=confidence.dtype)[None]
 
     def take(left: Array, _: None) -> tuple[Array, tuple[Array, ...]]:

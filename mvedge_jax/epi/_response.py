@@ -1,10 +1,9 @@
-"""Responses of the filter bank: explicit taps, and the sheared sums that they are equal to."""
+"""Responses of the filter bank."""
 
 from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import lax
 from jaxtyping import Array, Float
 
@@ -124,42 +123,3 @@ def strongest_response(arm: Float[Array, "u y x c"], bank: FilterBank) -> Float[
         return root(strongest)
 
     return in_row_blocks(block, jnp.transpose(padded, (1, 3, 2, 0)))
-
-
-def sheared_response(
-    arm: Float[Array, "u y x c"], disparity: Float[Array, " k"]
-) -> Float[Array, "y x c k"]:
-    """The response of `prewitt_bank` without taps: shift each view by its step times `d`, average.
-
-    Equal to `bank_response` with `prewitt_bank(disparity, ...)` up to rounding, at the borders
-    too; needs no radius, and its cost does not grow with the disparity range.
-
-    Args:
-        arm: the views of one arm of the crosshair.
-        disparity: px per view step.
-
-    Returns:
-        `A(x + 1) - A(x - 1)` with `A(x) = mean_u arm[u](x + (u_c - u) d)`, linearly interpolated.
-        Differentiable in the views, and piecewise in `disparity`.
-    """
-    views, _, width, _ = arm.shape
-    steps = jnp.asarray(views // 2 - np.arange(views), arm.dtype)
-    columns = jnp.arange(width, dtype=jnp.int32)
-
-    def one(d: Array) -> Array:
-        def line(image: Array, step: Array) -> Array:
-            shift = step * d
-            whole = jnp.floor(shift)
-            part = shift - whole
-
-            def at(offset: int) -> Array:
-                index = columns + whole.astype(jnp.int32) + offset
-                return image[:, jnp.clip(index, 0, width - 1)]
-
-            after = (1 - part) * at(1) + part * at(2)
-            before = (1 - part) * at(-1) + part * at(0)
-            return after - before
-
-        return jax.vmap(line)(arm, steps).mean(0)
-
-    return jnp.moveaxis(lax.map(one, disparity.astype(arm.dtype)), 0, -1)

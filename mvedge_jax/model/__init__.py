@@ -7,8 +7,6 @@ from ._encode import (
     Encoding as Encoding,
     decode as decode,
     encode as encode,
-    load_encoding as load_encoding,
-    save_encoding as save_encoding,
 )
 from ._evidence import EvidenceParams as EvidenceParams
 from ._fit_edges import FitParams as FitParams, fit_edges as fit_edges
@@ -17,7 +15,6 @@ from ._model import (
     DepthModel as DepthModel,
     ModelParams as ModelParams,
     ModelSizes as ModelSizes,
-    Rendered as Rendered,
     render_model as render_model,
 )
 from ._objectives import SelfSupervised as SelfSupervised, Supervised as Supervised, Trust as Trust
@@ -48,6 +45,4 @@ from ._start import (
 from ._state import (
     State as State,
     begin as begin,
-    load_state as load_state,
-    save_state as save_state,
 )

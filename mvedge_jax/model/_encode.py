@@ -42,6 +42,64 @@ class Encoding(eqx.Module):
     low: Float[Array, ""]
     high: Float[Array, ""]
 
+    def save(self, path: str | Path) -> int:
+        """Writes an encoding to an `.npz` file.
+
+        Args:
+            path: where to write; the name should end in `.npz`.
+
+        Returns:
+            Size of the file in bytes.
+        """
+        path = Path(path)
+        index = np.asarray(self.pixel, np.int64)
+        gap = np.diff(index, prepend=0)
+        kind = (
+            np.uint8 if gap.max(initial=0) < 256 else np.uint16 if gap.max() < 65536 else np.uint32
+        )
+        # Differences of neighbours, high and low bytes apart: what deflate packs best.
+        change = np.diff(np.asarray(self.label, np.int64), prepend=0).astype(np.uint16)
+        with path.open("wb") as file:
+            np.savez_compressed(
+                file,
+                gap=gap.astype(kind),
+                high_bytes=(change >> 8).astype(np.uint8),
+                low_bytes=(change & 255).astype(np.uint8),
+                cut=np.packbits(np.asarray(self.cut)),
+                shape=np.asarray(self.cut.shape, np.int32),
+                range=np.asarray([self.low, self.high]),
+            )
+        return path.stat().st_size
+
+    @staticmethod
+    def load(path: str | Path) -> "Encoding":
+        """Reads an encoding that `save` wrote.
+
+        Args:
+            path: the file.
+
+        Returns:
+            The encoding.
+
+        Raises:
+            FileNotFoundError: there is no such file.
+            ValueError: the file holds something else.
+        """
+        path = Path(path)
+        if not path.is_file():
+            raise FileNotFoundError(f"There is no encoding at {path}.")
+        names = {"gap", "high_bytes", "low_bytes", "cut", "shape", "range"}
+        with np.load(path, allow_pickle=False) as file:
+            if set(file) != names:
+                raise ValueError(f"{path} has the arrays {sorted(file)}, expected {sorted(names)}.")
+            index = np.cumsum(file["gap"].astype(np.int64)).astype(np.int32)
+            change = file["high_bytes"].astype(np.uint16) * 256 + file["low_bytes"]
+            label = np.cumsum(change, dtype=np.uint16).astype(np.int32)
+            shape = tuple(file["shape"])
+            cut = np.unpackbits(file["cut"])[: shape[0] * shape[1]].astype(bool).reshape(shape)
+            low, high = file["range"]
+        return Encoding(*(jnp.asarray(a) for a in (index, label, cut, low, high)))
+
 
 def _params(dtype: np.dtype) -> ModelParams:
     narrow = SplatParams(sigma_label=jnp.asarray(0.2, dtype), sigma_weight=jnp.asarray(0.35, dtype))
@@ -155,7 +213,7 @@ def decode(encoding: Encoding) -> Float[Array, "y x"]:
     """Reproduces the depth map.
 
     Args:
-        encoding: from `encode` or `load_encoding`.
+        encoding: from `encode` or `Encoding.load`.
 
     Returns:
         The map.
@@ -166,61 +224,3 @@ def decode(encoding: Encoding) -> Float[Array, "y x"]:
     valid = jnp.ones(label.shape, bool)
     model = _model(encoding.pixel, label, valid, encoding.cut)
     return compiled_render(model, _params(dtype), _SIZES).disparity
-
-
-def save_encoding(path: str | Path, encoding: Encoding) -> int:
-    """Writes an encoding to an `.npz` file.
-
-    Args:
-        path: where to write; the name should end in `.npz`.
-        encoding: what to write.
-
-    Returns:
-        Size of the file in bytes.
-    """
-    path = Path(path)
-    index = np.asarray(encoding.pixel, np.int64)
-    gap = np.diff(index, prepend=0)
-    kind = np.uint8 if gap.max(initial=0) < 256 else np.uint16 if gap.max() < 65536 else np.uint32
-    # Differences of neighbours, high and low bytes apart: what deflate packs best.
-    change = np.diff(np.asarray(encoding.label, np.int64), prepend=0).astype(np.uint16)
-    with path.open("wb") as file:
-        np.savez_compressed(
-            file,
-            gap=gap.astype(kind),
-            high_bytes=(change >> 8).astype(np.uint8),
-            low_bytes=(change & 255).astype(np.uint8),
-            cut=np.packbits(np.asarray(encoding.cut)),
-            shape=np.asarray(encoding.cut.shape, np.int32),
-            range=np.asarray([encoding.low, encoding.high]),
-        )
-    return path.stat().st_size
-
-
-def load_encoding(path: str | Path) -> Encoding:
-    """Reads an encoding that `save_encoding` wrote.
-
-    Args:
-        path: the file.
-
-    Returns:
-        The encoding.
-
-    Raises:
-        FileNotFoundError: there is no such file.
-        ValueError: the file holds something else.
-    """
-    path = Path(path)
-    if not path.is_file():
-        raise FileNotFoundError(f"There is no encoding at {path}.")
-    names = {"gap", "high_bytes", "low_bytes", "cut", "shape", "range"}
-    with np.load(path, allow_pickle=False) as file:
-        if set(file) != names:
-            raise ValueError(f"{path} has the arrays {sorted(file)}, expected {sorted(names)}.")
-        index = np.cumsum(file["gap"].astype(np.int64)).astype(np.int32)
-        change = file["high_bytes"].astype(np.uint16) * 256 + file["low_bytes"]
-        label = np.cumsum(change, dtype=np.uint16).astype(np.int32)
-        shape = tuple(file["shape"])
-        cut = np.unpackbits(file["cut"])[: shape[0] * shape[1]].astype(bool).reshape(shape)
-        low, high = file["range"]
-    return Encoding(*(jnp.asarray(a) for a in (index, label, cut, low, high)))

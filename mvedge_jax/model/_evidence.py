@@ -91,7 +91,7 @@ def agreed_correction(
     lab = jnp.moveaxis(srgb_to_lab(jnp.moveaxis(views.centre, 0, -1)), -1, 0)
     tx, ty = edge_smoothness(lab, disparity, params.edges)
     solver = AutoSolver(tolerance=jnp.asarray(1e-4, disparity.dtype))
-    clear = _away_from_steps(disparity, params.depth_step, margin)
+    clear = _unbent(disparity, params.depth_step, margin)
     grid = _grid(views)
     # A view's step is odd or even; the centre view belongs to both halves.
     odd = jnp.mod(jnp.round(jnp.sum(grid.steps, axis=1)), 2) == 1
@@ -128,7 +128,7 @@ def _grid(views: Views) -> Grid:
     return grid_of(images, steps, jnp.concatenate([jnp.ones(1, bool), views.available]))
 
 
-def _away_from_steps(disparity: Array, step: Array, margin: int) -> Bool[Array, "y x"]:
+def _unbent(disparity: Array, step: Array, margin: int) -> Bool[Array, "y x"]:
     """Where the map does not bend by `step` within `margin` pixels; slants are no steps."""
     p = jnp.pad(disparity, 1, mode="edge")
     across = jnp.abs(p[1:-1, 2:] - 2 * disparity + p[1:-1, :-2])

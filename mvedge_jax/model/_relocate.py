@@ -70,7 +70,7 @@ def relocate_steps(
         raise ValueError(f"`reach` must be at least 1 pixel, got {reach}.")
     params = cast(params, disparity.dtype)
     lab = planes_to_lab(image)
-    # By differences, not bends (`_away_from_steps`): steps of noisy points are spread over pixels.
+    # By differences, not bends: steps of noisy points are spread over pixels.
     clear = _clear(disparity, params.step) & _clear(disparity.T, params.step).T
     weight = jnp.where(_shrink(clear, reach - 1), params.trust, 0)
     # Where all is steps there is nothing to go by, and the map stays.

@@ -9,6 +9,7 @@ from jaxtyping import Array, Bool, Float
 
 from mvedge_jax._params import cast, number
 from mvedge_jax.centre import DepthResult
+from mvedge_jax.image import nearest_pixels
 from mvedge_jax.lightfield import LightField
 
 from ._capacity import with_capacity
@@ -118,10 +119,8 @@ def start_from_points(
     """
     dtype = centre.dtype
     params = cast(params, dtype)
-    height, width = first.shape
-    column = jnp.clip(jnp.round(xy[:, 0]), 0, width - 1).astype(jnp.int32)
-    row = jnp.clip(jnp.round(xy[:, 1]), 0, height - 1).astype(jnp.int32)
-    there = first[row, column]
+    at = nearest_pixels(xy, (first.shape[0], first.shape[1]))
+    there = first[at.row, at.column]
     agrees = jnp.abs(disparity - there) <= params.agreement
     label = jnp.where(agrees, disparity, there)
     error = jnp.where(agrees, error, 2 * params.reference_error)

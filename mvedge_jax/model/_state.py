@@ -38,6 +38,48 @@ class State(eqx.Module):
     iteration: Int[Array, ""]
     key: PRNGKeyArray
 
+    def save(self, path: str | Path) -> None:
+        """Writes a state to a file, to go on from later.
+
+        Args:
+            path: the file to write.
+        """
+        points, shape, dtype = _size(self.model)
+        header = json.dumps({"points": points, "shape": shape, "dtype": dtype})
+        with Path(path).open("wb") as file:
+            file.write(header.encode() + b"\n")
+            eqx.tree_serialise_leaves(file, _raw_key(self))
+
+    @staticmethod
+    def load(path: str | Path) -> "State":
+        """Reads a state that `save` wrote.
+
+        Args:
+            path: the file.
+
+        Returns:
+            The state.
+
+        Raises:
+            FileNotFoundError: there is no such file.
+            ValueError: the file holds something else, or numbers of a precision that is switched
+                off.
+        """
+        path = Path(path)
+        if not path.is_file():
+            raise FileNotFoundError(f"There is no saved state at {path}.")
+        try:
+            with path.open("rb") as file:
+                header = json.loads(file.readline())
+                like = _empty(header["points"], tuple(header["shape"]), header["dtype"])
+                raw = eqx.tree_deserialise_leaves(file, _raw_key(like))
+        except (RuntimeError, EOFError, ValueError, KeyError, TypeError) as error:
+            raise ValueError(
+                f"{path} does not hold a whole state of the optimisation in the precision of this "
+                f"process: {error}"
+            ) from error
+        return eqx.tree_at(lambda s: s.key, raw, jax.random.wrap_key_data(raw.key))
+
 
 def parts_of(model: DepthModel) -> tuple[Array, Array, Array, Array]:
     """Q, Z, R, xy: the order of the thesis' routine."""
@@ -113,49 +155,6 @@ def resumed(begun: State, earlier: State | None) -> State:
             f"`state` has {_described(*found)}; the start has {_described(*expected)}."
         )
     return earlier
-
-
-def save_state(path: str | Path, state: State) -> None:
-    """Writes a state to a file, to go on from later.
-
-    Args:
-        path: the file to write.
-        state: the state.
-    """
-    points, shape, dtype = _size(state.model)
-    header = json.dumps({"points": points, "shape": shape, "dtype": dtype})
-    with Path(path).open("wb") as file:
-        file.write(header.encode() + b"\n")
-        eqx.tree_serialise_leaves(file, _raw_key(state))
-
-
-def load_state(path: str | Path) -> State:
-    """Reads a state that `save_state` wrote.
-
-    Args:
-        path: the file.
-
-    Returns:
-        The state.
-
-    Raises:
-        FileNotFoundError: there is no such file.
-        ValueError: the file holds something else, or numbers of a precision that is switched off.
-    """
-    path = Path(path)
-    if not path.is_file():
-        raise FileNotFoundError(f"There is no saved state at {path}.")
-    try:
-        with path.open("rb") as file:
-            header = json.loads(file.readline())
-            like = _empty(header["points"], tuple(header["shape"]), header["dtype"])
-            raw = eqx.tree_deserialise_leaves(file, _raw_key(like))
-    except (RuntimeError, EOFError, ValueError, KeyError, TypeError) as error:
-        raise ValueError(
-            f"{path} does not hold a whole state of the optimisation in the precision of this "
-            f"process: {error}"
-        ) from error
-    return eqx.tree_at(lambda s: s.key, raw, jax.random.wrap_key_data(raw.key))
 
 
 def _size(model: DepthModel) -> tuple[int, tuple[int, int], str]:

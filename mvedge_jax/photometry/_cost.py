@@ -15,7 +15,7 @@ from mvedge_jax._crosshair import Arm
 from mvedge_jax._fence import fenced
 from mvedge_jax._params import cast, number
 from mvedge_jax._unstack import unstack
-from mvedge_jax.image import keys_taps
+from mvedge_jax.image import keys_taps, vertex
 
 from ._noise import Noise
 from ._paths import aggregate
@@ -304,9 +304,8 @@ def _cheapest(total: Float[Array, "d y x"], disparities: Float[Array, " d"]) -> 
         return jnp.take_along_axis(total, jnp.clip(index, 0, count - 1), axis=0)[0]
 
     before, here, after = at(inner - 1), at(inner), at(inner + 1)
-    bend = before - 2 * here + after
-    shift = 0.5 * (before - after) / jnp.where(bend > 0, bend, 1)
-    shift = jnp.where((bend > 0) & (winner == inner)[0], jnp.clip(shift, -0.5, 0.5), 0)
+    shift = jnp.clip(vertex(before, here, after), -0.5, 0.5)
+    shift = jnp.where((winner == inner)[0], shift, 0)
     spacing = (disparities[-1] - disparities[0]) / (count - 1)
     return disparities[winner[0]] + spacing * shift
 

@@ -10,6 +10,9 @@ import numpy as np
 from helpers import dot, random_like
 from jaxtyping import PRNGKeyArray
 
+from mvedge_jax.datasets import synthetic
+from mvedge_jax.lightfield import LightField
+
 
 class Row(NamedTuple):
     """One direction: of a leaf, or a random one of the views.
@@ -141,3 +144,33 @@ def table(found: list[Row]) -> str:
         for r in found
     ]
     return "\n".join(lines)
+
+
+def check_rows(loss: Callable[[Any], Any], tree: Any, views: Any, zero: Any, *, directions: int):
+    """Right to 1e-3 in both modes, or exactly zero and known to be; a kink is told from an error.
+
+    At a kink the derivative may be that of either side, or lie between them.
+    """
+    found = rows(loss, tree, views, agree=3e-4, directions=directions, key=jax.random.key(1))
+    report = table(found)
+    print(report)  # noqa: T201 (`pytest -s` shows the table)
+    wrong = [r.name for r in found if r.error > 1e-3 and not (r.kink > 1e-2 and r.between)]
+    assert not wrong, f"{wrong}\n{report}"
+    kinks = [r.name for r in found if r.error > 1e-3]
+    assert all(k.startswith("views") for k in kinks), f"{kinks}\n{report}"
+    assert {r.name for r in found if r.zero} == set(zero), report
+
+
+def noisy_scene(name: str, size: int, *, dtype: type = np.float64) -> LightField:
+    """A small rendered scene without its truth.
+
+    A quarter of a grey level of noise: in a clean image both pixels beside an edge have the very
+    same contrast, and any change of the views, however small, chooses another one.
+    """
+    light_field = synthetic.render(
+        synthetic.scene(name), shape=(5, 5, size, size), samples=2, key=jax.random.key(0)
+    )
+    blind = light_field.without_truth()
+    views = blind.views.astype(dtype)
+    views = views + 1e-3 * jax.random.normal(jax.random.key(4), views.shape, dtype)
+    return eqx.tree_at(lambda f: f.views, blind, views)

@@ -1,24 +1,19 @@
-"""Every leaf of the parameters and the views: both modes against differences, by default and not.
+"""Every leaf of the parameters and the views: both modes against differences.
 
 Leaves are walked by path: a new one is tested from its first day.
 """
-
-import dataclasses
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from centre.derivatives import rows, table
+from centre.derivatives import check_rows, noisy_scene, rows, table
 from helpers import check_modes
 
 from mvedge_jax.centre import Parameters, Sizes, edge_to_depth
-from mvedge_jax.datasets import synthetic
 from mvedge_jax.edges import BidirectionalParams, EdgeSizes, SurfaceParams
-from mvedge_jax.epi import ThesisParams, ThesisSteps
 from mvedge_jax.lightfield import LightField
-from mvedge_jax.photometry import PhotometricParams, VolumeParams
 
 
 @pytest.fixture(autouse=True)
@@ -41,93 +36,34 @@ _GIVEN = {
     "bidirectional.offset": "which pixel a label is rounded to",
     "bidirectional.floor": "the least smoothness of the directional solves",
 }
-# The choice of one side per edge, with `relaxed=False`: weights of what it is made from.
-_SIDED = {
-    "surface.offset",
-    "surface.response",
-    "surface.neighbours",
-    "surface.dense",
-    "surface.radius",
-    "surface.cap",
-    "surface.temperature",
-}
-# What the map needs no more when only points are diffused.
-_DENSE = {"surface.dense", "centre.points", "centre.trust", "centre.slant"}
 
 
-def _problem(name, size, *, edges=None, given=False, dtype: type = np.float64, **choices):
-    light_field = synthetic.render(
-        synthetic.scene(name), shape=(5, 5, size, size), samples=2, key=jax.random.key(0)
-    )
-    blind = light_field.without_truth()
-    views = blind.views.astype(dtype)
-    # A quarter of a grey level of noise: in a clean image both pixels beside an edge have the very
-    # same contrast, and any change of the views, however small, chooses another one.
-    views = views + 1e-3 * jax.random.normal(jax.random.key(4), views.shape, dtype)
-    blind = eqx.tree_at(lambda f: f.views, blind, views)
+def _problem(name, size, *, given=False, dtype: type = np.float64, **choices):
+    blind = noisy_scene(name, size, dtype=dtype)
     # Differences see what is left of the solver's error, derivatives do not.
     sizes = Sizes.for_light_field(blind, tolerance=1e-12, **choices)
     params = Parameters()
     if given:
         params = Parameters(bidirectional=BidirectionalParams(), surface=SurfaceParams())
-    if edges is not None:
-        sizes = dataclasses.replace(sizes, edges=dataclasses.replace(sizes.edges, thesis=edges))
-        params = eqx.tree_at(
-            lambda p: p.edges.thesis, params, ThesisParams(), is_leaf=lambda leaf: leaf is None
-        )
     phase = jax.random.normal(jax.random.key(5), (size, size), dtype)
 
     def loss(tree):
         params, views = tree
         field = eqx.tree_at(lambda f: f.views, blind, views)
-        found = edge_to_depth(params, field, sizes, key=jax.random.key(3))
+        found = edge_to_depth(field, params, sizes)
         return jnp.mean(jnp.sin(3 * found.disparity + phase))
 
     return loss, params, blind.views
 
 
 def _check(name, size, zero, *, directions=2, **choices):
-    """Right to 1e-3 in both modes, or exactly zero and known to be; a kink is told from an error.
-
-    At a kink the derivative may be that of either side, or lie between them.
-    """
-    loss, params, views = _problem(name, size, **choices)
-    found = rows(loss, params, views, agree=3e-4, directions=directions, key=jax.random.key(1))
-    report = table(found)
-    print(report)  # noqa: T201 (`pytest -s` shows the table)
-    wrong = [r.name for r in found if r.error > 1e-3 and not (r.kink > 1e-2 and r.between)]
-    assert not wrong, f"{wrong}\n{report}"
-    kinks = [r.name for r in found if r.error > 1e-3]
-    assert all(k.startswith("views") for k in kinks), f"{kinks}\n{report}"
-    assert {r.name for r in found if r.zero} == set(zero), report
+    check_rows(*_problem(name, size, **choices), zero, directions=directions)
 
 
 SCENES = pytest.mark.parametrize("name", ["edges", "demo"])
 SIDES = pytest.mark.parametrize(
     "side", [40, *(pytest.param(side, marks=pytest.mark.slow) for side in (64, 96))]
 )
-# The thesis' points have none of ours, and which of its lines are points is a choice, too.
-_OURS = {
-    *(f"volume.{name}" for name in vars(VolumeParams())),
-    *(f"photometric.{name}" for name in vars(PhotometricParams())),
-    "edges.thesis.smoothing",
-    "edges.thesis.suppression",
-    "edges.thesis.vote",
-}
-_ALWAYS = {*THRESHOLDS, *_GIVEN}
-_POINTS = _ALWAYS | _DENSE | {"surface.offset"}
-_CHOSEN = _POINTS | _SIDED
-# What only points alone are weighted by, and what a score is made from.
-_UNREAD = {f"bidirectional.{name}" for name in ("gain", "limit", "data", "gradient")}
-MODES = {
-    "points only": ({"dense": False}, _CHOSEN),
-    "points on both sides": ({"dense": False, "relaxed": True}, _POINTS),
-    "one side": ({"relaxed": False}, _ALWAYS | _SIDED | _UNREAD),
-    "thesis": (
-        {"dense": False, "side": "thesis", "edges": ThesisSteps()},
-        _CHOSEN | _OURS,
-    ),
-}
 
 
 @SCENES
@@ -136,20 +72,11 @@ def test_every_leaf_by_default(name, side):
     _check(name, side, set(THRESHOLDS))
 
 
-@pytest.mark.parametrize(
-    ("mode", "name", "side"),
-    [
-        # The gradient of a whole chain takes minutes to compile: the fast tier has one of these.
-        pytest.param(mode, name, side, marks=[] if fast else [pytest.mark.slow])
-        for mode in MODES
-        for name in ("edges", "demo")
-        for side in (40, 64, 96)
-        for fast in [mode == "points only" and name == "edges" and side == 40]
-    ],
-)
-def test_every_leaf_in_other_modes(mode, name, side):
-    choices, zero = MODES[mode]
-    _check(name, side, zero, directions=1, given=True, **choices)
+@pytest.mark.slow
+@SCENES
+@SIDES
+def test_every_leaf_of_the_optional_groups(name, side):
+    _check(name, side, {*THRESHOLDS, *_GIVEN}, directions=1, given=True)
 
 
 @pytest.mark.slow

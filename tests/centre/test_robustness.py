@@ -26,7 +26,7 @@ def estimate(scene):
 
     def run(light_field):
         field = LightField(light_field.views, disparity_range=scene.disparity_range)
-        return edge_to_depth(Parameters(), field, sizes)
+        return edge_to_depth(field, Parameters(), sizes)
 
     return run
 

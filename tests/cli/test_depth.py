@@ -72,7 +72,6 @@ def test_an_existing_folder_is_not_touched(scene, tmp_path, capsys):
     [
         (["--range", "1", "-1"], "low < high"),
         (["--views", "4"], "odd"),
-        (["--all-views", "--no-dense"], '`views` must be "crosshair" where `dense` is False'),
     ],
 )
 def test_mistakes_are_one_line(scene, tmp_path, capsys, options, message):

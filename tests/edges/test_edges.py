@@ -12,8 +12,9 @@ from scipy import ndimage
 from experiments._crossings import crossing_table, crossings, survive
 from experiments.edge_accuracy import depth_edges
 from mvedge_jax.datasets import synthetic
-from mvedge_jax.edges import EdgeParams, EdgeSizes, disparity_range, multiview_edges
-from mvedge_jax.epi import ThesisSteps, prewitt_bank
+from mvedge_jax.edges import EdgeParams, EdgeSizes, multiview_edges
+from mvedge_jax.edges._range import disparity_range
+from mvedge_jax.epi import prewitt_bank
 from mvedge_jax.lightfield import LightField
 
 _SIZES = EdgeSizes(first=0, filters=8, capacity=320)
@@ -299,30 +300,3 @@ def test_precision_on_the_benchmark(name, least):
     assert np.median(error) <= 0.003
     assert np.mean(error < 0.07) >= 0.99
     assert np.mean(error > 0.5) <= 0.003
-
-
-@pytest.mark.slow
-def test_the_chain_of_the_thesis_is_an_option():
-    light_field = plane(0.37, views=9, size=(16, 40))
-    steps = ThesisSteps(lines=16)
-    sizes = EdgeSizes(first=0, filters=8, capacity=512, thesis=steps)
-    edges = multiview_edges(light_field, EdgeParams(), sizes, key=jax.random.key(0))
-    keep = np.asarray(edges.points.valid)
-    error = np.abs(np.asarray(edges.points.disparity)[keep] - 0.37)
-    assert keep.sum() > 50
-    assert int(edges.stats.candidates) >= int(edges.stats.consistent) >= keep.sum()
-    # Half the spacing of the filters, and hardly an outlier.
-    assert np.median(error) < 0.05
-    assert np.mean(error < 0.15) > 0.95
-    assert not np.asarray(edges.points.disparity)[~keep].any()
-
-
-def test_steps_of_the_thesis_that_cannot_be_are_refused():
-    light_field = plane(0.37, size=(16, 16))
-    sizes = EdgeSizes(first=0, filters=8, capacity=64, thesis=ThesisSteps())
-    with pytest.raises(ValueError, match=r"`key` must be given for the entropy search"):
-        multiview_edges(light_field, EdgeParams(), sizes)
-    with pytest.raises(ValueError, match=r"`lines` must be positive, got 0"):
-        ThesisSteps(lines=0)
-    with pytest.raises(ValueError, match=r"`levels` must be 1 or 2, got 3"):
-        ThesisSteps(levels=3)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from photometry.scenes import changed, cross_gains, textured
 
-from mvedge_jax.edges import disparity_range
+from mvedge_jax.edges._range import disparity_range
 
 
 @pytest.fixture(scope="module")

@@ -1,17 +1,17 @@
-"""The named methods of the thesis, each against brute force or a closed form."""
+"""Lines in EPIs: fitted to edge maps, merged over scales."""
 
-import jax
 import jax.numpy as jnp
 import numpy as np
-import pytest
 from scipy import ndimage
 
-from mvedge_jax.epi import EpiLines, bank_radius, epi_edge_map, fit_lines, prewitt_bank
-from mvedge_jax.epi._alignment import aligned_count, alignment, line_visibility, longest_run
-from mvedge_jax.epi._entropy import entropy_search, line_entropy
-from mvedge_jax.epi._joint_filter import joint_filter
-from mvedge_jax.epi._lines import merge_scales
-from mvedge_jax.epi._vote import spatial_vote
+from mvedge_jax.epi import (
+    EpiLines,
+    bank_radius,
+    epi_edge_map,
+    fit_lines,
+    merge_scales,
+    prewitt_bank,
+)
 
 _VIEWS, _WIDTH = 9, 64
 _STEPS = _VIEWS // 2 - np.arange(_VIEWS)
@@ -68,109 +68,3 @@ def test_merging_keeps_only_what_the_fine_scale_lacks():
     np.testing.assert_array_equal(merged.valid, [True, True, False, False, True, False])
     np.testing.assert_allclose(merged.position[4], 54.5)
     np.testing.assert_allclose(merged.disparity[4], 0.2)
-
-
-def test_alignment_tells_true_slopes_from_false_ones():
-    epi = jnp.asarray(_smooth(60 * _step(30.0, 0.6)[..., None])[..., 0])
-    cosine = np.asarray(alignment(epi, _lines([30.0, 30.0, 5.0], [0.6, -0.9, 0.0])))
-    assert cosine.shape == (3, _VIEWS)
-    assert cosine[0].min() > 0.95
-    assert np.median(cosine[0]) > 0.999
-    assert np.median(cosine[1]) < 0.6
-    assert (cosine[2] == 0).all()
-
-
-def test_runs_and_counts_are_those_of_plain_loops():
-    rng = np.random.default_rng(3)
-    cosine = rng.choice([0.1, 0.99], size=(20, _VIEWS))
-    for row, run, count in zip(
-        cosine, longest_run(jnp.asarray(cosine)), aligned_count(jnp.asarray(cosine)), strict=True
-    ):
-        text = "".join("x" if value > 0.9 else " " for value in row)
-        assert int(run) == max((len(part) for part in text.split()), default=0)
-        assert int(count) == text.count("x")
-
-
-def test_a_line_is_hidden_where_a_nearer_one_covers_it():
-    far, near, width = (32.0, -0.5), (26.0, 1.2), 6.0
-    back = 20 + 50 * _step(*far)
-    cover = _step(*near) - _step(near[0] + width, near[1])
-    epi = jnp.asarray(_smooth((cover * 95 + (1 - cover) * back)[..., None])[..., 0])
-    lines = _lines([far[0], near[0], near[0] + width], [far[1], near[1], near[1]])
-    visible = np.asarray(line_visibility(alignment(epi, lines), lines, width=_WIDTH))
-    gap = far[0] + _STEPS * far[1] - near[0] - _STEPS * near[1]
-    hidden = (gap > 1) & (gap < width - 1)
-    assert hidden.any()
-    assert not visible[0][hidden].any()
-    assert visible[0][(gap < -2.5) | (gap > width + 2.5)].all()
-    assert visible[1].all()
-
-
-def test_entropy_is_that_of_the_histogram():
-    samples = np.random.default_rng(4).uniform(0.2, 1, size=(5, 15))
-    for row, value in zip(samples, line_entropy(jnp.asarray(samples), bins=16), strict=True):
-        counts = np.bincount(np.clip((row / row.max() * 16).astype(int), 0, 15))
-        share = counts[counts > 0] / 15
-        assert float(value) == pytest.approx(-(share * np.log2(share)).sum(), abs=1e-12)
-
-
-def test_the_entropy_search_comes_closer_and_never_raises_the_entropy():
-    rng = np.random.default_rng(5)
-    texture = 50 + 40 * ndimage.gaussian_filter1d(rng.normal(size=200), 1.5)
-    x = np.arange(_WIDTH)[None]
-    epi = jnp.asarray(np.interp(x - 0.4 * _STEPS[:, None] + 60, np.arange(200), texture))
-    lines = _lines(np.arange(12.0, 52), np.full(40, 0.46))
-    found = entropy_search(
-        epi, lines, jnp.asarray(0.4), jnp.asarray(0.88), iterations=20, key=jax.random.key(0)
-    )
-    before, after = (np.abs(np.asarray(a.disparity) - 0.4) for a in (lines, found))
-    assert after.mean() < 0.8 * before.mean()
-
-
-def test_the_spatial_vote_is_that_of_plain_loops():
-    rng = np.random.default_rng(6)
-    shape = (64, 96)
-    disparity = rng.choice([0.0, 0.1, 0.5], size=shape)
-    confidence, present = rng.uniform(size=shape), rng.uniform(size=shape) < 0.4
-    found = spatial_vote(
-        jnp.asarray(disparity), jnp.asarray(confidence), jnp.asarray(present), jnp.asarray(0.125)
-    )
-    half_y, half_x = 64 // 30, 96 // 30
-    for y, x in [(0, 0), (30, 40), (63, 95), (10, 50)]:
-        window = (
-            slice(max(y - half_y, 0), y + half_y + 1),
-            slice(max(x - half_x, 0), x + half_x + 1),
-        )
-        same = present[window] & (np.abs(disparity[window] - disparity[y, x]) < 0.125)
-        area = (2 * half_y + 1) * (2 * half_x + 1)
-        expected = confidence[y, x] / confidence[present].max() * same.sum() / area
-        assert float(found[y, x]) == pytest.approx(expected if present[y, x] else 0, abs=1e-12)
-
-
-def test_the_joint_filter_is_that_of_plain_loops():
-    rng = np.random.default_rng(7)
-    shape = (9, 11)
-    d, colour = rng.normal(scale=0.1, size=shape), rng.uniform(size=(*shape, 3))
-    present = rng.uniform(size=shape) < 0.5
-    sigma = (2.0, 0.1, 0.5)
-    found = joint_filter(
-        jnp.asarray(d),
-        jnp.asarray(present),
-        jnp.asarray(colour),
-        *map(jnp.asarray, sigma),
-        radius=3,
-    )
-    for y, x in np.ndindex(shape):
-        total = weight = 0.0
-        for j, i in np.ndindex(shape):
-            if (j, i) == (y, x) or max(abs(j - y), abs(i - x)) > 3 or not present[j, i]:
-                continue
-            squares = (
-                ((j - y) ** 2 + (i - x) ** 2) / sigma[0] ** 2
-                + (d[j, i] - d[y, x]) ** 2 / sigma[1] ** 2
-                + ((colour[j, i] - colour[y, x]) ** 2).sum() / sigma[2] ** 2
-            )
-            w = np.exp(-0.5 * squares)
-            total, weight = total + w * d[j, i], weight + w
-        expected = total / weight if present[y, x] and weight > 1e-6 else d[y, x]
-        assert float(found[y, x]) == pytest.approx(expected, abs=1e-12)

@@ -9,7 +9,6 @@ from helpers import check_gradient, check_modes, dot
 from scipy import signal
 
 from mvedge_jax.color import srgb_to_lab
-from mvedge_jax.edges._candidates import vertex
 from mvedge_jax.epi import FilterBank, bank_radius, prewitt_bank, strongest_response
 from mvedge_jax.epi._response import bank_response, correlate
 
@@ -83,11 +82,3 @@ def test_the_strongest_response_is_differentiable_in_views_and_taps():
     flat = jnp.zeros_like(arm)
     bank = prewitt_bank(jnp.linspace(0.0, 1.0, 5), 5, bank_radius(1.0, 5))
     assert not jnp.any(jax.grad(lambda a: jnp.sum(strongest_response(a, bank)))(flat))
-
-
-def test_vertex_of_a_parabola():
-    x = np.array([-1.0, 0.0, 1.0])
-    for top in (-0.4, 0.0, 0.7):
-        values = [jnp.asarray(3.0 - 2 * (at - top) ** 2) for at in x]
-        np.testing.assert_allclose(vertex(*values), top, atol=1e-12)
-    assert float(vertex(*[jnp.asarray(1.0)] * 3)) == 0.0

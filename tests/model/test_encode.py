@@ -3,7 +3,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from mvedge_jax.model import decode, encode, load_encoding, save_encoding
+from mvedge_jax.model import Encoding, decode, encode
 
 
 def depth_map(shape=(19, 23)):
@@ -20,7 +20,7 @@ def test_more_points_reproduce_better_and_enough_nearly_perfectly(tmp_path):
         encoding = encode(truth, k, iterations=8)
         assert encoding.pixel.shape == (k,)
         errors.append(float(jnp.sqrt(jnp.mean((decode(encoding) - truth) ** 2))))
-        sizes.append(save_encoding(tmp_path / "code.npz", encoding))
+        sizes.append(encoding.save(tmp_path / "code.npz"))
     assert errors[0] > 2 * errors[1] > 4 * errors[2]
     assert errors[2] < 2e-3
     assert sizes == sorted(sizes)
@@ -29,8 +29,8 @@ def test_more_points_reproduce_better_and_enough_nearly_perfectly(tmp_path):
 def test_a_file_gives_back_the_same(tmp_path):
     encoding = encode(depth_map(), 40, iterations=0)
     path = tmp_path / "code.npz"
-    assert save_encoding(path, encoding) == path.stat().st_size
-    again = load_encoding(path)
+    assert encoding.save(path) == path.stat().st_size
+    again = Encoding.load(path)
     for a, b in zip(jax.tree.leaves(encoding), jax.tree.leaves(again), strict=True):
         np.testing.assert_array_equal(a, b)
     np.testing.assert_array_equal(decode(encoding), decode(again))
@@ -44,7 +44,7 @@ def test_flat_maps_and_bad_input(tmp_path):
     with pytest.raises(ValueError, match="`disparity` must be finite"):
         encode(flat.at[0, 0].set(jnp.nan), 3)
     with pytest.raises(FileNotFoundError, match="no encoding at"):
-        load_encoding(tmp_path / "none.npz")
+        Encoding.load(tmp_path / "none.npz")
     np.savez(tmp_path / "other.npz", a=np.zeros(2))
     with pytest.raises(ValueError, match=r"has the arrays \['a'\]"):
-        load_encoding(tmp_path / "other.npz")
+        Encoding.load(tmp_path / "other.npz")

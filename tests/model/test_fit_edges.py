@@ -13,14 +13,13 @@ from mvedge_jax.model import (
     ModelSizes,
     Rates,
     Start,
+    State,
     Supervised,
     advance,
     all_at_once,
     begin,
     fit_edges,
-    load_state,
     render_model,
-    save_state,
 )
 from mvedge_jax.model._capacity import with_capacity
 from mvedge_jax.model._objectives import unlimited
@@ -70,8 +69,8 @@ def test_free_places_leave_points_are_added_and_a_state_goes_on(tmp_path):
     found = fit_edges(KNOWN, roomy, FitParams(), SIZES, progress=told.append, **options)
     assert found.model.valid.tolist() == 35 * [True]
     assert [int(now.grown.added) for now in told if now.grown is not None] == [5]
-    save_state(tmp_path / "half.eqx", told[1].state)
-    half = load_state(tmp_path / "half.eqx")
+    told[1].state.save(tmp_path / "half.eqx")
+    half = State.load(tmp_path / "half.eqx")
     again = fit_edges(KNOWN, roomy, FitParams(), SIZES, state=half, **options)
     assert again.history.loss.shape == (8 - int(half.iteration),)
     same(found.model, again.model)

@@ -12,16 +12,15 @@ from mvedge_jax.model import (
     ModelParams,
     ModelSizes,
     Rates,
+    State,
     Supervised,
     Trust,
     advance,
     all_at_once,
     begin,
-    load_state,
     one_at_a_time,
     optimise,
     render_model,
-    save_state,
 )
 from mvedge_jax.model._capacity import with_capacity, without_free_places
 from mvedge_jax.model._grow import grow, usefulness, worst_pixels
@@ -96,8 +95,8 @@ def test_stop_and_resume_give_the_same_as_going_on(tmp_path):
     goal, routine = objective(model), all_at_once(RATES, iterations=12)
     whole, _ = optimise(first_state(model), routine, goal, strategy=SIXES)
     half, _ = optimise(first_state(model), routine.part(0, 6), goal, strategy=SIXES)
-    save_state(tmp_path / "state.eqx", half)
-    again = load_state(tmp_path / "state.eqx")
+    half.save(tmp_path / "state.eqx")
+    again = State.load(tmp_path / "state.eqx")
     resumed, history = optimise(again, routine, goal, strategy=SIXES)
     assert history.loss.shape == (6,)
     for a, b in zip(jax.tree.leaves(whole.model), jax.tree.leaves(resumed.model), strict=True):
@@ -108,13 +107,13 @@ def test_stop_and_resume_give_the_same_as_going_on(tmp_path):
 
 def test_states_that_are_none_are_refused(tmp_path):
     with pytest.raises(FileNotFoundError, match="no saved state"):
-        load_state(tmp_path / "none.eqx")
-    save_state(tmp_path / "state.eqx", first_state(start_model()))
+        State.load(tmp_path / "none.eqx")
+    first_state(start_model()).save(tmp_path / "state.eqx")
     whole = (tmp_path / "state.eqx").read_bytes()
     for content in (whole[:-200], b"", b"\x93NUMPY", b"[3]\n" + whole):
         (tmp_path / "broken.eqx").write_bytes(content)
         with pytest.raises(ValueError, match=r"broken.eqx does not hold a whole state"):
-            load_state(tmp_path / "broken.eqx")
+            State.load(tmp_path / "broken.eqx")
 
 
 def test_pieces_have_an_iteration_at_least():

@@ -3,11 +3,11 @@
 import math
 
 import jax.numpy as jnp
-import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
-from ._lines import EpiLines
+from mvedge_jax._crosshair import view_steps
+from mvedge_jax.epi import EpiLines
 
 FILTER_ANGLE = math.pi / 13
 VISIBLE_ANGLE = math.pi / 10
@@ -38,7 +38,7 @@ def alignment(epi: Float[Array, "u x"], lines: EpiLines) -> Float[Array, "m u"]:
     views, width = epi.shape
     across, down = _sobel(epi)
     rows = jnp.arange(views, dtype=jnp.int32)
-    steps = jnp.asarray(views // 2 - np.arange(views), epi.dtype)
+    steps = view_steps(views, epi.dtype)
     x = lines.position[:, None] + steps[None] * lines.disparity[:, None]
     inside = (x >= -0.5) & (x <= width - 0.5)
     column = jnp.clip(jnp.round(x).astype(jnp.int32), 0, width - 1)
@@ -111,7 +111,7 @@ def line_visibility(
     crossed lines in all views, as here.
     """
     views = cosine.shape[1]
-    steps = jnp.asarray(views // 2 - np.arange(views), cosine.dtype)
+    steps = view_steps(views, cosine.dtype)
     x = lines.position[:, None] + steps[None] * lines.disparity[:, None]
     inside = (x >= -0.5) & (x <= width - 0.5)
     top = x[:, None, 0] - x[None, :, 0]

@@ -5,10 +5,9 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from mvedge_jax._crosshair import Arm
+from mvedge_jax.edges import EdgePoints
+from mvedge_jax.image import sample
 from mvedge_jax.photometry import occlusion_reach
-
-from ._points import EdgePoints
-from ._profile import sample
 
 
 def reprojection_score(

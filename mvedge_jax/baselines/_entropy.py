@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from ._lines import EpiLines
+from mvedge_jax.epi import EpiLines
 
 _BINS = 256
 
