@@ -1,5 +1,6 @@
 """What the method has to beat."""
 
+from ._reproject import reproject_views as reproject_views
 from ._sweep import (
     Sweep as Sweep,
     SweepSizes as SweepSizes,
