@@ -151,7 +151,7 @@ def _measured_in(
     *,
     sizes: ViewSizes,
 ) -> tuple[Float[Array, "y x"], Float[Array, "y x"], Bool[Array, "y x"]]:
-    """Disparity and standard error of a view, and which of its pixels the samples do not explain."""
+    """Disparity and standard error of a view, and which pixels the samples do not explain."""
     shape = (light_field.views.shape[2], light_field.views.shape[3])
     reference = _recentred(light_field, view, stats, params)
     picture = jnp.moveaxis(light_field.views[view[0], view[1]], -1, 0)

@@ -63,8 +63,8 @@ def view_consistency(
     A pixel s of a target view lies, by its own disparity d, between four pixels of every other
     view. $\rho_i(s)$ is what map i says there: the value nearest to d in the range of those four
     pixels, so that whole pixels on slanted surfaces and beside steps cost nothing. Where all four
-    are nearer than d by more than the tolerance, view i does not see the point and has no say: a map
-    that is too near is charged in its own view, where the others show what is behind it. Over
+    are nearer than d by more than the tolerance, view i does not see the point and has no say: a
+    map that is too near is charged in its own view, where the others show what is behind it. Over
     the $n_s$ maps that have one, the target's own included,
 
     $$C(s) = \frac{1}{n_s} \sum_i (\rho_i(s) - \mu_s)^2, \quad \mu_s = \frac{1}{n_s} \sum_i

@@ -78,7 +78,8 @@ def test_true_maps_score_nothing_and_those_of_other_views_do():
     field = synthetic.render(
         synthetic.scene("edges"), shape=shape, samples=1, key=jax.random.key(0)
     )
-    assert field.truth is not None and field.truth.view_disparity is not None
+    assert field.truth is not None
+    assert field.truth.view_disparity is not None
     truth = field.truth.view_disparity
     assert view_consistency(truth, stride=1).mean < 1e-4
     # One view shown in the place of its neighbour: edges are a pixel or so beside their place.
