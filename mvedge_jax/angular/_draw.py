@@ -33,12 +33,12 @@ class Drawing(NamedTuple):
     """Which sample every pixel of a view shows.
 
     Attributes:
-        index: of the sample.
+        sample: its index.
         hole: where none landed and the sample is a neighbour's.
         spread: what the surfaces around a hole differ by, px; 0 elsewhere.
     """
 
-    index: Int[Array, "y x"]
+    sample: Int[Array, "y x"]
     hole: Bool[Array, "y x"]
     spread: Float[Array, "y x"]
 
@@ -91,9 +91,9 @@ def decided(
         The drawing, in which pixels beside steps show the front or the back surface. A selection.
     """
     view = lax.stop_gradient(view)
-    disparity = lax.stop_gradient(samples.disparity)[drawing.index]
+    disparity = lax.stop_gradient(samples.disparity)[drawing.sample]
     (front, nearer), (back, farther) = (
-        _extreme(disparity, drawing.index, sign) for sign in (1, -1)
+        _extreme(disparity, drawing.sample, sign) for sign in (1, -1)
     )
     beside = front - back > STEP
     middle = 0.5 * (front + back)
@@ -102,7 +102,7 @@ def decided(
     score = fenced(_score, disparity, sure, view, middle, scale)
     other = jnp.where(score > 0, nearer, farther)
     change = beside & ((score > 0) != (disparity > middle))
-    return drawing._replace(index=jnp.where(change, other, drawing.index))
+    return drawing._replace(sample=jnp.where(change, other, drawing.sample))
 
 
 def _extreme(disparity: Array, index: Array, sign: int) -> tuple[Array, Array]:

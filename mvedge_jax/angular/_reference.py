@@ -157,15 +157,15 @@ def _measured_in(
     picture = jnp.moveaxis(light_field.views[view[0], view[1]], -1, 0)
     first = drawn(samples, light_field.steps[view[0], view[1]], shape)
     drawing = decided(first, samples, picture, stats.noise.deviation)
-    known = samples.disparity[drawing.index]
+    known = samples.disparity[drawing.sample]
     # Pixels that the front covers only because samples fill whole pixels are new, too.
-    new = drawing.hole | (samples.disparity[first.index] - known > STEP)
-    doubt = jnp.minimum(samples.error[drawing.index], jnp.std(known))
+    new = drawing.hole | (samples.disparity[first.sample] - known > STEP)
+    doubt = jnp.minimum(samples.error[drawing.sample], jnp.std(known))
 
     guess = _guess(reference, known, new, params, sizes)
 
     def solve(state: tuple[Array, Array], _: None) -> Any:
-        disparity, _ = state
+        disparity = state[0]
         measured = _labels(reference, disparity, sizes)
         weight = jnp.where(new, _confidence(measured, reference.sight, params) + _ANCHOR, 1)
         label = jnp.where(new, measured.disparity, known)

@@ -66,8 +66,7 @@ def depth_of_views(
     Raises:
         ValueError: the map of `result` has another size than the views.
 
-    Source: Thesis 6.1, whose angular diffusion (6.4)-(6.8) this replaces; `baselines.thesis_views`
-        is the thesis' own way.
+    Source: Thesis 6.1, whose angular diffusion (6.4)-(6.8) this replaces.
 
     Example:
         >>> from mvedge_jax import Parameters, Sizes, edge_to_depth
@@ -94,7 +93,7 @@ def depth_of_views(
         first = drawn(samples, step, (height, width))
         planes = jnp.moveaxis(picture, -1, 0)
         drawing = decided(first, samples, planes, result.stats.noise.deviation)
-        index = jnp.where(there, drawing.index, first.index)
+        index = jnp.where(there, drawing.sample, first.sample)
         source = jnp.where(samples.uncovered[index], UNCOVERED, SEEN)
         source = jnp.where(drawing.hole, FILLED, source).astype(jnp.int8)
         return samples.disparity[index], samples.error[index] + drawing.spread, source
@@ -107,4 +106,5 @@ def depth_of_views(
     middle = grid // 2
     maps = [m.at[middle].set(o) for m, o in zip(maps, own, strict=True)]
     overflow = jnp.maximum(count - sizes.capacity, 0)
-    return ViewDepths(*(m.reshape(rows, columns, height, width) for m in maps), overflow)
+    disparity, error, source = (m.reshape(rows, columns, height, width) for m in maps)
+    return ViewDepths(disparity, error, source, overflow)

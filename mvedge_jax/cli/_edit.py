@@ -94,7 +94,7 @@ def _read(path: Path | None) -> np.ndarray:
     image = None if path is None else cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
     if image is None:
         raise ValueError(f"{path} could not be read as a picture.")
-    levels = np.iinfo(image.dtype).max if np.issubdtype(image.dtype, np.integer) else 1
+    levels = {np.dtype(np.uint8): 255, np.dtype(np.uint16): 65535}.get(image.dtype, 1)
     image = image.astype(np.float32) / levels
     if image.ndim == 2:
         image = np.stack([image] * 3, -1)

@@ -26,7 +26,7 @@ def views(
     out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT")],
     /,
     *,
-    crop: int | None = None,
+    views: int | None = None,
     overwrite: bool = False,
 ) -> None:
     """Estimates the disparity of every pixel of every view of a light field.
@@ -39,11 +39,11 @@ def views(
     Args:
         scene: folder or file of a light field; `mvedge info` tells what it is.
         out: folder to make.
-        crop: use the central CROP x CROP views only; odd.
+        views: use the central VIEWS x VIEWS views only; odd.
         overwrite: replace OUT if it is an earlier result of mvedge, with nothing else in it.
     """
     with stage("reading"):
-        light_field = load_light_field(scene, views=crop)
+        light_field = load_light_field(scene, views=views)
     blind = light_field.without_truth()
     with output_folder(out, inputs=[scene], overwrite=overwrite) as folder:
         with stage("choosing sizes"):
