@@ -3,6 +3,12 @@
 The names that most programs need; each folder of the package exports the rest of its stage.
 """
 
+from .angular import (
+    ViewDepths as ViewDepths,
+    ViewParams as ViewParams,
+    ViewSizes as ViewSizes,
+    depth_of_views as depth_of_views,
+)
 from .centre import (
     DepthResult as DepthResult,
     Parameters as Parameters,

@@ -85,7 +85,7 @@ def main() -> None:
         return result
 
     before = time.perf_counter()
-    measure("all stages", edge_to_depth, params, light_field, sizes)
+    measure("all stages", edge_to_depth, light_field, params, sizes)
     if arguments.gradient:
         measure("value and gradient", _gradient(sizes), params, light_field)
     elif not arguments.only_all:

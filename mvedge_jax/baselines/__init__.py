@@ -1,6 +1,7 @@
-"""What the method is compared with: the thesis' own chain, depth from points alone, plane sweep."""
+"""What the method is compared with: the thesis' own chain, points alone, plane sweep."""
 
 from ._joint_filter import joint_filter as joint_filter
+from ._reproject import reproject_views as reproject_views
 from ._sparse_depth import (
     SparseDepth as SparseDepth,
     SparseParams as SparseParams,

@@ -17,6 +17,8 @@ _COMMANDS = {
     "eval": ("._eval", "evaluate"),
     "edges": ("._edges", "edges"),
     "depth": ("._depth", "depth"),
+    "views": ("._views", "views"),
+    "edit": ("._edit", "edit"),
     "optimize": ("._optimize", "optimize"),
     "demo": ("._demo", "demo"),
 }

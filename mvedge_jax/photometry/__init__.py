@@ -1,6 +1,7 @@
 """What the colours of the views say: brightness, noise, matching costs, the dense measurement."""
 
 from ._cost import VolumeParams as VolumeParams, best_match as best_match, hypotheses as hypotheses
+from ._denoise import denoised as denoised
 from ._exposure import Exposure as Exposure, expose as expose, rough_exposure as rough_exposure
 from ._grid import Grid as Grid, grid_of as grid_of, look_around as look_around
 from ._look import Look as Look, look as look, view_weights as view_weights

@@ -211,7 +211,8 @@ def _moments(
 
     def total(factors: Sequence[Array], images: Sequence[Array] | None = None) -> Array:
         terms = factors if images is None else [f * i for f, i in zip(factors, images, strict=True)]
-        return sum(terms[1:], terms[0])
+        # An arm may have a single view.
+        return sum(terms[1:], terms[0]) if terms else jnp.zeros_like(own)
 
     first = [w * step for w, step in zip(weights, steps, strict=True)]
     second = [w * step**2 for w, step in zip(weights, steps, strict=True)]

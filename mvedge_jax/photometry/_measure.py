@@ -18,6 +18,7 @@ from ._measuring import Measuring
 from ._window import weighted_sum
 
 _Tree = TypeVar("_Tree")
+_Pair = tuple[Array, Array]
 
 # Standard errors never take noise for less than this many times that of rounding.
 _LEAST_NOISE = 1.386
@@ -133,7 +134,7 @@ def labels(
 
 
 def _stiffness(
-    total: Look, params: Measuring, floor: Array, wider: Callable[[tuple[Array, Array]], _Tree]
+    total: Look, params: Measuring, floor: Array, wider: Callable[[_Pair], _Pair]
 ) -> Array:
     """How little the drift of every window is believed in, in squared view steps.
 

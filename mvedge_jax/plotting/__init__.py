@@ -15,3 +15,4 @@ from ._maps import (
     plot_disparity as plot_disparity,
     plot_error as plot_error,
 )
+from ._views import plot_view_maps as plot_view_maps, view_frames as view_frames

@@ -2,10 +2,12 @@
 
 import inspect
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from mvedge_jax.datasets import synthetic
 from mvedge_jax.metrics import view_consistency, view_consistency_map
 
 
@@ -16,21 +18,18 @@ def _maps(shape=(3, 3, 9, 11)):
 
 
 def _brute_force(maps, target, available):
-    """Values that land on each pixel of the target view, nearest surface per map."""
+    """What every view says about each pixel of the target, where its four pixels let it be seen."""
     rows, columns, height, width = maps.shape
     found = [[[] for _ in range(width)] for _ in range(height)]
-    for v, u in np.ndindex(rows, columns):
-        if not available[v, u]:
+    for v, u, y, x in np.ndindex(rows, columns, height, width):
+        d = maps[target][y, x]
+        b, a = y + (target[0] - v) * d + 1e-3, x + (target[1] - u) * d + 1e-3
+        if not available[v, u] or not (0 <= a < width and 0 <= b < height):
             continue
-        front = np.full((height, width), -np.inf)
-        for y, x in np.ndindex(height, width):
-            d = maps[v, u, y, x]
-            b = int(np.round(y + (v - target[0]) * d))
-            a = int(np.round(x + (u - target[1]) * d))
-            if 0 <= b < height and 0 <= a < width:
-                front[b, a] = max(front[b, a], d)
-        for y, x in zip(*np.nonzero(np.isfinite(front)), strict=True):
-            found[y][x].append(front[y, x])
+        row, column = int(b), int(a)
+        four = maps[v, u, row : row + 2, column : column + 2]
+        if four.min() <= d + 0.1:
+            found[y][x].append(min(max(d, four.min()), four.max()))
     count = np.array([[len(values) for values in row] for row in found])
     variance = np.array([[np.var(v) if v else 0.0 for v in row] for row in found])
     return variance, count
@@ -40,7 +39,7 @@ def test_agrees_with_brute_force():
     maps = _maps()
     available = np.ones((3, 3), bool)
     available[0, 2] = False
-    scores = view_consistency(maps, available=jnp.asarray(available), crop=1)
+    scores = view_consistency(maps, available=jnp.asarray(available), crop=1, stride=1)
     assert jnp.isnan(scores.per_view[0, 2])
     expected = []
     for target in ((0, 0), (1, 1), (2, 1)):
@@ -65,18 +64,36 @@ def test_consistent_maps_score_zero_and_a_stray_view_shows():
     stray = maps.copy()
     stray[0, 2] += 0.3
     scores = view_consistency(jnp.asarray(stray))
-    # One of nine maps is off by 0.3: the variance is 0.3² 8/81 wherever all nine overlap.
-    np.testing.assert_allclose(scores.per_view, 0.09 * 8 / 81, rtol=0.5)
+    # One of nine maps is nearer by 0.3: the others show that nothing is there, and the variance is
+    # 0.3² 8/81 wherever all nine overlap. They themselves may well be hidden by it.
+    np.testing.assert_allclose(scores.per_view[0, 2], 0.09 * 8 / 81, rtol=0.5)
+    assert (scores.per_view.at[0, 2].set(0) == 0).all()
+    far = maps.copy()
+    far[0, 2] -= 0.3
+    assert (view_consistency(jnp.asarray(far)).per_view > 0.09 * 8 / 81 * 0.5).sum() >= 8
 
 
-def test_slanted_plane_stays_below_the_documented_floor():
+def test_true_maps_score_nothing_and_those_of_other_views_do():
+    shape = (3, 3, 96, 96)
+    field = synthetic.render(
+        synthetic.scene("edges"), shape=shape, samples=1, key=jax.random.key(0)
+    )
+    assert field.truth is not None
+    assert field.truth.view_disparity is not None
+    truth = field.truth.view_disparity
+    assert view_consistency(truth, stride=1).mean < 1e-4
+    # One view shown in the place of its neighbour: edges are a pixel or so beside their place.
+    confused = truth.at[0, 0].set(truth[0, 2])
+    assert view_consistency(confused, stride=1).per_view[0, 0] > 1e-2
+
+
+def test_slanted_planes_agree():
     slope = 0.1
     x = np.arange(11) - 5.0
     views = np.arange(3) - 1
     # d(x_c) = slope x_c in the centre; at x = x_c - du d in view u, so d = slope x / (1 - slope du)
     maps = np.stack([np.broadcast_to(slope * x / (1 - slope * du), (3, 9, 11)) for du in views], 1)
-    scores = view_consistency(jnp.asarray(maps), crop=1)
-    assert 0 < scores.mean < slope**2 / 4
+    assert view_consistency(jnp.asarray(maps), crop=1, stride=1).mean < 1e-9
 
 
 def test_gaps_are_not_rewarded():
@@ -105,6 +122,7 @@ def test_single_precision_is_close():
         (jnp.zeros((3, 4, 4)), {}, "`disparities` must have the axes"),
         (jnp.zeros((3, 3, 4, 4)), {"available": jnp.ones((2, 3), bool)}, "`available` must have"),
         (jnp.zeros((3, 3, 4, 4)), {"crop": 2}, "`crop` must"),
+        (jnp.zeros((3, 3, 4, 4)), {"stride": 0}, "`stride` must"),
     ],
 )
 def test_bad_input_says_what_is_wrong(maps, options, message):

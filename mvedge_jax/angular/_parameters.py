@@ -1,0 +1,106 @@
+"""Parameters (traced) and sizes (static) of the depth of every view."""
+
+from dataclasses import dataclass
+
+import equinox as eqx
+from jaxtyping import Array, Float
+
+from mvedge_jax._params import described, number
+from mvedge_jax.centre import SmoothnessParams
+from mvedge_jax.edges import scene_range
+from mvedge_jax.lightfield import LightField
+from mvedge_jax.photometry import (
+    PhotometricParams,
+    VolumeParams,
+    hypothesis_count,
+    occluder_radius,
+)
+
+
+class ViewParams(eqx.Module):
+    """The continuous parameters of `depth_of_views`, each traced and with a gradient.
+
+    Attributes:
+        volume: of the hypotheses about surfaces that the centre view does not show.
+        photometric: of their measurement.
+        smoothness: of the edge weights between them.
+        precision: standard error, px, at which a label counts half as much as a perfect one.
+        stiffness: weight of an uncut edge between pixels against a perfect label.
+        trust: residual of a label, in multiples of the noise variance, that quarters its weight.
+    """
+
+    volume: VolumeParams = eqx.field(default_factory=VolumeParams)
+    photometric: PhotometricParams = eqx.field(default_factory=PhotometricParams)
+    smoothness: SmoothnessParams = eqx.field(default_factory=SmoothnessParams)
+    precision: Float[Array, ""] = number(0.005, "px")
+    stiffness: Float[Array, ""] = number(1.5, "perfect labels")
+    trust: Float[Array, ""] = number(1.4, "noise variances")
+
+    def __str__(self) -> str:
+        return "\n".join(described(self))
+
+
+@dataclass(frozen=True)
+class ViewSizes:
+    """Static sizes of `depth_of_views`; equal ones share a compiled program.
+
+    Attributes:
+        capacity: samples of surfaces that the centre view does not show; what exceeds it is counted
+            and left out.
+        hypotheses: disparities tried per pixel, in views of half the size.
+        radius: how far occluders are looked for from one end of the grid to the other, px.
+        solves: measurements, each followed by a diffusion, of what a view adds.
+        passes: over the neighbours whose measurements are shared, see `photometry.labels`.
+        tolerance: of the diffusions, relative to their right-hand sides.
+    """
+
+    capacity: int
+    radius: int
+    hypotheses: int
+    solves: int = 2
+    passes: int = 2
+    tolerance: float = 1e-4
+
+    def __post_init__(self) -> None:
+        for name, least in (
+            ("capacity", 1),
+            ("radius", 1),
+            ("hypotheses", 2),
+            ("solves", 1),
+            ("passes", 0),
+        ):
+            value = getattr(self, name)
+            if value < least:
+                raise ValueError(f"`{name}` must be at least {least}, got {value}.")
+        if not self.tolerance > 0:
+            raise ValueError(f"`tolerance` must be positive, got {self.tolerance}.")
+
+    @staticmethod
+    def for_light_field(light_field: LightField, **choices) -> "ViewSizes":
+        """Chooses sizes on the host from the shape and the disparity range of a light field.
+
+        Args:
+            light_field: its range is measured where it does not come with one.
+            **choices: any field of `ViewSizes` to set by hand.
+
+        Returns:
+            Sizes for `depth_of_views`.
+
+        Raises:
+            ValueError: a choice is out of range.
+
+        Example:
+            >>> import jax.numpy as jnp
+            >>> views = jnp.zeros((3, 3, 32, 32, 3))
+            >>> ViewSizes.for_light_field(LightField(views, disparity_range=(-1.0, 1.0))).radius
+            4
+        """
+        low, high = scene_range(light_field)
+        height, width = light_field.views.shape[2:4]
+        steps = 2 * max(light_field.centre)
+        defaults = {
+            "capacity": height * width,
+            "hypotheses": hypothesis_count((high - low) / 2, max(steps // 2, 1)),
+            "radius": occluder_radius(high - low, max(steps, 1), (height, width)),
+        }
+        return ViewSizes(**{**defaults, **choices})

@@ -1,0 +1,234 @@
+"""Measuring, in a view other than the centre one, the surfaces that only such views show."""
+
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Bool, Float, Int
+
+from mvedge_jax._crosshair import Arm
+from mvedge_jax._fence import recomputed, staged
+from mvedge_jax.centre import DepthStats, edge_smoothness
+from mvedge_jax.color import srgb_to_lab
+from mvedge_jax.diffusion import Jacobi, System, diffuse
+from mvedge_jax.image import highest
+from mvedge_jax.lightfield import LightField
+from mvedge_jax.photometry import (
+    PhotometricLabels,
+    Scene,
+    Sight,
+    denoised,
+    hypotheses,
+    labels,
+    look,
+    mismatch,
+    sight,
+)
+
+from ._draw import STEP, decided, drawn
+from ._parameters import ViewParams, ViewSizes
+from ._samples import Samples, added
+
+# Weight of the map itself, so that no region is without any label.
+_ANCHOR = 1e-6
+# A hypothesis takes the place of the surface behind if its residual is smaller by this factor.
+_CLEARLY = 2.0
+# Views, besides two, whose agreement halves what a residual counts.
+_FEW = 4.0
+# The four corners of the grid, each turned a little towards the next arm: where the corners of the
+# grid are missing, its four arms are found instead.
+_CORNERS = ((-1.0, -1.01), (1.01, -1.0), (1.0, 1.01), (-1.01, 1.0))
+
+
+def outermost(light_field: LightField) -> Int[Array, "r 2"]:
+    """Indices `(v, u)` of the views that together see most of what the centre view does not.
+
+    Args:
+        light_field: any grid of views.
+
+    Returns:
+        The available views farthest towards the corners; the two ends of a single row or column.
+    """
+    rows, columns = light_field.available.shape
+    corners = np.asarray(_CORNERS)[::2] if min(rows, columns) == 1 else np.asarray(_CORNERS)
+    away = -light_field.steps.reshape(-1, 2)
+    far = jnp.asarray(corners, away.dtype) @ away.T
+    best = jnp.argmax(jnp.where(light_field.available.ravel(), far, -jnp.inf), axis=1)
+    return jnp.stack([best // columns, best % columns], axis=1).astype(jnp.int32)
+
+
+def _contradicted(
+    samples: Samples, disparity: Float[Array, "y x"], step: Float[Array, "2"]
+) -> Bool[Array, "y x"]:
+    """Pixels of a view that the centre view would show in front of what it shows instead."""
+    height, width = disparity.shape
+    centre = lax.stop_gradient(samples.disparity[: height * width]).reshape(height, width)
+    disparity = lax.stop_gradient(disparity)
+    nearest = highest(centre, 1)
+    columns = jnp.arange(width, dtype=disparity.dtype)[None]
+    rows = jnp.arange(height, dtype=disparity.dtype)[:, None]
+    x = jnp.floor(columns - step[0] * disparity + 0.5).astype(jnp.int32)
+    y = jnp.floor(rows - step[1] * disparity + 0.5).astype(jnp.int32)
+    inside = (x >= 0) & (x < width) & (y >= 0) & (y < height)
+    there = nearest[jnp.clip(y, 0, height - 1), jnp.clip(x, 0, width - 1)]
+    return inside & (disparity > there + STEP)
+
+
+class _Reference(NamedTuple):
+    """A view as the centre of a crosshair of its own."""
+
+    scene: Scene
+    sight: Sight
+
+
+def _recentred(
+    light_field: LightField, view: Int[Array, "2"], stats: DepthStats, params: ViewParams
+) -> _Reference:
+    """The row and the column of views through a view, made ready for being measured in."""
+    v, u = view[0], view[1]
+    factor = stats.exposure.scale / stats.exposure.gain
+
+    def arm(views: Array, gains: Array, there: Array, own: Array) -> Arm:
+        count = views.shape[0]
+        # An arm has its centre in the middle; the order of the other views does not matter.
+        order = (jnp.arange(count, dtype=jnp.int32) - count // 2 + own) % count
+        planes = jnp.moveaxis(views[order] * gains[order][:, None, None, None], -1, 1)
+        return Arm(planes, (own - order).astype(views.dtype), there[order])
+
+    across = arm(light_field.views[v], factor[v], light_field.available[v], u)
+    down = arm(light_field.views[:, u], factor[:, u], light_field.available[:, u], v)
+    down = down._replace(planes=jnp.swapaxes(down.planes, -1, -2))
+    guide = denoised(across.planes[across.centre], stats.noise)
+    lab = jnp.moveaxis(srgb_to_lab(jnp.moveaxis(guide, 0, -1)), -1, 0)
+    scene = Scene((across, down), stats.exposure, stats.noise, guide, lab, None)
+    return _Reference(scene, sight(scene, params.photometric))
+
+
+def uncovered(
+    samples: Samples,
+    light_field: LightField,
+    stats: DepthStats,
+    params: ViewParams,
+    sizes: ViewSizes,
+) -> tuple[Samples, Int[Array, ""]]:
+    """Adds the surfaces that the outermost views show and the centre view does not.
+
+    One view after the other: what the samples so far leave open in it is measured there, around a
+    first guess that continues the surface behind.
+
+    Args:
+        samples: those of the centre view.
+        light_field: the views.
+        stats: of the centre view's depth: noise and exposure.
+        params: see `ViewParams`.
+        sizes: see `ViewSizes`.
+
+    Returns:
+        All samples, and how many were to be added. Differentiable.
+    """
+
+    def add(state: tuple[Samples, Array], view: Array) -> tuple[tuple[Samples, Array], None]:
+        samples, count = state
+        measure = partial(_measured_in, sizes=sizes)
+        found = staged(measure)(samples, light_field, view, stats, params)
+        step = light_field.steps[view[0], view[1]]
+        disparity, error, new = found
+        new = new & ~_contradicted(samples, disparity, step)
+        return added(samples, disparity, error, new, step, count=count), None
+
+    state = (samples, jnp.zeros((), jnp.int32))
+    return lax.scan(recomputed(add), state, outermost(light_field))[0]
+
+
+def _measured_in(
+    samples: Samples,
+    light_field: LightField,
+    view: Array,
+    stats: DepthStats,
+    params: ViewParams,
+    *,
+    sizes: ViewSizes,
+) -> tuple[Float[Array, "y x"], Float[Array, "y x"], Bool[Array, "y x"]]:
+    """Disparity and standard error of a view, and which pixels the samples do not explain."""
+    shape = (light_field.views.shape[2], light_field.views.shape[3])
+    reference = _recentred(light_field, view, stats, params)
+    picture = jnp.moveaxis(light_field.views[view[0], view[1]], -1, 0)
+    first = drawn(samples, light_field.steps[view[0], view[1]], shape)
+    drawing = decided(first, samples, picture, stats.noise.deviation)
+    known = samples.disparity[drawing.sample]
+    # Pixels that the front covers only because samples fill whole pixels are new, too.
+    new = drawing.hole | (samples.disparity[first.sample] - known > STEP)
+    doubt = jnp.minimum(samples.error[drawing.sample], jnp.std(known))
+
+    guess = _guess(reference, known, new, params, sizes)
+
+    def solve(state: tuple[Array, Array], _: None) -> Any:
+        disparity = state[0]
+        measured = _labels(reference, disparity, sizes)
+        weight = jnp.where(new, _confidence(measured, reference.sight, params) + _ANCHOR, 1)
+        label = jnp.where(new, measured.disparity, known)
+        edges = edge_smoothness(reference.scene.lab, disparity, params.smoothness)
+        across, down = (params.stiffness * t for t in edges)
+        # What a label of this weight is known to.
+        uncertain = params.precision * jnp.sqrt(1 / jnp.clip(weight, 1e-9, 0.99) - 1)
+        uncertain = jnp.where(new, uncertain, doubt)
+        solver = Jacobi(tolerance=sizes.tolerance, by_residual=True)
+
+        def diffused(values: Array, start: Array) -> Array:
+            return diffuse(System(weight, values, across, down), start=start, solver=solver).value
+
+        return (
+            jnp.where(new, diffused(label, disparity), known),
+            jnp.where(new, diffused(uncertain, uncertain), doubt),
+        ), None
+
+    state = (guess, doubt)
+    (disparity, error), _ = lax.scan(recomputed(solve), state, length=sizes.solves)
+    return disparity, error, new
+
+
+def _labels(reference: _Reference, disparity: Array, sizes: ViewSizes) -> PhotometricLabels:
+    seen = reference.sight
+    found = look(*seen.splines, disparity, seen.params, radius=sizes.radius)
+    return labels(found, reference.scene.lab, disparity, seen.params, passes=sizes.passes)
+
+
+def _guess(
+    reference: _Reference, known: Array, new: Array, params: ViewParams, sizes: ViewSizes
+) -> Array:
+    """Where to look for new surfaces: that behind goes on, unless the views say otherwise."""
+    scene, seen = reference.scene, reference.sight
+    low, high = jnp.min(known), jnp.max(known)
+    # Pixels of twice the size are precise enough for a guess, and shift half as far.
+    arms = tuple(arm._replace(planes=_halved(arm.planes)) for arm in seen.arms)
+    tried = low / 2 + (high - low) / 2 * jnp.linspace(0, 1, sizes.hypotheses, dtype=known.dtype)
+    half = hypotheses(*arms, _halved(scene.lab), tried, params.volume, noise=scene.noise, window=2)
+    other = jnp.repeat(jnp.repeat(2 * half, 2, axis=0), 2, axis=1)
+    height, width = known.shape
+    other = jnp.pad(other, ((0, height % 2), (0, width % 2)), mode="edge")[:height, :width]
+    other = jnp.where(new, other, known)
+
+    def residual(disparity: Array) -> Array:
+        found = look(*seen.splines, disparity, seen.params, radius=sizes.radius)
+        found_in = mismatch(found, scene.lab, disparity, seen.params, passes=sizes.passes)
+        # That few views agree says little.
+        return (found_in + seen.params.noise**2) * (1 + _FEW / jnp.maximum(found.freedom, 0.1))
+
+    better = _CLEARLY * residual(other) < residual(known)
+    return jnp.where(new & better, other, known)
+
+
+def _halved(planes: Float[Array, "*c y x"]) -> Float[Array, "*c h w"]:
+    """Means over 2x2 pixels; an odd row or column at the end is left out."""
+    height, width = planes.shape[-2] // 2, planes.shape[-1] // 2
+    even = planes[..., : 2 * height, : 2 * width]
+    return jnp.mean(even.reshape(*planes.shape[:-2], height, 2, width, 2), axis=(-3, -1))
+
+
+def _confidence(measured: PhotometricLabels, seen: Sight, params: ViewParams) -> Array:
+    """Weight of measured labels: by their standard error and by how well the views agree."""
+    precision, floor = params.precision**2, seen.params.noise**2
+    excess = jnp.maximum(measured.residual, floor) / (params.trust * floor)
+    return precision / (precision + measured.variance) / (1 + excess**2)

@@ -1,0 +1,110 @@
+"""Disparity of every view, drawn from one set of surface samples (Thesis 6.1)."""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Float, Int, Int8
+
+from mvedge_jax._fence import recomputed
+from mvedge_jax._params import cast
+from mvedge_jax.centre import DepthResult
+from mvedge_jax.lightfield import LightField
+
+from ._draw import decided, drawn
+from ._parameters import ViewParams, ViewSizes
+from ._reference import uncovered
+from ._samples import FILLED, SEEN, UNCOVERED, samples_of
+
+
+class ViewDepths(NamedTuple):
+    """Depth of every view.
+
+    Attributes:
+        disparity: px per view step, larger is nearer, `[v, u, y, x]`.
+        error: its standard error, px, `[v, u, y, x]`. Where nothing was seen, with what the
+            surfaces around differ by.
+        source: what each pixel is known from, `[v, u, y, x]`: 0, seen by the centre view; 1, by
+            other views only; 2, by none, and continued from the surface behind.
+        overflow: samples of other views that found no slot (`ViewSizes.capacity`).
+    """
+
+    disparity: Float[Array, "v u y x"]
+    error: Float[Array, "v u y x"]
+    source: Int8[Array, "v u y x"]
+    overflow: Int[Array, ""]
+
+
+@eqx.filter_jit
+def depth_of_views(
+    light_field: LightField, result: DepthResult, params: ViewParams, sizes: ViewSizes
+) -> ViewDepths:
+    """Estimates the disparity of every pixel of every view.
+
+    1. The pixels of the centre view are surface samples. The corner views show most of what it does
+       not: one after the other, what the samples leave open in them is measured in the row and the
+       column of views through them, and added.
+    2. Every view is drawn from all samples: the nearest wins, a hole that is left goes on with the
+       surface behind it, and the view's own colours decide which side of a depth step the pixels
+       beside it are on.
+
+    The maps agree by construction, as every pixel of every view is one of the samples. The centre
+    view keeps its own map.
+
+    Args:
+        light_field: all views that are there; ground truth is not read.
+        result: of `edge_to_depth` for this light field.
+        params: see `ViewParams`.
+        sizes: see `ViewSizes.for_light_field`.
+
+    Returns:
+        Maps of all views, of missing ones as well. Differentiable, forwards and backwards, in the
+        views, in the disparity of `result` and in every leaf of `params`; which sample a pixel
+        shows is a selection.
+
+    Raises:
+        ValueError: the map of `result` has another size than the views.
+
+    Source: Thesis 6.1, whose angular diffusion (6.4)-(6.8) this replaces.
+
+    Example:
+        >>> from mvedge_jax import Parameters, Sizes, edge_to_depth
+        >>> flat = LightField(jnp.full((3, 3, 16, 16, 3), 0.5), disparity_range=(-1.0, 1.0))
+        >>> result = edge_to_depth(flat, Parameters(), Sizes.for_light_field(flat))
+        >>> sizes = ViewSizes.for_light_field(flat)
+        >>> depth_of_views(flat, result, ViewParams(), sizes).disparity.shape
+        (3, 3, 16, 16)
+    """
+    rows, columns, height, width = light_field.views.shape[:4]
+    if result.disparity.shape != (height, width):
+        raise ValueError(
+            f"`result.disparity` must have the size of the views, {height}x{width}, got "
+            f"{result.disparity.shape}."
+        )
+    light_field, params = light_field.without_truth(), cast(params, light_field.views.dtype)
+    # Where nothing is known, infinities would make derivatives that are no numbers.
+    error = jnp.where(jnp.isfinite(result.error), result.error, jnp.std(result.disparity))
+    samples = samples_of(result.disparity, error, capacity=sizes.capacity)
+    samples, count = uncovered(samples, light_field, result.stats, params, sizes)
+
+    def view(item: tuple[Array, ...]) -> tuple[Array, Array, Array]:
+        picture, there, step = item
+        first = drawn(samples, step, (height, width))
+        planes = jnp.moveaxis(picture, -1, 0)
+        drawing = decided(first, samples, planes, result.stats.noise.deviation)
+        index = jnp.where(there, drawing.sample, first.sample)
+        source = jnp.where(samples.uncovered[index], UNCOVERED, SEEN)
+        source = jnp.where(drawing.hole, FILLED, source).astype(jnp.int8)
+        return samples.disparity[index], samples.error[index] + drawing.spread, source
+
+    grid = rows * columns
+    pictures = light_field.views.reshape(grid, height, width, -1)
+    items = (pictures, light_field.available.ravel(), light_field.steps.reshape(grid, 2))
+    maps = lax.map(recomputed(view), items)
+    own = (result.disparity, error, jnp.full((height, width), SEEN, jnp.int8))
+    middle = grid // 2
+    maps = [m.at[middle].set(o) for m, o in zip(maps, own, strict=True)]
+    overflow = jnp.maximum(count - sizes.capacity, 0)
+    disparity, error, source = (m.reshape(rows, columns, height, width) for m in maps)
+    return ViewDepths(disparity, error, source, overflow)

@@ -1,0 +1,102 @@
+"""`mvedge edit`: something put into, painted in or removed from every view."""
+
+from pathlib import Path
+from typing import Annotated
+
+import cv2
+import jax.numpy as jnp
+import numpy as np
+import tyro
+
+from mvedge_jax import plotting
+from mvedge_jax.angular import ViewParams, ViewSizes, depth_of_views
+from mvedge_jax.centre import Parameters, Sizes, edge_to_depth
+from mvedge_jax.datasets import load_light_field, write_hci
+from mvedge_jax.edit import insert_picture, paint, remove
+from mvedge_jax.lightfield import LightField
+
+from ._common import note, stage
+from ._output import output_folder
+
+
+def edit(
+    scene: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="SCENE")],
+    out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT")],
+    /,
+    *,
+    insert: Path | None = None,
+    at: tuple[float, float] | None = None,
+    disparity: float = 0.0,
+    slant: tuple[float, float] = (0.0, 0.0),
+    mask: Path | None = None,
+    colour: tuple[float, float, float] | None = None,
+    overwrite: bool = False,
+) -> None:
+    """Edits a light field: what is nearer hides what is put in, in every view.
+
+    One of three: --insert puts a picture with alpha on a plane; --mask with --colour paints a
+    surface of the centre view; --mask alone removes what it marks. OUT is a light field in the
+    layout of the HCI benchmark, with views.png.
+
+    Args:
+        scene: folder or file of a light field; `mvedge info` tells what it is.
+        out: folder to make.
+        insert: picture to put in, with or without alpha.
+        at: x and y of its middle in the centre view, px; the middle of the view by default.
+        disparity: of the picture, px per view step, larger is nearer.
+        slant: change of its disparity per px along x and y.
+        mask: picture of the centre view's size, white where to edit.
+        colour: red, green and blue of the paint, 0..1.
+        overwrite: replace OUT if it is an earlier result of mvedge, with nothing else in it.
+    """
+    if (insert is None) == (mask is None):
+        raise ValueError("name either --insert or --mask, not both or none.")
+    with stage("reading"):
+        light_field = load_light_field(scene).without_truth()
+        given = _read(insert or mask)
+    inputs = [scene, *(path for path in (insert, mask) if path is not None)]
+    shape = light_field.views.shape[2:4]
+    if mask is not None and given.shape[:2] != shape:
+        raise ValueError(
+            f"{mask} must have the size of the views, {shape[1]}x{shape[0]} px, got "
+            f"{given.shape[1]}x{given.shape[0]}."
+        )
+    with output_folder(out, inputs=inputs, overwrite=overwrite) as folder:
+        with stage("estimating depth of all views"):
+            depths = _depths(light_field)
+        with stage("editing"):
+            white = jnp.asarray(given[..., :3].mean(-1) > 0.5)
+            if mask is None:
+                middle = ((shape[1] - 1) / 2, (shape[0] - 1) / 2) if at is None else at
+                edited = insert_picture(
+                    light_field, depths, jnp.asarray(given),
+                    at=jnp.asarray(middle), disparity=jnp.asarray(disparity),
+                    slant=jnp.asarray(slant),
+                )  # fmt: skip
+            elif colour is not None:
+                edited = paint(light_field, depths, white.astype(jnp.float32), jnp.asarray(colour))
+            else:
+                edited = remove(light_field, depths, white)
+        with stage("writing"):
+            write_hci(edited, folder)
+            plotting.plot_views(edited).savefig(folder / "views.png")
+    note(f"written to {out}")
+
+
+def _depths(light_field: LightField):
+    result = edge_to_depth(light_field, Parameters(), Sizes.for_light_field(light_field))
+    sizes = ViewSizes.for_light_field(light_field)
+    return depth_of_views(light_field, result, ViewParams(), sizes).disparity
+
+
+def _read(path: Path | None) -> np.ndarray:
+    """A picture as sRGB and alpha in [0, 1]."""
+    image = None if path is None else cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+    if image is None:
+        raise ValueError(f"{path} could not be read as a picture.")
+    levels = {np.dtype(np.uint8): 255, np.dtype(np.uint16): 65535}.get(image.dtype, 1)
+    image = image.astype(np.float32) / levels
+    if image.ndim == 2:
+        image = np.stack([image] * 3, -1)
+    alpha = image[..., 3:] if image.shape[2] == 4 else np.ones_like(image[..., :1])
+    return np.concatenate([image[..., 2::-1], alpha], -1)

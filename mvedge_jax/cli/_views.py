@@ -1,0 +1,119 @@
+"""`mvedge views`: a disparity map of every view."""
+
+import time
+from pathlib import Path
+from typing import Annotated, Any
+
+import h5py
+import jax
+import numpy as np
+import tyro
+from PIL import Image
+
+from mvedge_jax import plotting
+from mvedge_jax.angular import ViewDepths, ViewParams, ViewSizes, depth_of_views
+from mvedge_jax.centre import Parameters, Sizes, edge_to_depth
+from mvedge_jax.datasets import load_light_field, write_pfm
+from mvedge_jax.lightfield import LightField
+from mvedge_jax.metrics import bad_pixels, mse, view_consistency
+
+from ._common import compiled, note, stage, warn
+from ._output import output_folder, write_json
+
+
+def views(
+    scene: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="SCENE")],
+    out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT")],
+    /,
+    *,
+    views: int | None = None,
+    overwrite: bool = False,
+) -> None:
+    """Estimates the disparity of every pixel of every view of a light field.
+
+    OUT gets disparity_Cam000.pfm and so on, numbered row by row as in the HCI benchmark, views.h5
+    with disparity, standard error and source of every pixel, views.png with all maps, views.gif
+    that moves over the grid, consistency.png and report.json. With ground truth of all views:
+    error.png and scores.
+
+    Args:
+        scene: folder or file of a light field; `mvedge info` tells what it is.
+        out: folder to make.
+        views: use the central VIEWS x VIEWS views only; odd.
+        overwrite: replace OUT if it is an earlier result of mvedge, with nothing else in it.
+    """
+    with stage("reading"):
+        light_field = load_light_field(scene, views=views)
+    blind = light_field.without_truth()
+    with output_folder(out, inputs=[scene], overwrite=overwrite) as folder:
+        with stage("choosing sizes"):
+            sizes, every = Sizes.for_light_field(blind), ViewSizes.for_light_field(blind)
+        with stage("compiling, or reading what was compiled before"):
+            centre = compiled(edge_to_depth, blind, Parameters(), sizes)
+        with stage("estimating depth of the centre view"):
+            result = jax.block_until_ready(centre(Parameters(), blind, sizes))
+        with stage("compiling, or reading what was compiled before"):
+            program = compiled(depth_of_views, blind, result, ViewParams(), every)
+        start = time.perf_counter()
+        with stage("estimating depth of all views"):
+            found = jax.block_until_ready(program(blind, result, ViewParams(), every))
+        seconds = round(time.perf_counter() - start, 3)
+        with stage("writing"):
+            _write(folder, found)
+            report = {"scene": light_field.name, "seconds": seconds, **_report(found)}
+            report["scores"] = _score(folder, light_field, found)
+            write_json(folder / "report.json", report)
+    if int(found.overflow):
+        warn(f"{int(found.overflow)} hidden samples found no slot and were left out.")
+    for name, value in report["scores"].items():
+        note(f"{name} {value:.4g}")
+    note(f"{seconds:.1f} s for all views; written to {out}")
+
+
+def _write(folder: Path, found: ViewDepths) -> None:
+    maps = np.asarray(found.disparity)
+    rows, columns = maps.shape[:2]
+    for v, u in np.ndindex(rows, columns):
+        write_pfm(folder / f"disparity_Cam{columns * v + u:03d}.pfm", maps[v, u])
+    with h5py.File(folder / "views.h5", "w") as file:
+        for name in ("disparity", "error", "source"):
+            data = np.asarray(getattr(found, name))
+            file.create_dataset(name, data=data, compression="gzip", compression_opts=1)
+        file.attrs["axes"] = "v, u, y, x"
+        file.attrs["source"] = "0: seen by the centre view, 1: by other views only, 2: by none"
+    plotting.plot_view_maps(maps).savefig(folder / "views.png")
+    frames = [Image.fromarray(frame) for frame in plotting.view_frames(maps)]
+    options: dict[str, Any] = {"save_all": True, "append_images": frames[1:], "loop": 0}
+    frames[0].save(folder / "views.gif", duration=60, **options)
+
+
+def _report(found: ViewDepths) -> dict[str, Any]:
+    source = np.asarray(found.source)
+    shares = {name: float((source == k).mean()) for k, name in enumerate(("centre", "other"))}
+    return {
+        "shape [v, u, y, x]": list(source.shape),
+        "share of pixels known from": {**shares, "none": float((source == 2).mean())},
+        "samples without a slot": int(found.overflow),
+    }
+
+
+def _score(folder: Path, light_field: LightField, found: ViewDepths) -> dict[str, float]:
+    """Consistency, and the mean scores of all views where there is truth; pictures of both."""
+    consistency = view_consistency(found.disparity, available=light_field.available)
+    grid = np.asarray(consistency.per_view)[..., None, None]
+    plotting.plot_view_maps(grid, name="consistency, px²").savefig(folder / "consistency.png")
+    scores = {"consistency*100": 100 * float(consistency.mean)}
+    truth = light_field.truth
+    if truth is None or truth.view_disparity is None:
+        return scores
+    pairs = [
+        (found.disparity[v, u], truth.view_disparity[v, u])
+        for v, u in np.ndindex(found.disparity.shape[:2])
+    ]
+    error = np.abs(np.asarray(found.disparity - truth.view_disparity))
+    plotting.plot_view_maps(error, limits=(0, 0.3), name="error, px").savefig(folder / "error.png")
+    return {
+        **scores,
+        "MSE*100": float(np.mean([mse(*pair) for pair in pairs])),
+        "BP(0.07) %": float(np.mean([bad_pixels(*pair, 0.07) for pair in pairs])),
+    }

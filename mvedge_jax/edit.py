@@ -1,0 +1,239 @@
+"""Edits of a light field that are occluded rightly in every view (Thesis 6.7).
+
+Every function takes the views with the disparity of all of them (`depth_of_views`) and returns a
+light field without ground truth. Where nothing is edited, views keep their bits.
+"""
+
+import equinox as eqx
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Bool, Float
+
+from mvedge_jax.image import box_mean
+from mvedge_jax.lightfield import LightField
+from mvedge_jax.warping import holes
+
+# Surfaces that differ by less than this, px per view step, are one.
+_SAME = 0.1
+
+
+@eqx.filter_jit
+def insert_picture(
+    light_field: LightField,
+    disparities: Float[Array, "v u y x"],
+    picture: Float[Array, "h w 4"],
+    *,
+    at: tuple[float, float] | Float[Array, "2"],
+    disparity: float | Float[Array, ""],
+    slant: tuple[float, float] | Float[Array, "2"] = (0.0, 0.0),
+) -> LightField:
+    r"""Puts a picture on a plane into the scene.
+
+    In the centre view, the plane has the disparity $d(q) = d_0 + a \cdot q$ at q from the place of
+    the picture's middle. View s shows that point at $q + s\,d(q)$ from there.
+
+    Args:
+        light_field: the views, sRGB.
+        disparities: of all views, px per view step: what is nearer than the picture hides it.
+        picture: sRGB and alpha, in [0, 1], one pixel of it to a pixel of the centre view.
+        at: `(x, y)` of its middle in the centre view, px.
+        disparity: of its middle, px per view step.
+        slant: change of the disparity per px along x and y; must leave the plane seen from its
+            front in all views.
+
+    Returns:
+        The edited light field. Differentiable in views, picture, place and disparity; which is in
+        front is a selection.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> field = LightField(jnp.zeros((3, 3, 9, 9, 3)))
+        >>> card = jnp.ones((3, 3, 4))
+        >>> depth = jnp.zeros((3, 3, 9, 9))
+        >>> edited = insert_picture(field, depth, card, at=(4.0, 4.0), disparity=1.0)
+        >>> edited.views[1, 0, 4, :, 0].tolist()
+        [0.0, 0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 0.0, 0.0]
+    """
+    dtype = light_field.views.dtype
+    place, tilt = jnp.asarray(at, dtype), jnp.asarray(slant, dtype)
+    middle, picture = jnp.asarray(disparity, dtype), picture.astype(dtype)
+    height, width = light_field.views.shape[2:4]
+    # So that colours do not bleed in from transparent pixels.
+    opaque = jnp.concatenate([picture[..., :3] * picture[..., 3:], picture[..., 3:]], axis=-1)
+
+    def one(item: tuple[Array, Array, Array]) -> Array:
+        view, depth, step = item
+        x = jnp.arange(width, dtype=dtype)[None] - place[0] - step[0] * middle
+        y = jnp.arange(height, dtype=dtype)[:, None] - place[1] - step[1] * middle
+        # Where the plane shows: q + s (a q) = r, solved for q.
+        along = (tilt[0] * x + tilt[1] * y) / (1 + tilt[0] * step[0] + tilt[1] * step[1])
+        x, y = x - step[0] * along, y - step[1] * along
+        shown = _bilinear(
+            opaque, x + 0.5 * (picture.shape[1] - 1), y + 0.5 * (picture.shape[0] - 1)
+        )
+        alpha = jnp.where(middle + along > depth, shown[..., 3], 0)[..., None]
+        mixed = jnp.where(alpha > 0, shown[..., :3], 0) + (1 - alpha) * view
+        return jnp.where(alpha > 0, mixed, view)
+
+    return _edited(light_field, _each(one, light_field, disparities))
+
+
+@eqx.filter_jit
+def paint(
+    light_field: LightField,
+    disparities: Float[Array, "v u y x"],
+    mask: Float[Array, "y x"],
+    colour: Float[Array, "3"] | Float[Array, "y x 3"],
+    *,
+    shaded: bool = True,
+) -> LightField:
+    """Recolours a surface of the centre view in every view that sees it.
+
+    Args:
+        light_field: the views, sRGB.
+        disparities: of all views, px per view step.
+        mask: how far each pixel of the centre view is painted, 0..1.
+        colour: sRGB, one or a picture of the centre view's size.
+        shaded: keep the brightness of the surface relative to its mean under the mask, and so its
+            texture and shading.
+
+    Returns:
+        The edited light field. Differentiable in views, mask and colour.
+    """
+    dtype = light_field.views.dtype
+    vc, uc = light_field.centre
+    centre = light_field.centre_view
+    paint_on = jnp.broadcast_to(colour.astype(dtype), centre.shape)
+    total = jnp.maximum(jnp.sum(mask), jnp.finfo(dtype).tiny)
+    mean = jnp.maximum(jnp.sum(mask * jnp.mean(centre, axis=-1)) / total, 1e-3)
+    layers = jnp.concatenate([paint_on, mask[..., None].astype(dtype)], axis=-1)
+
+    def one(item: tuple[Array, Array, Array]) -> Array:
+        view, depth, step = item
+        x, y = _in_centre(depth, step)
+        shown = _bilinear(layers, x, y)
+        weight = jnp.where(_shows(disparities[vc, uc], depth, x, y), shown[..., 3], 0)[..., None]
+        bright = jnp.mean(view, axis=-1, keepdims=True) / mean if shaded else 1
+        painted = jnp.clip(shown[..., :3] * bright, 0, 1)
+        return jnp.where(weight > 0, weight * painted + (1 - weight) * view, view)
+
+    return _edited(light_field, _each(one, light_field, disparities))
+
+
+@eqx.filter_jit
+def remove(
+    light_field: LightField,
+    disparities: Float[Array, "v u y x"],
+    mask: Bool[Array, "y x"],
+) -> LightField:
+    """Removes a foreground layer of the centre view, and shows what other views saw behind it.
+
+    In every view, what the mask marks gives way to the surface behind it, continued from around.
+    Its colours are those of the nearest view that sees it; where none does, those of the
+    surroundings.
+
+    Args:
+        light_field: the views, sRGB.
+        disparities: of all views, px per view step.
+        mask: pixels of the centre view to remove, with a margin of one or two for what they blend
+            with.
+
+    Returns:
+        The edited light field. Differentiable in the views.
+    """
+    vc, uc = light_field.centre
+    rows, columns, height, width = disparities.shape
+    centre = disparities[vc, uc]
+    steps = light_field.steps.reshape(-1, 2)
+    dtype = light_field.views.dtype
+
+    def marked(depth: Array, step: Array) -> Array:
+        x, y = _in_centre(depth, step)
+        there = _bilinear(mask[..., None].astype(dtype), x, y)[..., 0] > 0
+        return there & _shows(centre, depth, x, y)
+
+    maps = disparities.reshape(-1, height, width)
+    gone = lax.map(lambda item: marked(*item), (maps, steps))
+    views = light_field.views.reshape(-1, height, width, 3)
+    sources = jnp.arange(rows * columns)
+
+    def one(item: tuple[Array, ...]) -> Array:
+        view, depth, step, out = item
+        behind = holes(depth, ~out).behind
+        deeper = depth.ravel()[behind]
+        # At first what is around, then the views from far to near: the nearest has the last word.
+        around = view.reshape(-1, 3)[behind]
+        order = jnp.argsort(-jnp.sum((steps - step[None]) ** 2, axis=1))
+
+        def look(colour: Array, which: Array) -> tuple[Array, None]:
+            other = steps[which] - step
+            x = jnp.arange(width, dtype=dtype)[None] + other[0] * deeper
+            y = jnp.arange(height, dtype=dtype)[:, None] + other[1] * deeper
+            clear = _shows(jnp.where(gone[which], jnp.inf, maps[which]), deeper, x, y)
+            clear = clear & light_field.available.ravel()[which]
+            return jnp.where(clear[..., None], _bilinear(views[which], x, y), colour), None
+
+        colour, _ = lax.scan(look, around, sources[order])
+        return jnp.where(out[..., None], colour, view)
+
+    found = lax.map(one, (views, maps, steps, gone))
+    return _edited(light_field, found.reshape(light_field.views.shape))
+
+
+def margin(mask: Bool[Array, "y x"], *, radius: int) -> Bool[Array, "y x"]:
+    """A mask grown by some pixels.
+
+    Args:
+        mask: of the centre view.
+        radius: px.
+
+    Returns:
+        Pixels within a square around any that is marked.
+    """
+    return box_mean(mask.astype(jnp.result_type(float)), radius) > 0
+
+
+def _each(edit, light_field: LightField, disparities: Array) -> Array:
+    views, grid = light_field.views, light_field.available.size
+    items = (
+        views.reshape(grid, *views.shape[2:]),
+        disparities.reshape(grid, *views.shape[2:4]),
+        light_field.steps.reshape(grid, 2),
+    )
+    return lax.map(edit, items).reshape(views.shape)
+
+
+def _edited(light_field: LightField, views: Array) -> LightField:
+    return eqx.tree_at(lambda field: field.views, light_field.without_truth(), views)
+
+
+def _in_centre(depth: Array, step: Array) -> tuple[Array, Array]:
+    """Where the pixels of a view lie in the centre view."""
+    height, width = depth.shape
+    x = jnp.arange(width, dtype=depth.dtype)[None] - step[0] * depth
+    return x, jnp.arange(height, dtype=depth.dtype)[:, None] - step[1] * depth
+
+
+def _shows(surface: Array, depth: Array, x: Array, y: Array) -> Array:
+    """Whether a map has the surface of disparity `depth` at a place, by the nearest pixel."""
+    height, width = surface.shape
+    column, row = (lax.stop_gradient(jnp.floor(a + 0.5)) for a in (x, y))
+    inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
+    index = jnp.where(inside, row * width + column, 0).astype(jnp.int32)
+    return inside & (jnp.abs(surface.ravel()[index] - depth) < _SAME)
+
+
+def _bilinear(image: Float[Array, "h w c"], x: Array, y: Array) -> Float[Array, "y x c"]:
+    """An image between its pixels, 0 beyond them."""
+    height, width = image.shape[:2]
+    column, row = jnp.floor(x), jnp.floor(y)
+    total = jnp.zeros((*x.shape, image.shape[-1]), image.dtype)
+    for down in (0, 1):
+        for right in (0, 1):
+            a, b = column + right, row + down
+            weight = (1 - jnp.abs(x - a)) * (1 - jnp.abs(y - b))
+            inside = (a >= 0) & (a < width) & (b >= 0) & (b < height)
+            index = jnp.where(inside, b * width + a, 0).astype(jnp.int32)
+            value = image.reshape(-1, image.shape[-1])[index]
+            total = total + jnp.where(inside, weight, 0)[..., None] * value
+    return total

@@ -1,0 +1,78 @@
+"""Holes of a reprojected map: what lies around them."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Bool, Float, Int
+
+
+class Holes(NamedTuple):
+    """What lies around the holes of a map.
+
+    Attributes:
+        behind: flat index of the farthest of the nearest pixels to the left, to the right, above
+            and below; the pixel itself where there is no hole, 0 where the map is empty.
+        spread: what these four differ by, px; 0 where there is no hole.
+        crack: holes of one pixel between two that differ by at most the tolerance.
+    """
+
+    behind: Int[Array, "y x"]
+    spread: Float[Array, "y x"]
+    crack: Bool[Array, "y x"]
+
+
+def holes(
+    disparity: Float[Array, "y x"],
+    hit: Bool[Array, "y x"],
+    *,
+    tolerance: Float[Array, ""] | float = 0.1,
+) -> Holes:
+    """Finds out what lies around the holes of a map: mostly, the surface behind goes on.
+
+    Args:
+        disparity: px per view step, larger is nearer; read only where `hit`.
+        hit: pixels that have one.
+        tolerance: of differences within one surface, px.
+
+    Returns:
+        Places to take values from. A selection: no gradient passes.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> row = jnp.array([[2.0, 0.0, 0.0, 1.0]])
+        >>> holes(row, row > 0).behind.tolist()
+        [[0, 3, 3, 3]]
+    """
+    disparity = lax.stop_gradient(disparity)
+    width = disparity.shape[1]
+    rows, columns = jnp.indices(disparity.shape, dtype=jnp.int32)
+    own = rows * width + columns
+    flat = disparity.ravel()
+    behind, crack = jnp.where(hit, own, 0), jnp.zeros_like(hit)
+    least, most = (jnp.full_like(disparity, sign * jnp.inf) for sign in (1, -1))
+    for axis, place in ((1, columns), (0, rows)):
+        beside = []
+        for reverse in (False, True):
+            last, found = _last(hit, place, axis, reverse=reverse)
+            source = rows * width + last if axis == 1 else last * width + columns
+            value = jnp.where(found, flat[source], jnp.inf)
+            behind = jnp.where(~hit & (value < least), source, behind)
+            least = jnp.minimum(least, value)
+            most = jnp.where(found, jnp.maximum(most, value), most)
+            beside.append((value, found & (jnp.abs(last - place) == 1)))
+        (first, one), (second, other) = beside
+        crack = crack | (one & other & (jnp.abs(first - second) <= tolerance))
+    spread = jnp.where(~hit & (most >= least), most - least, 0)
+    return Holes(behind, spread, ~hit & crack)
+
+
+def _last(hit: Array, place: Array, axis: int, *, reverse: bool) -> tuple[Array, Array]:
+    """Coordinate of the nearest hit to one side, and whether there is one."""
+    end = hit.shape[axis]
+    if reverse:
+        last = lax.cummin(jnp.where(hit, place, end), axis=axis, reverse=True)
+    else:
+        last = lax.cummax(jnp.where(hit, place, -1), axis=axis)
+    found = (last >= 0) & (last < end)
+    return jnp.where(found, last, 0), found

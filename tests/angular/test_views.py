@@ -1,0 +1,191 @@
+"""Depth of every view: against cards with known depth, its derivatives, grids of any shape."""
+
+import inspect
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from helpers import dot, random_like
+
+from mvedge_jax.angular import ViewParams, ViewSizes, depth_of_views
+from mvedge_jax.baselines import reproject_views
+from mvedge_jax.centre import DepthResult, DepthStats
+from mvedge_jax.lightfield import GroundTruth, LightField
+from mvedge_jax.photometry import Exposure, Noise
+
+_NEAR, _FAR = 1.0, -1.0
+
+
+def _texture(shape, rng):
+    """Smooth random colours, so that they can be told apart and followed."""
+    coarse = rng.random((shape[0] // 3 + 2, shape[1] // 3 + 2, 3))
+    y, x = (np.arange(n) / 3 for n in shape)
+    fine = np.stack([_bilinear(coarse[..., c], y, x) for c in range(3)], -1)
+    return fine
+
+
+def _bilinear(image, y, x):
+    b, a = y.astype(int), x.astype(int)
+    t, s = (y - b)[:, None], (x - a)[None]
+    rows = (1 - t) * image[b] + t * image[b + 1]
+    return (1 - s) * rows[:, a] + s * rows[:, a + 1]
+
+
+def _cards(shape=(5, 5, 40, 48), dtype: Any = np.float32) -> Any:
+    """A dark card before a bright wall, at whole disparities: views are exact copies."""
+    rows, columns, height, width = shape
+    rng = np.random.default_rng(0)
+    margin = max(rows, columns)
+    wall = 0.5 + 0.4 * _texture((height + 2 * margin, width + 2 * margin), rng)
+    card = 0.3 * _texture((height + 2 * margin, width + 2 * margin), rng)
+    y, x = np.mgrid[:height, :width]
+    views, truth = np.zeros((*shape, 3)), np.zeros(shape)
+    for v, u in np.ndindex(rows, columns):
+        a, b = columns // 2 - u, rows // 2 - v
+
+        def at(image, d, a=a, b=b):
+            """What a plane shows: the pixel of the centre view that a pixel of this view is."""
+            return image[margin + y - b * int(d), margin + x - a * int(d)]
+
+        row, column = y - b * _NEAR, x - a * _NEAR
+        on = (abs(row - height // 2) < height // 4) & (abs(column - width // 2) < width // 4)
+        views[v, u] = np.where(on[..., None], at(card, _NEAR), at(wall, _FAR))
+        truth[v, u] = np.where(on, _NEAR, _FAR)
+    centre = truth[rows // 2, columns // 2]
+    known = GroundTruth(
+        jnp.asarray(centre, dtype), jnp.ones((height, width), bool), None, jnp.asarray(truth, dtype)
+    )
+    return LightField(jnp.asarray(views, dtype), disparity_range=(-1.5, 1.5), truth=known)
+
+
+def _known(field):
+    """The true centre map as a result, of views without noise."""
+    dtype = field.views.dtype
+    exposure = Exposure(jnp.ones((), dtype), jnp.ones(field.views.shape[:2], dtype))
+    unread: Any = None
+    noise = Noise.of(jnp.zeros((), dtype))
+    stats = DepthStats(unread, unread, unread, unread, unread, noise, exposure)
+    error = jnp.full_like(field.truth.disparity, 0.01)
+    return DepthResult(field.truth.disparity, error, unread, unread, unread, stats)
+
+
+def _bad(maps, field):
+    return float(jnp.mean(jnp.abs(maps - field.truth.view_disparity) > 0.1))
+
+
+def test_surfaces_hidden_in_the_centre_view_are_found():
+    field = _cards()
+    result = _known(field)
+    found = depth_of_views(field, result, ViewParams(), ViewSizes.for_light_field(field))
+    assert _bad(found.disparity, field) < 0.002
+    np.testing.assert_array_equal(found.disparity[2, 2], result.disparity)
+    # What the centre view shows of the wall and of the card, by moving it to every view.
+    y, x = np.mgrid[:40, :48]
+    for v, u in np.ndindex(5, 5):
+        d = np.asarray(field.truth.view_disparity[v, u])
+        b, a = (y + (v - 2) * d).astype(int), (x + (u - 2) * d).astype(int)
+        inside = (b >= 0) & (b < 40) & (a >= 0) & (a < 48)
+        centre = np.asarray(result.disparity)[b.clip(0, 39), a.clip(0, 47)]
+        seen = inside & (centre == d)
+        assert ((np.asarray(found.source[v, u]) == 0) == seen).mean() > 0.99
+    assert found.overflow == 0
+    assert jnp.isfinite(found.error).all()
+    assert (found.error >= 0).all()
+
+
+def test_a_wrong_first_guess_is_put_right_by_the_views():
+    # Seen from the centre, the wall behind the card seems to be a step further away all around it.
+    field = _cards()
+    result = _known(field)
+    depth = jnp.where(result.disparity == _NEAR, _NEAR, result.disparity)
+    rim = jnp.abs(jnp.arange(48) - 24) < 16
+    depth = jnp.where(rim[None] & (depth == _FAR), -1.15, depth)
+    found = depth_of_views(
+        field, result._replace(disparity=depth), ViewParams(), ViewSizes.for_light_field(field)
+    )
+    new = found.source == 1
+    error = jnp.abs(found.disparity - field.truth.view_disparity)
+    assert float(jnp.median(error[new])) < 0.05
+
+
+@pytest.mark.parametrize("grid", [(1, 5), (5, 1), (3, 3), (3, 7)])
+def test_any_grid(grid):
+    field = _cards((*grid, 33, 40))
+    found = depth_of_views(field, _known(field), ViewParams(), ViewSizes.for_light_field(field))
+    assert _bad(found.disparity, field) < 0.004
+    assert _bad(reproject_views(field.truth.disparity, field.steps), field) < 0.02
+
+
+def test_missing_views_are_not_read():
+    field = _cards()
+    there = np.zeros((5, 5), bool)
+    there[2], there[:, 2] = True, True
+    sizes, result = ViewSizes.for_light_field(field), _known(field)
+
+    def run(fill):
+        views = jnp.where(there[:, :, None, None, None], field.views, fill)
+        partial = LightField(views, available=there, disparity_range=field.disparity_range)
+        return depth_of_views(partial, result, ViewParams(), sizes)
+
+    black, white = run(0.0), run(1.0)
+    for a, b in zip(black, white, strict=True):
+        np.testing.assert_array_equal(a, b)
+    assert _bad(black.disparity, field) < 0.01
+
+
+def test_overflow_is_counted():
+    field = _cards()
+    result = _known(field)
+    everything = depth_of_views(field, result, ViewParams(), ViewSizes.for_light_field(field))
+    sizes = ViewSizes.for_light_field(field, capacity=10)
+    found = depth_of_views(field, result, ViewParams(), sizes)
+    assert found.overflow > 0
+    assert 0 < (found.source == 1).sum() < (everything.source == 1).sum()
+
+
+@pytest.mark.slow
+def test_derivatives_of_off_centre_maps_equal_differences():
+    shape = (3, 3, 24, 32)
+    field = _cards(shape, np.float64)
+    sizes = ViewSizes.for_light_field(field, tolerance=1e-12)
+    keys = jax.random.split(jax.random.key(1), 4)
+    # Off the exact copies and the whole disparities, where minima and selections would tie.
+    views = jnp.clip(field.views + 1e-3 * jax.random.normal(keys[0], field.views.shape), 0, 1)
+    centre = _known(field)
+    depth = centre.disparity + 0.02 * jax.random.normal(keys[1], shape[2:])
+    weights = jax.random.normal(keys[2], shape)
+
+    def loss(tree):
+        params, disparity, views = tree
+        lit = eqx.tree_at(lambda f: f.views, field, views)
+        found = depth_of_views(lit, centre._replace(disparity=disparity), params, sizes)
+        return jnp.sum(weights * (found.disparity + found.error))
+
+    tree = (ViewParams(), depth, views)
+    gradient = jax.jit(jax.grad(loss))(tree)
+    value, forward = jax.jit(loss), jax.jit(lambda d: jax.jvp(loss, (tree,), (d,))[1])
+    nothing = jax.tree.map(jnp.zeros_like, tree)
+    for part, step in ((0, 1e-6), (1, 1e-8), (2, 1e-8)):
+        some = random_like(tree[part], key=keys[3])
+        direction = tuple(some if i == part else nothing[i] for i in range(3))
+        reverse = dot(gradient, direction)
+
+        def moved(t, direction=direction):
+            return value(jax.tree.map(lambda a, b: a + t * b, tree, direction))
+
+        numeric = float(moved(step) - moved(-step)) / (2 * step)
+        np.testing.assert_allclose(forward(direction), reverse, rtol=1e-9)
+        np.testing.assert_allclose(reverse, numeric, rtol=1e-4)
+
+
+def test_other_sizes_are_refused():
+    field = _cards()
+    wrong = _known(field)._replace(disparity=jnp.zeros((8, 8)))
+    with pytest.raises(ValueError, match=r"`result.disparity` must have the size"):
+        inspect.unwrap(depth_of_views)(field, wrong, ViewParams(), ViewSizes.for_light_field(field))
+    for name, value in (("capacity", 0), ("radius", 0), ("hypotheses", 1), ("tolerance", 0.0)):
+        with pytest.raises(ValueError, match=f"`{name}` must be"):
+            ViewSizes.for_light_field(field, **{name: value})

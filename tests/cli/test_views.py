@@ -1,0 +1,67 @@
+"""`mvedge views` and `mvedge edit`: everything is written, and right."""
+
+import json
+
+import cv2
+import h5py
+import numpy as np
+import pytest
+from datasets.layouts import write_hci
+from scipy import ndimage
+
+from mvedge_jax.cli import _main
+from mvedge_jax.datasets import load_light_field, read_pfm
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory):
+    """A textured plane at disparity 0.4, 3x3 views of 32x40 px, in the HCI layout."""
+    rng = np.random.default_rng(0)
+    texture = ndimage.gaussian_filter(rng.uniform(size=(52, 60, 3)), (0.9, 0.9, 0)) * 2 - 0.5
+    y, x = np.mgrid[0:32, 0:40].astype(float) + 10
+    views = np.zeros((3, 3, 32, 40, 3))
+    for v, u in np.ndindex(3, 3):
+        for c in range(3):
+            place = [y - (1 - v) * 0.4, x - (1 - u) * 0.4]
+            views[v, u, ..., c] = ndimage.map_coordinates(texture[..., c], place, order=3)
+    truth = np.full((32, 40), 0.4, np.float32)
+    views = np.round(255 * np.clip(views, 0, 1)).astype(np.uint8)
+    return write_hci(tmp_path_factory.mktemp("views") / "plane", views, disparity=truth)
+
+
+def test_views_writes_maps_of_all_views(scene, tmp_path):
+    out = tmp_path / "out"
+    assert _main.main(["views", str(scene), str(out)]) == 0
+    with h5py.File(out / "views.h5") as file:
+        every = np.asarray(file["disparity"])
+        assert np.asarray(file["source"]).max() <= 2
+        assert np.isfinite(np.asarray(file["error"])).all()
+    for k in range(9):
+        found = read_pfm(out / f"disparity_Cam{k:03d}.pfm")
+        np.testing.assert_array_equal(found, every[k // 3, k % 3])
+        assert np.median(np.abs(found - 0.4)) < 0.01
+    report = json.loads((out / "report.json").read_text())
+    assert sum(report["share of pixels known from"].values()) == pytest.approx(1)
+    assert report["scores"]["consistency*100"] < 0.01
+    for name in ("views.png", "views.gif", "consistency.png"):
+        assert (out / name).stat().st_size > 0
+
+
+def test_edit_puts_a_picture_before_the_plane(scene, tmp_path):
+    picture, out = tmp_path / "red.png", tmp_path / "out"
+    cv2.imwrite(str(picture), np.full((5, 5, 3), (0, 0, 255), np.uint8))
+    words = ["edit", str(scene), str(out), "--insert", str(picture), "--disparity", "2"]
+    assert _main.main([*words, "--at", "20", "16"]) == 0
+    edited = load_light_field(out)
+    for v, u in np.ndindex(3, 3):
+        place = 16 + 2 * (1 - v), 20 + 2 * (1 - u)
+        np.testing.assert_allclose(edited.views[v, u][place], [1, 0, 0], atol=0.01)
+
+
+def test_a_mask_of_another_size_is_refused(scene, tmp_path, capsys):
+    mask = tmp_path / "mask.png"
+    cv2.imwrite(str(mask), np.zeros((8, 8), np.uint8))
+    assert _main.main(["edit", str(scene), str(tmp_path / "out"), "--mask", str(mask)]) == 2
+    assert "must have the size of the views, 40x32 px" in capsys.readouterr().err
+    assert _main.main(["edit", str(scene), str(tmp_path / "out")]) == 2
+    assert "either --insert or --mask" in capsys.readouterr().err

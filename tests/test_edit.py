@@ -1,0 +1,105 @@
+"""Edits: cards of known depth, drawn as they should come out."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from helpers import check_gradient
+
+from mvedge_jax.edit import insert_picture, margin, paint, remove
+from mvedge_jax.lightfield import LightField
+
+_NEAR, _FAR = 1, -1
+
+
+def _cards(shape=(3, 3, 24, 32)):
+    """A card at disparity 1 before a wall at -1, with their colours and depth in every view."""
+    rows, columns, height, width = shape
+    rng = np.random.default_rng(1)
+    wall = rng.uniform(0.5, 1, (height + 8, width + 8, 3))
+    y, x = np.mgrid[:height, :width]
+    views, depth = np.zeros((*shape, 3)), np.zeros(shape)
+    plain = np.zeros_like(views)
+    for v, u in np.ndindex(rows, columns):
+        a, b = columns // 2 - u, rows // 2 - v
+        on = (abs(y - b * _NEAR - 12) < 5) & (abs(x - a * _NEAR - 16) < 5)
+        plain[v, u] = wall[4 + y - b * _FAR, 4 + x - a * _FAR]
+        views[v, u] = np.where(on[..., None], [0.3, 0.1, 0.1], plain[v, u])
+        depth[v, u] = np.where(on, _NEAR, _FAR)
+    return LightField(jnp.asarray(views)), jnp.asarray(depth), jnp.asarray(plain)
+
+
+@pytest.mark.parametrize("disparity", [0.0, 2.0])
+def test_a_picture_is_hidden_by_what_is_nearer_and_nothing_else_changes(disparity):
+    field, depth, _ = _cards()
+    picture = jnp.zeros((7, 15, 4)).at[..., 1::2].set(1.0)
+    found = insert_picture(field, depth, picture, at=(20.0, 12.0), disparity=disparity)
+    y, x = np.mgrid[:24, :32]
+    for v, u in np.ndindex(3, 3):
+        a, b = (1 - u) * disparity, (1 - v) * disparity
+        inside = (abs(x - 20 - a) <= 7) & (abs(y - 12 - b) <= 3)
+        expected = inside & (np.asarray(depth[v, u]) < disparity)
+        changed = (np.asarray(found.views[v, u]) != np.asarray(field.views[v, u])).any(-1)
+        np.testing.assert_array_equal(changed, expected)
+        np.testing.assert_allclose(
+            np.asarray(found.views[v, u])[expected], [[0, 1, 0]] * expected.sum()
+        )
+
+
+def test_a_slanted_picture_is_where_its_plane_says():
+    field, depth, _ = _cards()
+    picture = jnp.zeros((1, 21, 4)).at[0, 17].set(1.0)
+    found = insert_picture(field, depth, picture, at=(14.0, 2.0), disparity=1.0, slant=(1 / 7, 0.0))
+    # Seven pixels to the right of its middle the plane has the disparity 2.
+    for u in range(3):
+        change = np.abs(np.asarray(found.views - field.views)[1, u, 2]).max(-1)
+        assert abs(int(np.argmax(change)) - (21 + 2 * (1 - u))) <= 1
+        assert (change > 0).sum() <= 3
+
+
+def test_half_transparent_pictures_mix():
+    field, depth, _ = _cards()
+    picture = jnp.ones((3, 3, 4)).at[..., 3].set(0.25)
+    found = insert_picture(field, depth, picture, at=(4.0, 4.0), disparity=0.0)
+    np.testing.assert_allclose(
+        found.views[1, 1, 4, 4], 0.25 + 0.75 * field.views[1, 1, 4, 4], rtol=1e-12
+    )
+
+
+def test_paint_follows_the_surface_into_every_view():
+    field, depth, _ = _cards()
+    mask = (depth[1, 1] == _NEAR).astype(field.views.dtype)
+    found = paint(field, depth, mask, jnp.asarray([0.0, 0.0, 1.0]), shaded=False)
+    on = np.asarray(depth == _NEAR)
+    np.testing.assert_allclose(np.asarray(found.views)[on], [[0, 0, 1]] * on.sum(), atol=1e-12)
+    np.testing.assert_array_equal(np.asarray(found.views)[~on], np.asarray(field.views)[~on])
+
+
+def test_what_is_removed_shows_what_other_views_saw():
+    field, depth, plain = _cards((5, 5, 24, 32))
+    found = remove(field, depth, depth[2, 2] == _NEAR)
+    on = np.asarray(depth == _NEAR)
+    np.testing.assert_array_equal(np.asarray(found.views)[~on], np.asarray(field.views)[~on])
+    # Nothing of the card is left; what any view saw of the wall is exact.
+    error = np.abs(np.asarray(found.views - plain)).max(-1)
+    assert (np.asarray(found.views)[on].min(-1) >= 0.5 - 1e-9).all()
+    assert (error[on] < 1e-9).mean() > 0.75
+
+
+def test_margin_grows_a_mask():
+    mask = jnp.zeros((7, 7), bool).at[3, 3].set(True)
+    assert margin(mask, radius=2).sum() == 25
+
+
+def test_derivatives_equal_differences():
+    field, depth, _ = _cards()
+    picture = jax.random.uniform(jax.random.key(0), (5, 5, 4))
+    weights = jax.random.normal(jax.random.key(1), field.views.shape)
+
+    def loss(tree):
+        image, at, disparity = tree
+        found = insert_picture(field, depth, image, at=at, disparity=disparity)
+        return jnp.sum(weights * found.views)
+
+    tree = (picture, jnp.asarray([10.3, 5.6]), jnp.asarray(0.27))
+    check_gradient(loss, tree, rtol=1e-6, step=1e-6, key=jax.random.key(2))
