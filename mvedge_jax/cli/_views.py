@@ -51,7 +51,7 @@ def views(
         with stage("compiling, or reading what was compiled before"):
             centre = compiled(edge_to_depth, blind, Parameters(), sizes)
         with stage("estimating depth of the centre view"):
-            result = jax.block_until_ready(centre(Parameters(), blind, sizes))
+            result = jax.block_until_ready(centre(blind, Parameters(), sizes))
         with stage("compiling, or reading what was compiled before"):
             program = compiled(depth_of_views, blind, result, ViewParams(), every)
         start = time.perf_counter()
