@@ -113,8 +113,13 @@ def test_the_whole_chain_is_its_two_parts(scene):
     points = thesis_edges(light_field, params[0], sizes[0], key=key).points
     apart = sparse_depth(light_field, points, params[1], sizes[1])
     np.testing.assert_array_equal(found.disparity, apart.disparity)
-    error = np.abs(np.asarray(found.disparity) - np.asarray(scene[0].truth.disparity))
-    assert np.median(error) < 0.1
+    # Points lie beside what they belong to: the best of the 3x3 pixels around each.
+    keep, truth = np.asarray(points.valid), np.asarray(scene[0].truth.disparity)
+    x, y = np.clip(np.rint(np.asarray(points.xy)[keep]).astype(int).T, 0, [[55], [47]])
+    around = [np.pad(truth, 1, mode="edge")[y + j, x + i] for j in range(3) for i in range(3)]
+    error = np.abs(np.asarray(points.disparity)[keep] - np.stack(around)).min(0)
+    assert keep.sum() > 300
+    assert np.median(error) < 0.01
 
 
 def test_profiles_are_stretched_before_the_thesis_filter_answers():
