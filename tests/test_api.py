@@ -220,6 +220,7 @@ def test_private_modules_stay_in_their_package():
 
 # Names that each package gives away; a new one takes the place of another, or moves this bar.
 _MOST = {
+    "angular": 4,
     "baselines": 12,
     "centre": 12,
     "datasets": 11,
@@ -229,10 +230,10 @@ _MOST = {
     "losses": 19,
     "metrics": 17,
     "model": 39,
-    "photometry": 28,
-    "plotting": 10,
+    "photometry": 29,
+    "plotting": 12,
     "splatting": 8,
-    "warping": 8,
+    "warping": 10,
 }
 
 

@@ -9,7 +9,6 @@ from ._sparse_depth import (
     sparse_depth as sparse_depth,
 )
 from ._sweep import (
-    Sweep as Sweep,
     SweepSizes as SweepSizes,
     plane_sweep as plane_sweep,
 )

@@ -273,7 +273,7 @@ def test_a_scene_without_edges_says_so():
     [
         ({"filters": 2}, "`filters` must be at least 3, got 2"),
         ({"capacity": 0}, "`capacity` must be positive, got 0"),
-        ({"spacing": 0}, "`spacing` must be positive, got 0"),
+        ({"spacing": 0.0}, "`spacing` must be positive, got 0"),
     ],
 )
 def test_impossible_sizes_are_refused(change, message):
