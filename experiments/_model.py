@@ -13,20 +13,16 @@ from mvedge_jax.datasets import load_light_field, synthetic
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.metrics import depth_scores
 from mvedge_jax.model import (
-    Approach,
-    ByEvidence,
     FitParams,
-    FixedPoints,
     ModelSizes,
-    Progress,
     Start,
-    Strategy,
-    all_at_once,
     fit_edges,
     optimize_edges,
     start_from_depth,
     start_from_image,
 )
+from mvedge_jax.model.approaches import Approach, ByEvidence
+from mvedge_jax.model.optimisation import FixedPoints, Progress, Strategy, all_at_once
 
 
 def load_scene(name: str, data: Path | None, *, size: int = 128) -> LightField:

@@ -27,7 +27,8 @@ from mvedge_jax.centre import Parameters, Sizes, edge_to_depth
 from mvedge_jax.datasets import load_light_field, synthetic
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.metrics import Calibration, calibration
-from mvedge_jax.photometry import labels, look, prepare, sight
+from mvedge_jax.photometry import prepare, sight
+from mvedge_jax.photometry.measuring import labels, look
 
 _MEASURED, _OFF = 0.03, 0.03
 

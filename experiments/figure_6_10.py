@@ -15,7 +15,7 @@ from _report import print_table, shared_data, write_csv, write_json
 from matplotlib.figure import Figure
 
 from mvedge_jax.centre import Parameters, Sizes, edge_to_depth
-from mvedge_jax.metrics import mse, q25
+from mvedge_jax.metrics.depth import mse, q25
 
 SWEEPS = {
     "centre.precision": lambda p: p.centre.precision,

@@ -18,7 +18,8 @@ from _report import print_table, shared_data, write_csv, write_json
 from matplotlib.figure import Figure
 
 from mvedge_jax.lightfield import LightField
-from mvedge_jax.model import Growth, decode, encode
+from mvedge_jax.model.codec import decode, encode
+from mvedge_jax.model.optimisation import Growth
 
 COLUMNS = {
     "mse": "MSE $\\times$ 100",

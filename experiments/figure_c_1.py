@@ -24,17 +24,9 @@ from _model import (
 )
 from _report import print_table, shared_data, write_csv, write_json
 
-from mvedge_jax.model import (
-    ByEvidence,
-    ByReprojection,
-    DepthModel,
-    ModelParams,
-    ModelSizes,
-    Rates,
-    RelocateParams,
-    Start,
-    render_model,
-)
+from mvedge_jax.model import DepthModel, ModelParams, ModelSizes, Start, render_model
+from mvedge_jax.model.approaches import ByEvidence, ByReprojection, RelocateParams
+from mvedge_jax.model.optimisation import Rates
 
 
 def noisy(

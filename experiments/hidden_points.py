@@ -22,17 +22,14 @@ from mvedge_jax.lightfield import GroundTruth
 from mvedge_jax.model import (
     DepthModel,
     FitParams,
-    FixedPoints,
-    Growth,
     ModelParams,
     ModelSizes,
-    Rates,
     Start,
-    all_at_once,
     fit_edges,
     render_model,
 )
-from mvedge_jax.model._grow import usefulness
+from mvedge_jax.model.optimisation import FixedPoints, Growth, Rates, all_at_once
+from mvedge_jax.model.optimisation._grow import usefulness
 from mvedge_jax.splatting import SplatSizes
 
 SHAPE = (32, 40)

@@ -20,7 +20,7 @@ from _report import print_table, shared_data, write_csv, write_json
 from mvedge_jax import plotting
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.metrics import reprojection_error
-from mvedge_jax.model import ByEvidence, ByReprojection
+from mvedge_jax.model.approaches import ByEvidence, ByReprojection
 
 # Thesis, Table 7.2: MSE*100, BP(.01), BP(.03), BP(.07) in %.
 PUBLISHED = {

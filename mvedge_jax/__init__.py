@@ -20,10 +20,7 @@ from .diffusion import System as System, diffuse as diffuse
 from .edges import EdgePoints as EdgePoints, multiview_edges as multiview_edges
 from .lightfield import Camera as Camera, GroundTruth as GroundTruth, LightField as LightField
 from .model import (
-    ByEvidence as ByEvidence,
-    ByReprojection as ByReprojection,
     FitParams as FitParams,
-    Growth as Growth,
     ModelSizes as ModelSizes,
     Optimised as Optimised,
     Start as Start,
@@ -32,3 +29,5 @@ from .model import (
     start_from_depth as start_from_depth,
     start_from_image as start_from_image,
 )
+from .model.approaches import ByEvidence as ByEvidence, ByReprojection as ByReprojection
+from .model.optimisation import Growth as Growth

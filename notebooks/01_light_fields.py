@@ -30,6 +30,7 @@ import numpy as np
 from mvedge_jax import metrics, plotting
 from mvedge_jax.baselines import SweepSizes, plane_sweep
 from mvedge_jax.datasets import load_light_field, synthetic, write_hci
+from mvedge_jax.metrics.depth import mae, mse
 from mvedge_jax.warping import backward_warp
 
 # %% [markdown]
@@ -104,8 +105,8 @@ plotting.plot_comparison(
 
 # %%
 band = metrics.edge_band(truth)
-print(f"MSE*100 near depth edges {float(metrics.mse(result.disparity, truth, mask=band)):.2f}")
-print(f"        elsewhere        {float(metrics.mse(result.disparity, truth, mask=~band)):.2f}")
+print(f"MSE*100 near depth edges {float(mse(result.disparity, truth, mask=band)):.2f}")
+print(f"        elsewhere        {float(mse(result.disparity, truth, mask=~band)):.2f}")
 boundaries = metrics.boundary_scores(result.disparity, truth)
 plotting.plot_precision_recall([boundaries], names=["plane sweep"])
 
@@ -115,8 +116,8 @@ plotting.plot_precision_recall([boundaries], names=["plane sweep"])
 
 # %%
 holes = result.disparity.at[40:60, 40:60].set(jnp.nan)
-print("mean absolute error with holes", metrics.mae(holes, truth))
-print("the holes masked out          ", metrics.mae(holes, truth, mask=jnp.isfinite(holes)))
+print("mean absolute error with holes", mae(holes, truth))
+print("the holes masked out          ", mae(holes, truth, mask=jnp.isfinite(holes)))
 
 # %% [markdown]
 # ## Files

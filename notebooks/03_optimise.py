@@ -30,16 +30,14 @@ from mvedge_jax.lightfield import GroundTruth
 from mvedge_jax.model import (
     DepthModel,
     FitParams,
-    FixedPoints,
-    Growth,
     ModelParams,
     ModelSizes,
     Start,
-    decode,
-    encode,
     fit_edges,
     render_model,
 )
+from mvedge_jax.model.codec import decode, encode
+from mvedge_jax.model.optimisation import FixedPoints, Growth
 from mvedge_jax.splatting import SplatParams, SplatSizes, splat
 
 # %% [markdown]

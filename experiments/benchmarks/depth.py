@@ -27,16 +27,17 @@ from mvedge_jax.cli._common import compiled
 from mvedge_jax.color import srgb_to_gray, srgb_to_lab
 from mvedge_jax.datasets import load_light_field, synthetic
 from mvedge_jax.diffusion import System, diffuse
-from mvedge_jax.edges import (
+from mvedge_jax.edges import multiview_edges
+from mvedge_jax.edges.sides import (
     BidirectionalParams,
     SurfaceParams,
     bidirectional,
-    multiview_edges,
     surface_vectors,
 )
 from mvedge_jax.image import spline_coefficients
 from mvedge_jax.lightfield import LightField
-from mvedge_jax.photometry import Measuring, hypotheses, photometric_labels
+from mvedge_jax.photometry.matching import hypotheses
+from mvedge_jax.photometry.measuring import Measuring, photometric_labels
 
 
 def main() -> None:

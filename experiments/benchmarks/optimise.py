@@ -19,19 +19,10 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from _report import peak_memory, print_table, timed, write_json
 
 from mvedge_jax.losses import Views
-from mvedge_jax.model import (
-    DepthModel,
-    ModelParams,
-    ModelSizes,
-    Rates,
-    SelfSupervised,
-    advance,
-    all_at_once,
-    begin,
-    render_model,
-)
+from mvedge_jax.model import DepthModel, ModelParams, ModelSizes, render_model
 from mvedge_jax.model._model import opacities, splat_model
-from mvedge_jax.model._objectives import unlimited
+from mvedge_jax.model.objectives import SelfSupervised, unlimited
+from mvedge_jax.model.optimisation import Rates, advance, all_at_once, begin
 
 AUTHORS = {700: 2.1, 5000: 5.1, 20000: 18.0, 50000: 36.0}
 

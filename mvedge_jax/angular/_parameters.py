@@ -50,7 +50,8 @@ class ViewSizes:
         hypotheses: disparities tried per pixel, in views of half the size.
         radius: how far occluders are looked for from one end of the grid to the other, px.
         solves: measurements, each followed by a diffusion, of what a view adds.
-        passes: over the neighbours whose measurements are shared, see `photometry.labels`.
+        passes: over the neighbours whose measurements are shared, see
+            `photometry.measuring.labels`.
         tolerance: of the diffusions, relative to their right-hand sides.
     """
 

@@ -15,17 +15,10 @@ from mvedge_jax.color import srgb_to_lab
 from mvedge_jax.diffusion import Jacobi, System, diffuse
 from mvedge_jax.image import highest
 from mvedge_jax.lightfield import LightField
-from mvedge_jax.photometry import (
-    PhotometricLabels,
-    Scene,
-    Sight,
-    denoised,
-    hypotheses,
-    labels,
-    look,
-    mismatch,
-    sight,
-)
+from mvedge_jax.photometry import Scene, Sight, sight
+from mvedge_jax.photometry.brightness import denoised
+from mvedge_jax.photometry.matching import hypotheses
+from mvedge_jax.photometry.measuring import PhotometricLabels, labels, look, mismatch
 
 from ._draw import STEP, decided, drawn
 from ._parameters import ViewParams, ViewSizes

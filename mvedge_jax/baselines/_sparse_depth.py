@@ -14,16 +14,14 @@ from mvedge_jax._params import cast, number
 from mvedge_jax.centre import MedianParams, Sharpening, SmoothnessParams, edge_smoothness, sharpen
 from mvedge_jax.color import srgb_to_gray, srgb_to_lab
 from mvedge_jax.diffusion import AutoSolver, System, diffuse
-from mvedge_jax.edges import (
+from mvedge_jax.edges import EdgePoints, rasterise, scene_range
+from mvedge_jax.edges.sides import (
     Bidirectional,
     BidirectionalParams,
-    EdgePoints,
     SurfaceParams,
     SurfaceVectors,
     bidirectional,
     choose,
-    rasterise,
-    scene_range,
     step_response,
     surface_vectors,
 )

@@ -11,7 +11,8 @@ from mvedge_jax._crosshair import crosshair
 from mvedge_jax._params import cast
 from mvedge_jax.color import srgb_to_lab
 from mvedge_jax.lightfield import LightField
-from mvedge_jax.photometry import VolumeParams, best_match
+from mvedge_jax.photometry import VolumeParams
+from mvedge_jax.photometry.matching import best_match
 
 
 @dataclass(frozen=True)

@@ -11,15 +11,12 @@ from mvedge_jax._fence import staged
 from mvedge_jax._params import cast
 from mvedge_jax.color import srgb_to_gray
 from mvedge_jax.diffusion import AutoSolver
-from mvedge_jax.edges import (
+from mvedge_jax.edges import EdgePoints, EdgeStats, measured_edges, share
+from mvedge_jax.edges.sides import (
     BidirectionalParams,
-    EdgePoints,
-    EdgeStats,
     SurfaceParams,
     SurfaceVectors,
     bidirectional,
-    measured_edges,
-    share,
     surface_vectors,
 )
 from mvedge_jax.lightfield import LightField

@@ -7,13 +7,8 @@ import equinox as eqx
 from jaxtyping import Array, Float
 
 from mvedge_jax._params import described, number
-from mvedge_jax.edges import (
-    BidirectionalParams,
-    EdgeParams,
-    EdgeSizes,
-    SurfaceParams,
-    scene_range,
-)
+from mvedge_jax.edges import EdgeParams, EdgeSizes, scene_range
+from mvedge_jax.edges.sides import BidirectionalParams, SurfaceParams
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.photometry import PhotometricParams, VolumeParams, hypothesis_count, occluder_radius
 

@@ -12,11 +12,11 @@ from mvedge_jax._fence import recomputed
 from mvedge_jax._root import root
 from mvedge_jax.diffusion import AutoSolver, System, diffuse
 from mvedge_jax.image import gaussian
-from mvedge_jax.photometry import (
+from mvedge_jax.photometry import Sight
+from mvedge_jax.photometry.measuring import (
     Look,
     Measuring,
     PhotometricLabels,
-    Sight,
     labels,
     look,
     look_around,

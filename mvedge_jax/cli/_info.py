@@ -16,7 +16,8 @@ from mvedge_jax.datasets import (
     open_source,
 )
 from mvedge_jax.lightfield import Camera, GroundTruth, LightField
-from mvedge_jax.photometry import Exposure, Noise, expose, measure_noise, rough_exposure
+from mvedge_jax.photometry import Exposure, Noise
+from mvedge_jax.photometry.brightness import expose, measure_noise, rough_exposure
 
 from ._common import note, stage, warn
 

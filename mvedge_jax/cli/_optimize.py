@@ -14,27 +14,29 @@ from mvedge_jax import plotting
 from mvedge_jax.centre import Parameters, Sizes, edge_to_depth
 from mvedge_jax.datasets import load_light_field, write_pfm
 from mvedge_jax.lightfield import GroundTruth, LightField
-from mvedge_jax.losses import Colours, Features, FilterBank, load_vgg16
+from mvedge_jax.losses.features import Colours, FilterBank, load_vgg16
+from mvedge_jax.losses.terms import Features
 from mvedge_jax.metrics import depth_scores
 from mvedge_jax.model import (
-    ByEvidence,
-    ByReprojection,
     FitParams,
-    Growth,
-    History,
     ModelSizes,
     Optimised,
-    Progress,
-    Rates,
-    Routine,
     Start,
-    State,
-    all_at_once,
     fit_edges,
-    one_at_a_time,
     optimize_edges,
     start_from_depth,
     start_from_image,
+)
+from mvedge_jax.model.approaches import ByEvidence, ByReprojection
+from mvedge_jax.model.optimisation import (
+    Growth,
+    History,
+    Progress,
+    Rates,
+    Routine,
+    State,
+    all_at_once,
+    one_at_a_time,
 )
 
 from ._common import compiled, note, stage, warn

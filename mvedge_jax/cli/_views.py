@@ -15,7 +15,8 @@ from mvedge_jax.angular import ViewDepths, ViewParams, ViewSizes, depth_of_views
 from mvedge_jax.centre import Parameters, Sizes, edge_to_depth
 from mvedge_jax.datasets import load_light_field, write_pfm
 from mvedge_jax.lightfield import LightField
-from mvedge_jax.metrics import bad_pixels, mse, view_consistency
+from mvedge_jax.metrics import view_consistency
+from mvedge_jax.metrics.depth import bad_pixels, mse
 
 from ._common import compiled, note, stage, warn
 from ._output import output_folder, write_json

@@ -11,7 +11,6 @@ from mvedge_jax.epi import strongest_response
 from mvedge_jax.image import highest, unit_gradient
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.photometry import (
-    PhotometricLabels,
     PhotometricParams,
     Scene,
     Sight,
@@ -21,8 +20,8 @@ from mvedge_jax.photometry import (
     occluder_radius,
     prepare,
     sight,
-    view_weights,
 )
+from mvedge_jax.photometry.measuring import PhotometricLabels, view_weights
 
 from ._candidates import contrast, find_candidates, subpixel
 from ._params import EdgeParams, EdgeSizes

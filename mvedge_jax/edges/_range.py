@@ -9,15 +9,9 @@ from mvedge_jax._crosshair import crosshair
 from mvedge_jax._params import cast
 from mvedge_jax.color import srgb_to_lab
 from mvedge_jax.lightfield import LightField
-from mvedge_jax.photometry import (
-    Exposure,
-    Noise,
-    VolumeParams,
-    best_match,
-    expose,
-    measure_noise,
-    rough_exposure,
-)
+from mvedge_jax.photometry import Exposure, Noise, VolumeParams
+from mvedge_jax.photometry.brightness import expose, measure_noise, rough_exposure
+from mvedge_jax.photometry.matching import best_match
 
 from ._candidates import contrast
 

@@ -10,8 +10,9 @@ from jaxtyping import Array, Bool, Float
 from mvedge_jax._params import cast, number
 from mvedge_jax.warping import visible as exact_visible, visible_binned
 
-from ._features import Colours
-from ._terms import (
+from ._views import Views
+from .features import Colours
+from .terms import (
     Features,
     edge_aware_smoothness,
     gradient_reward,
@@ -19,7 +20,6 @@ from ._terms import (
     ssim,
     warp_views,
 )
-from ._views import Views
 
 
 class LossWeights(eqx.Module):

@@ -1,4 +1,7 @@
-"""Scores: depth errors, what is said about them, boundaries, consistency, reprojection."""
+"""Scores: depth errors, what is said about them, boundaries, consistency, reprojection.
+
+Room: `depth` (the single figures that `depth_scores` gathers).
+"""
 
 from ._boundary import BoundaryScores as BoundaryScores, boundary_scores as boundary_scores
 from ._calibration import Calibration as Calibration, calibration as calibration
@@ -7,14 +10,6 @@ from ._consistency import (
     view_consistency as view_consistency,
     view_consistency_map as view_consistency_map,
 )
-from ._depth import (
-    DepthScores as DepthScores,
-    bad_pixels as bad_pixels,
-    depth_scores as depth_scores,
-    error_percentile as error_percentile,
-    mae as mae,
-    mse as mse,
-    q25 as q25,
-)
 from ._region import edge_band as edge_band
 from ._reprojection import Reprojection as Reprojection, reprojection_error as reprojection_error
+from .depth import DepthScores as DepthScores, depth_scores as depth_scores

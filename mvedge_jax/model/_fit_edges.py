@@ -9,14 +9,14 @@ from mvedge_jax.lightfield import GroundTruth
 from mvedge_jax.losses import SupervisedWeights
 
 from ._capacity import without_free_places
-from ._grow import Growth
 from ._model import ModelParams, ModelSizes, compiled_render, rendering_for
-from ._objectives import Supervised, unlimited
-from ._optimise import Progress, Strategy, optimise
 from ._result import Optimised
-from ._routine import Rates, Routine, all_at_once
 from ._start import Start
-from ._state import State, begin, resumed
+from .objectives import Supervised, unlimited
+from .optimisation._grow import Growth
+from .optimisation._optimise import Progress, Strategy, optimise
+from .optimisation._routine import Rates, Routine, all_at_once
+from .optimisation._state import State, begin, resumed
 
 
 class FitParams(eqx.Module):
@@ -73,7 +73,8 @@ def fit_edges(
 
     Example:
         >>> import jax.numpy as jnp
-        >>> from mvedge_jax.model import DepthModel, FixedPoints
+        >>> from mvedge_jax.model import DepthModel
+        >>> from mvedge_jax.model.optimisation import FixedPoints
         >>> one, image = jnp.ones(1), jnp.zeros((6, 8))
         >>> middle = DepthModel(0 * one, jnp.array([[4.0, 3.0]]), 0 * one, image, one > 0)
         >>> truth = GroundTruth(image + 0.1, image == 0)  # the point says 0, but 0.1 is true

@@ -7,13 +7,13 @@ from jaxtyping import PRNGKeyArray
 
 from mvedge_jax.lightfield import LightField
 
-from ._approach import Approach
 from ._model import ModelSizes
-from ._optimise import Progress, optimise
 from ._result import Optimised
-from ._routine import Routine, all_at_once
 from ._start import Start
-from ._state import State, begin, resumed
+from .approaches._approach import Approach
+from .optimisation._optimise import Progress, optimise
+from .optimisation._routine import Routine, all_at_once
+from .optimisation._state import State, begin, resumed
 
 
 def optimize_edges(
@@ -55,7 +55,8 @@ def optimize_edges(
 
     Example:
         >>> import jax.numpy as jnp
-        >>> from mvedge_jax.model import ByReprojection, DepthModel
+        >>> from mvedge_jax.model.approaches import ByReprojection
+        >>> from mvedge_jax.model import DepthModel
         >>> flat = LightField(jnp.full((3, 3, 8, 8, 3), 0.5))  # views that have nothing to say
         >>> one, image = jnp.ones(1), jnp.zeros((8, 8))
         >>> model = DepthModel(0 * one, jnp.full((1, 2), 4.0), 0 * one, image, one > 0)

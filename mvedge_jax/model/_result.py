@@ -5,8 +5,8 @@ from typing import NamedTuple
 from jaxtyping import Array, Bool, Float
 
 from ._model import DepthModel
-from ._optimise import History
-from ._state import State
+from .optimisation._optimise import History
+from .optimisation._state import State
 
 
 class Verdict(NamedTuple):

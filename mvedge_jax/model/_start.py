@@ -13,12 +13,12 @@ from mvedge_jax.image import nearest_pixels
 from mvedge_jax.lightfield import LightField
 
 from ._capacity import with_capacity
-from ._grow import Growth, grow
 from ._model import DepthModel, ModelParams, ModelSizes, image_roughness, map_roughness
-from ._objectives import Supervised, Trust, unlimited
-from ._optimise import advance
-from ._routine import Rates, all_at_once
-from ._state import begin
+from .objectives import Supervised, Trust, unlimited
+from .optimisation._grow import Growth, grow
+from .optimisation._optimise import advance
+from .optimisation._routine import Rates, all_at_once
+from .optimisation._state import begin
 
 
 class StartParams(eqx.Module):

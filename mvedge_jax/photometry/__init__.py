@@ -1,19 +1,9 @@
-"""What the colours of the views say: brightness, noise, matching costs, the dense measurement."""
+"""What the colours of the views say: the scene made ready, and the sight of every pixel's views.
 
-from ._cost import VolumeParams as VolumeParams, best_match as best_match, hypotheses as hypotheses
-from ._denoise import denoised as denoised
-from ._exposure import Exposure as Exposure, expose as expose, rough_exposure as rough_exposure
-from ._grid import Grid as Grid, grid_of as grid_of, look_around as look_around
-from ._look import Look as Look, look as look, view_weights as view_weights
-from ._measure import (
-    PhotometricLabels as PhotometricLabels,
-    labels as labels,
-    mismatch as mismatch,
-    photometric_labels as photometric_labels,
-)
-from ._measuring import Measuring as Measuring, PhotometricParams as PhotometricParams
-from ._noise import Noise as Noise, measure_noise as measure_noise
-from ._reach import occlusion_reach as occlusion_reach
+Rooms: `brightness` (exposure, noise), `matching` (costs of hypotheses), `measuring` (disparity and
+standard error of a pixel).
+"""
+
 from ._scene import (
     Scene as Scene,
     Sight as Sight,
@@ -23,3 +13,6 @@ from ._scene import (
     prepare as prepare,
     sight as sight,
 )
+from .brightness import Exposure as Exposure, Noise as Noise
+from .matching import VolumeParams as VolumeParams
+from .measuring import PhotometricParams as PhotometricParams

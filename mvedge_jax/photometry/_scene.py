@@ -13,14 +13,14 @@ from mvedge_jax.color import srgb_to_lab
 from mvedge_jax.image import spline_coefficients
 from mvedge_jax.lightfield import LightField
 
-from ._cost import VolumeParams, hypotheses
-from ._denoise import denoised, low_pass, soften
-from ._exposure import Exposure, exposed_arms, exposure_along, rough_exposure
-from ._grid import Grid, grid_of
-from ._look import look
-from ._measure import PhotometricLabels, labels, shared
-from ._measuring import Measuring, PhotometricParams
-from ._noise import Noise, measure_noise
+from .brightness._denoise import denoised, low_pass, soften
+from .brightness._exposure import Exposure, exposed_arms, exposure_along, rough_exposure
+from .brightness._noise import Noise, measure_noise
+from .matching._cost import VolumeParams, hypotheses
+from .measuring._grid import Grid, grid_of
+from .measuring._look import look
+from .measuring._measure import PhotometricLabels, labels, shared
+from .measuring._measuring import Measuring, PhotometricParams
 
 
 class Scene(NamedTuple):

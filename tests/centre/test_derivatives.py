@@ -12,7 +12,8 @@ from centre.derivatives import check_rows, noisy_scene, rows, table
 from helpers import check_modes
 
 from mvedge_jax.centre import Parameters, Sizes, edge_to_depth
-from mvedge_jax.edges import BidirectionalParams, EdgeSizes, SurfaceParams
+from mvedge_jax.edges import EdgeSizes
+from mvedge_jax.edges.sides import BidirectionalParams, SurfaceParams
 from mvedge_jax.lightfield import LightField
 
 

@@ -12,7 +12,8 @@ from helpers import count_traces, shared_data
 from mvedge_jax.baselines import plane_sweep
 from mvedge_jax.centre import Parameters, Sizes, edge_to_depth
 from mvedge_jax.datasets import load_light_field, synthetic
-from mvedge_jax.edges import SurfaceParams, scene_range
+from mvedge_jax.edges import scene_range
+from mvedge_jax.edges.sides import SurfaceParams
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.metrics import boundary_scores, depth_scores
 

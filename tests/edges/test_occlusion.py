@@ -7,21 +7,20 @@ import pytest
 from helpers import check_gradient, count_traces
 
 from mvedge_jax.diffusion import AutoSolver
-from mvedge_jax.edges import (
+from mvedge_jax.edges import EdgePoints, rasterise
+from mvedge_jax.edges.sides import (
     BidirectionalParams,
-    EdgePoints,
     SurfaceParams,
     bidirectional,
     choose,
     depth_edge_confidence,
-    rasterise,
     step_response,
     surface_vectors,
 )
-from mvedge_jax.edges._evidence import map_evidence, neighbour_evidence
-from mvedge_jax.edges._profile import profiles
-from mvedge_jax.edges._surface import along_edge
-from mvedge_jax.photometry import occlusion_reach
+from mvedge_jax.edges.sides._evidence import map_evidence, neighbour_evidence
+from mvedge_jax.edges.sides._profile import profiles
+from mvedge_jax.edges.sides._surface import along_edge
+from mvedge_jax.photometry.measuring import occlusion_reach
 
 SHAPE = (24, 32)
 EDGE = 16  # first column of the near surface in `square_wave`

@@ -6,25 +6,23 @@ import pytest
 from helpers import check_gradient
 from skimage.metrics import structural_similarity
 
-from mvedge_jax import losses
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.losses import (
-    Colours,
-    FilterBank,
     LossWeights,
     SupervisedWeights,
     Views,
     gather_views,
-    load_vgg16,
     occlusion_masks,
     self_supervised_loss,
     supervised_loss,
+    terms,
 )
+from mvedge_jax.losses.features import Colours, FilterBank, load_vgg16
 from mvedge_jax.warping import backward_warp
 
-ssim = jax.jit(losses.ssim)
-edge_aware_smoothness = jax.jit(losses.edge_aware_smoothness)
-reprojection_error = eqx.filter_jit(losses.reprojection_error)
+ssim = jax.jit(terms.ssim)
+edge_aware_smoothness = jax.jit(terms.edge_aware_smoothness)
+reprojection_error = eqx.filter_jit(terms.reprojection_error)
 self_supervised = eqx.filter_jit(self_supervised_loss)
 
 

@@ -9,7 +9,8 @@ import pytest
 from helpers import check_gradient, count_traces, shared_data
 
 from mvedge_jax.datasets import read_pfm
-from mvedge_jax.metrics import bad_pixels, depth_scores, edge_band, error_percentile, mae, mse, q25
+from mvedge_jax.metrics import depth_scores, edge_band
+from mvedge_jax.metrics.depth import bad_pixels, error_percentile, mae, mse, q25
 
 # Name, metric, and the same in NumPy on the absolute errors of the counted pixels.
 METRICS = [

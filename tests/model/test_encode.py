@@ -3,7 +3,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from mvedge_jax.model import Encoding, decode, encode
+from mvedge_jax.model.codec import Encoding, decode, encode
 
 
 def depth_map(shape=(19, 23)):

@@ -7,22 +7,17 @@ from helpers import count_traces
 
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.losses import Views, all_views, gather_views
-from mvedge_jax.model import (
+from mvedge_jax.model import ModelParams, ModelSizes, StartParams
+from mvedge_jax.model._start import start_from_points
+from mvedge_jax.model.approaches import (
     ByEvidence,
     EvidenceParams,
-    ModelParams,
-    ModelSizes,
-    Rates,
     RelocateParams,
-    StartParams,
-    advance,
-    all_at_once,
-    begin,
     polish,
     relocate_steps,
 )
-from mvedge_jax.model._evidence import agreed_correction
-from mvedge_jax.model._start import start_from_points
+from mvedge_jax.model.approaches._evidence import agreed_correction
+from mvedge_jax.model.optimisation import Rates, advance, all_at_once, begin
 from mvedge_jax.splatting import SplatSizes
 
 SHAPE = (20, 22)

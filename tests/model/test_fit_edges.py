@@ -7,22 +7,23 @@ from mvedge_jax.lightfield import GroundTruth
 from mvedge_jax.model import (
     DepthModel,
     FitParams,
-    FixedPoints,
-    Growth,
     ModelParams,
     ModelSizes,
-    Rates,
     Start,
-    State,
-    Supervised,
-    advance,
-    all_at_once,
-    begin,
     fit_edges,
     render_model,
 )
 from mvedge_jax.model._capacity import with_capacity
-from mvedge_jax.model._objectives import unlimited
+from mvedge_jax.model.objectives import Supervised, unlimited
+from mvedge_jax.model.optimisation import (
+    FixedPoints,
+    Growth,
+    Rates,
+    State,
+    advance,
+    all_at_once,
+    begin,
+)
 
 SHAPE = (14, 18)
 SIZES = ModelSizes.on_raster(1)

@@ -7,16 +7,9 @@ from helpers import check_modes, count_traces
 
 from mvedge_jax.diffusion import AutoSolver, Elimination, Multigrid
 from mvedge_jax.losses import LossWeights, SupervisedWeights, Views, self_supervised_loss
-from mvedge_jax.model import (
-    DepthModel,
-    ModelParams,
-    ModelSizes,
-    SelfSupervised,
-    Supervised,
-    render_model,
-)
+from mvedge_jax.model import DepthModel, ModelParams, ModelSizes, render_model
 from mvedge_jax.model._model import downsample, image_roughness, map_roughness, upsample
-from mvedge_jax.model._objectives import unlimited
+from mvedge_jax.model.objectives import SelfSupervised, Supervised, unlimited
 from mvedge_jax.splatting import SplatParams, SplatSizes
 
 SHAPE = (13, 16)

@@ -5,27 +5,22 @@ import numpy as np
 import pytest
 
 from mvedge_jax.losses import SupervisedWeights
-from mvedge_jax.model import (
-    DepthModel,
+from mvedge_jax.model import DepthModel, ModelParams, ModelSizes, render_model
+from mvedge_jax.model._capacity import with_capacity, without_free_places
+from mvedge_jax.model.objectives import Supervised, Trust, unlimited
+from mvedge_jax.model.optimisation import (
     FixedPoints,
     Growth,
-    ModelParams,
-    ModelSizes,
     Rates,
     State,
-    Supervised,
-    Trust,
     advance,
     all_at_once,
     begin,
     one_at_a_time,
     optimise,
-    render_model,
 )
-from mvedge_jax.model._capacity import with_capacity, without_free_places
-from mvedge_jax.model._grow import grow, usefulness, worst_pixels
-from mvedge_jax.model._lbfgs import minimise_lbfgs
-from mvedge_jax.model._objectives import unlimited
+from mvedge_jax.model.optimisation._grow import grow, usefulness, worst_pixels
+from mvedge_jax.model.optimisation._lbfgs import minimise_lbfgs
 from mvedge_jax.splatting import SplatSizes
 
 SHAPE = (14, 18)

@@ -6,17 +6,14 @@ from scipy import ndimage
 
 from mvedge_jax.lightfield import GroundTruth, LightField
 from mvedge_jax.model import (
-    ByEvidence,
-    ByReprojection,
     DepthModel,
     ModelParams,
     ModelSizes,
-    PolishParams,
     Start,
     optimize_edges,
-    polish,
     render_model,
 )
+from mvedge_jax.model.approaches import ByEvidence, ByReprojection, PolishParams, polish
 
 SHAPE = (20, 22)
 SIZES = ModelSizes.on_raster(1)

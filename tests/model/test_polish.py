@@ -3,8 +3,8 @@ import jax.numpy as jnp
 import numpy as np
 from helpers import check_gradient, count_traces
 
-from mvedge_jax.model import PolishParams, polish
-from mvedge_jax.model._polish import bending
+from mvedge_jax.model.approaches import PolishParams, polish
+from mvedge_jax.model.approaches._polish import bending
 
 
 def surfaces(shape=(24, 30)):

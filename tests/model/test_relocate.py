@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from helpers import count_traces
 
-from mvedge_jax.model import RelocateParams, relocate_steps
+from mvedge_jax.model.approaches import RelocateParams, relocate_steps
 
 
 def scene(off, *, down=False, size=24):

@@ -10,8 +10,9 @@ from scipy import ndimage
 
 from mvedge_jax._crosshair import crosshair
 from mvedge_jax.lightfield import LightField
-from mvedge_jax.photometry import VolumeParams, hypotheses
-from mvedge_jax.photometry._paths import aggregate
+from mvedge_jax.photometry import VolumeParams
+from mvedge_jax.photometry.matching import hypotheses
+from mvedge_jax.photometry.matching._paths import aggregate
 
 
 def test_hypotheses_find_both_sides_of_an_occlusion_edge():

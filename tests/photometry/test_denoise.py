@@ -11,8 +11,8 @@ from scipy import interpolate, ndimage
 from mvedge_jax._crosshair import crosshair
 from mvedge_jax.image import box_mean, gaussian, highest
 from mvedge_jax.photometry import Noise
-from mvedge_jax.photometry._denoise import denoised, low_pass
-from mvedge_jax.photometry._pooling import pooled
+from mvedge_jax.photometry.brightness._denoise import denoised, low_pass
+from mvedge_jax.photometry.matching._pooling import pooled
 
 NONE = Noise.of(jnp.zeros(()))
 STRONG = Noise.of(jnp.asarray(0.05))

@@ -11,7 +11,14 @@ from scipy import ndimage
 from mvedge_jax._crosshair import crosshair
 from mvedge_jax.image import spline_coefficients
 from mvedge_jax.lightfield import LightField
-from mvedge_jax.photometry import Grid, Measuring, grid_of, labels, look_around, photometric_labels
+from mvedge_jax.photometry.measuring import (
+    Grid,
+    Measuring,
+    grid_of,
+    labels,
+    look_around,
+    photometric_labels,
+)
 
 SHAPE = (14, 17)
 LAB = jnp.zeros((3, *SHAPE))

@@ -8,7 +8,14 @@ from helpers import check_gradient, random_like, with_values
 from photometry.planes import plane_arms
 
 from mvedge_jax.image import spline_coefficients
-from mvedge_jax.photometry import Look, Measuring, labels, look, mismatch, photometric_labels
+from mvedge_jax.photometry.measuring import (
+    Look,
+    Measuring,
+    labels,
+    look,
+    mismatch,
+    photometric_labels,
+)
 
 # Of one colour, so that no neighbour is left out for its own.
 PLAIN = jnp.zeros((3, 20, 28))

@@ -8,7 +8,8 @@ from helpers import check_gradient
 from photometry.scenes import changed, textured
 
 from mvedge_jax._crosshair import crosshair
-from mvedge_jax.photometry import Noise, measure_noise
+from mvedge_jax.photometry import Noise
+from mvedge_jax.photometry.brightness import measure_noise
 
 TRIED = jnp.linspace(-1, 1, 17)
 

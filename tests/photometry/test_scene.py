@@ -8,19 +8,17 @@ from edges.scenes import plane, two_planes
 
 from mvedge_jax._params import cast
 from mvedge_jax.photometry import (
-    Measuring,
-    PhotometricLabels,
     PhotometricParams,
     VolumeParams,
-    best_match,
     first_labels,
     hypothesis_count,
     occluder_radius,
     prepare,
     sight,
-    view_weights,
 )
-from mvedge_jax.photometry._measure import shared
+from mvedge_jax.photometry.matching import best_match
+from mvedge_jax.photometry.measuring import Measuring, PhotometricLabels, view_weights
+from mvedge_jax.photometry.measuring._measure import shared
 
 
 def _prepared(light_field, low, high, **choices):

@@ -2,7 +2,7 @@
 
 A scene is made of solids with procedural textures (`make_world`, `make_scene`, or `scene` by name)
 and rendered as a light field (`render`) or as posed photographs (`render_posed`) by a ray caster
-in JAX.
+in JAX. Room: `world` (what a scene consists of).
 """
 
 from ._make import make_scene as make_scene, make_world as make_world
@@ -23,14 +23,4 @@ from ._solids import (
     rotation as rotation,
     sphere as sphere,
 )
-from ._world import (
-    Light as Light,
-    Material as Material,
-    Rig as Rig,
-    Scene as Scene,
-    Sensor as Sensor,
-    Solid as Solid,
-    Solids as Solids,
-    Surfaces as Surfaces,
-    World as World,
-)
+from .world import Material as Material

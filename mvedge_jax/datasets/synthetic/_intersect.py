@@ -7,7 +7,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
-from ._world import Solids
+from .world import Solids
 
 Vector = tuple[Array, Array, Array]
 

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from ._world import (
+from .world import (
     FOCAL,
     FOCUS,
     GAIN,

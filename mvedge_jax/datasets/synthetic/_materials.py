@@ -1,6 +1,6 @@
 """Surfaces that several scenes share."""
 
-from ._world import Material
+from .world import Material
 
 BRICK = Material(
     dark=(0.47, 0.25, 0.18),

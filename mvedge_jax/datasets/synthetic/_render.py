@@ -12,7 +12,7 @@ from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 from mvedge_jax.lightfield import GroundTruth, LightField
 
 from ._trace import Mode, Pinhole, mode_of, sees, trace_view
-from ._world import Scene
+from .world import Scene
 
 
 class PosedViews(NamedTuple):

@@ -25,7 +25,7 @@ from ._materials import (
     WOOD,
 )
 from ._solids import bar, box, plane, rotation, sphere
-from ._world import FOCAL, FOCUS, GAIN, Material, Scene, Solid, Triple
+from .world import FOCAL, FOCUS, GAIN, Material, Scene, Solid, Triple
 
 
 def _depth(disparity: float) -> float:

@@ -8,7 +8,7 @@ from jaxtyping import Array, Float, Int
 
 from ._intersect import Vector, along, dot
 from ._noise import fractal_noise, hash_unit
-from ._world import Light, World
+from .world import Light, World
 
 _GOLDEN = 2.39996323  # the golden angle, radians
 _JOINT = 0.07  # width of the joint between bricks, of their height

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ._world import Cutout, Material, Solid, Triple
+from .world import Cutout, Material, Solid, Triple
 
 _IDENTITY: tuple[Triple, Triple, Triple] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 

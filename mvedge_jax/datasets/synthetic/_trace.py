@@ -13,7 +13,7 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from ._intersect import Vector, along, intersect, intersect_and_shadow, rotate
 from ._shade import lamp_directions, shade
-from ._world import Scene, Sensor, World
+from .world import Scene, Sensor, World
 
 _RAYS = 16384  # traced at once: their intermediate arrays stay in the cache
 _BLUR_REACH = 9  # px, three standard deviations of the widest blur

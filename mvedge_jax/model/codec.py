@@ -11,12 +11,12 @@ from jaxtyping import Array, Bool, Float, Int
 from mvedge_jax.losses import SupervisedWeights
 from mvedge_jax.splatting import SplatParams, SplatSizes
 
-from ._grow import worst_pixels
 from ._model import DepthModel, ModelParams, ModelSizes, compiled_render
-from ._objectives import Supervised, unlimited
-from ._optimise import advance
-from ._routine import Rates, all_at_once
-from ._state import begin
+from .objectives import Supervised, unlimited
+from .optimisation._grow import worst_pixels
+from .optimisation._optimise import advance
+from .optimisation._routine import Rates, all_at_once
+from .optimisation._state import begin
 
 # Points are single pixels here, so the profiles are narrow; `second` lets one bit cut one side.
 _SIZES = ModelSizes(splat=SplatSizes(scale=1, radius=2), clears=False, pairing="second")
@@ -115,7 +115,7 @@ def _model(pixel: Array, label: Array, valid: Array, cut: Array) -> DepthModel:
     return DepthModel(label, xy, weight, rough, valid)
 
 
-def cuts(disparity: Float[Array, "y x"], step: Float[Array, ""]) -> Bool[Array, "y x"]:
+def _cuts(disparity: Float[Array, "y x"], step: Float[Array, ""]) -> Bool[Array, "y x"]:
     """Pixels whose left or upper neighbour differs by more than `step`."""
     jump = jnp.abs(disparity - jnp.roll(disparity, 1, 1)).at[:, 0].set(0)
     jump_y = jnp.abs(disparity - jnp.roll(disparity, 1, 0)).at[0].set(0)
@@ -156,7 +156,7 @@ def encode(
     dtype = disparity.dtype
     low, high = jnp.min(disparity), jnp.max(disparity)
     spread = jnp.where(high > low, high - low, 1)
-    cut = cuts(disparity, 0.02 * spread if step is None else jnp.asarray(step).astype(dtype))
+    cut = _cuts(disparity, 0.02 * spread if step is None else jnp.asarray(step).astype(dtype))
     params, flat, valid = _params(dtype), disparity.ravel(), np.zeros(k, bool)
 
     def current(taken: np.ndarray) -> tuple[DepthModel, Array]:

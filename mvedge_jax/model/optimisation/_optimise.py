@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
-from ._model import DepthModel
+from .._model import DepthModel
 from ._routine import Routine
 from ._state import ADAM, State, parts_of, with_parts
 

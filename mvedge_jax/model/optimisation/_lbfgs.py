@@ -7,8 +7,8 @@ import jax.numpy as jnp
 import optimistix as optx
 from jaxtyping import Array, Float, Int
 
-from ._model import DepthModel
-from ._objectives import Supervised
+from .._model import DepthModel
+from ..objectives import Supervised
 from ._state import with_parts
 
 

@@ -17,10 +17,10 @@ from mvedge_jax._params import cast, number
 from mvedge_jax._unstack import unstack
 from mvedge_jax.image import keys_taps, vertex
 
-from ._noise import Noise
+from .._window import colour_weights, contrast, weighted_sum
+from ..brightness._noise import Noise
 from ._paths import aggregate
 from ._pooling import pooled
-from ._window import colour_weights, contrast, weighted_sum
 
 # Gradients are looked for within this distance, px: the reach of a window and of its drift.
 _OUTLINE = 5

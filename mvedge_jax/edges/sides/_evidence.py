@@ -8,8 +8,8 @@ from jaxtyping import Array, Float
 
 from mvedge_jax.image import nearest_pixels
 
-from ._points import EdgePoints
-from ._raster import Raster
+from .._points import EdgePoints
+from .._raster import Raster
 
 
 def neighbour_evidence(

@@ -8,7 +8,7 @@ from jaxtyping import Array, Float
 from mvedge_jax._root import root
 from mvedge_jax.image import gaussian, highest
 
-from ._noise import Noise
+from ..brightness._noise import Noise
 
 # A step of the guide, in Lab units per unit of noise, that ends pooling like its whole length.
 _STEP = 400.0

@@ -14,7 +14,7 @@ from mvedge_jax.color import srgb_to_lab
 from mvedge_jax.diffusion import AutoSolver, System, diffuse
 from mvedge_jax.image import gaussian
 from mvedge_jax.losses import Views
-from mvedge_jax.photometry import Grid, Measuring, grid_of, labels, look_around
+from mvedge_jax.photometry.measuring import Grid, Measuring, grid_of, labels, look_around
 
 # Gaussians over regions are cut here, px.
 _REGION_REACH = 12

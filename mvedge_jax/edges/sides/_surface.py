@@ -11,9 +11,9 @@ from jaxtyping import Array, Float
 from mvedge_jax._params import cast, number
 from mvedge_jax.image import nearest_pixels
 
+from .._points import EdgePoints
+from .._raster import rasterise
 from ._evidence import map_evidence, neighbour_evidence
-from ._points import EdgePoints
-from ._raster import rasterise
 
 
 class SurfaceParams(eqx.Module):

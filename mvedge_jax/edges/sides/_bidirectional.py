@@ -12,9 +12,9 @@ from mvedge_jax._params import cast, number
 from mvedge_jax._root import root
 from mvedge_jax.diffusion import AbstractSolver, AutoSolver, System, diffuse, edge_weights
 
-from ._points import EdgePoints
+from .._points import EdgePoints
+from .._raster import rasterise
 from ._profile import profiles, step_response
-from ._raster import rasterise
 
 
 class BidirectionalParams(eqx.Module):

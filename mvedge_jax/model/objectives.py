@@ -7,14 +7,14 @@ from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
 from mvedge_jax._params import cast, number
 from mvedge_jax.losses import (
-    Colours,
-    Features,
     LossWeights,
     SupervisedWeights,
     Views,
     self_supervised_loss,
     supervised_loss,
 )
+from mvedge_jax.losses.features import Colours
+from mvedge_jax.losses.terms import Features
 
 from ._model import DepthModel, ModelParams, ModelSizes, render_model
 

@@ -13,9 +13,9 @@ from mvedge_jax._crosshair import Arm
 from mvedge_jax._params import cast
 from mvedge_jax._unstack import unstack
 
+from .._window import weighted_sum
 from ._look import Look, look
 from ._measuring import Measuring
-from ._window import weighted_sum
 
 _Tree = TypeVar("_Tree")
 _Pair = tuple[Array, Array]

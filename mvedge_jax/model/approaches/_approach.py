@@ -8,15 +8,16 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from mvedge_jax.lightfield import LightField
-from mvedge_jax.losses import Features, LossWeights, Views, gather_views, self_supervised_loss
+from mvedge_jax.losses import LossWeights, Views, gather_views, self_supervised_loss
+from mvedge_jax.losses.terms import Features
 
+from .._model import ModelSizes
+from .._result import Verdict
+from .._start import Start
+from ..objectives import SelfSupervised, Supervised
+from ..optimisation._routine import Rates
+from ..optimisation._state import State
 from ._evidence import Correction
-from ._model import ModelSizes
-from ._objectives import SelfSupervised, Supervised
-from ._result import Verdict
-from ._routine import Rates
-from ._start import Start
-from ._state import State
 
 
 class Prepared(NamedTuple):

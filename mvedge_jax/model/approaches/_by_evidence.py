@@ -5,19 +5,21 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from mvedge_jax.lightfield import LightField
-from mvedge_jax.losses import Colours, Features, all_views, gather_views
+from mvedge_jax.losses import all_views, gather_views
+from mvedge_jax.losses.features import Colours
+from mvedge_jax.losses.terms import Features
 from mvedge_jax.photometry import occluder_radius
 
+from .._model import ModelParams, ModelSizes, compiled_render, rendering_for
+from .._result import Verdict
+from .._start import Start, StartParams, fit_to_map, trust_labels
+from ..objectives import Supervised
+from ..optimisation._routine import Rates
+from ..optimisation._state import State
 from ._approach import Approach, Prepared, explained
 from ._evidence import EvidenceParams, agreed_correction
-from ._model import ModelParams, ModelSizes, compiled_render, rendering_for
-from ._objectives import Supervised
 from ._polish import PolishParams, polish
 from ._relocate import RelocateParams, relocate_steps
-from ._result import Verdict
-from ._routine import Rates
-from ._start import Start, StartParams, fit_to_map, trust_labels
-from ._state import State
 
 
 class ByEvidence(Approach):

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import optax
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
-from ._model import DepthModel
+from .._model import DepthModel
 
 # How much of its two moments Adam keeps per iteration: Optax' defaults.
 _KEPT = (0.9, 0.999)

@@ -6,16 +6,18 @@ from jaxtyping import Array, Float
 
 from mvedge_jax._params import number
 from mvedge_jax.lightfield import LightField
-from mvedge_jax.losses import Colours, Features, LossWeights
+from mvedge_jax.losses import LossWeights
+from mvedge_jax.losses.features import Colours
+from mvedge_jax.losses.terms import Features
 
+from .._model import ModelParams, ModelSizes, compiled_render, rendering_for
+from .._result import Verdict
+from .._start import Start, StartParams, fit_to_map, trust_labels
+from ..objectives import SelfSupervised
+from ..optimisation._routine import Rates
+from ..optimisation._state import State
 from ._approach import Approach, Prepared, crosshair_halves, explained
-from ._model import ModelParams, ModelSizes, compiled_render, rendering_for
-from ._objectives import SelfSupervised
 from ._polish import PolishParams, polish
-from ._result import Verdict
-from ._routine import Rates
-from ._start import Start, StartParams, fit_to_map, trust_labels
-from ._state import State
 
 
 class ByReprojection(Approach):

@@ -1,0 +1,19 @@
+"""The loop of the optimisation: its state, its steps, what it does between them (Thesis 7.1.4)."""
+
+from ._grow import Growth as Growth
+from ._lbfgs import minimise_lbfgs as minimise_lbfgs
+from ._optimise import (
+    FixedPoints as FixedPoints,
+    History as History,
+    Progress as Progress,
+    Strategy as Strategy,
+    advance as advance,
+    optimise as optimise,
+)
+from ._routine import (
+    Rates as Rates,
+    Routine as Routine,
+    all_at_once as all_at_once,
+    one_at_a_time as one_at_a_time,
+)
+from ._state import State as State, begin as begin
