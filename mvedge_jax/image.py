@@ -13,26 +13,35 @@ _POLE = np.sqrt(3.0) - 2.0
 _RADIUS = 12
 
 
-def window_sum(image: Array, radius: int, axis: int) -> Array:
-    """Sum over `2 radius + 1` neighbours along an axis, borders repeated.
+def window_sum(image: Array, radius: int, axis: int, *, border: str = "edge") -> Array:
+    """Sum over `2 radius + 1` neighbours along an axis, by sums of doubling width.
 
     Args:
         image: any shape.
         radius: px to either side.
         axis: of the neighbours.
+        border: what lies beyond the border: `"edge"` repeats it, `"constant"` is 0.
 
     Returns:
         The sums, of the shape of `image`. Differentiable.
     """
+    # By hand: XLA on CPU vectorises sums of slices, but no window reduction.
+    size, width = image.shape[axis], 2 * radius + 1
     margin = [(0, 0)] * image.ndim
     margin[axis] = (radius, radius)
-    padded = jnp.pad(image, margin, mode="edge")
-    size = image.shape[axis]
-    # By hand: XLA on CPU vectorises sums of slices, but no window reduction.
-    return sum(
-        (lax.slice_in_dim(padded, i, i + size, axis=axis) for i in range(1, 2 * radius + 1)),
-        lax.slice_in_dim(padded, 0, size, axis=axis),
-    )
+    part = jnp.pad(image, margin, mode=border)
+    # The width is odd, so that the sum starts with single samples.
+    total, offset, span = lax.slice_in_dim(part, 0, size, axis=axis), 1, 1
+    while 2 * span <= width:
+        length = part.shape[axis]
+        part = lax.slice_in_dim(part, 0, length - span, axis=axis) + lax.slice_in_dim(
+            part, span, length, axis=axis
+        )
+        span *= 2
+        if width & span:
+            total = total + lax.slice_in_dim(part, offset, offset + size, axis=axis)
+            offset += span
+    return total
 
 
 def box_mean(image: Float[Array, "*c y x"], radius: int) -> Float[Array, "*c y x"]:

@@ -5,7 +5,13 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from mvedge_jax.image import nearest_pixels, spline_coefficients, unit_gradient, vertex
+from mvedge_jax.image import (
+    nearest_pixels,
+    spline_coefficients,
+    unit_gradient,
+    vertex,
+    window_sum,
+)
 
 
 @pytest.mark.parametrize("axis", [0, -1])
@@ -35,3 +41,13 @@ def test_unit_gradient_of_a_ramp_is_its_direction():
     found = np.asarray(unit_gradient(0.3 * x - 0.4 * y))[3:-3, 3:-3]
     np.testing.assert_allclose(found, np.broadcast_to([0.6, -0.8], found.shape), atol=1e-12)
     np.testing.assert_array_equal(unit_gradient(jnp.full((5, 5), 0.3)), 0)
+
+
+@pytest.mark.parametrize("radius", [0, 1, 2, 3, 4, 7])
+@pytest.mark.parametrize(("border", "mode"), [("edge", "nearest"), ("constant", "constant")])
+def test_window_sums_agree_with_scipy(radius, border, mode):
+    image = np.random.default_rng(radius).uniform(size=(9, 12))
+    for axis in (0, 1):
+        expected = ndimage.convolve1d(image, np.ones(2 * radius + 1), axis=axis, mode=mode)
+        found = window_sum(jnp.asarray(image), radius, axis, border=border)
+        np.testing.assert_allclose(found, expected, atol=1e-12)

@@ -9,6 +9,7 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from mvedge_jax._params import cast, number
+from mvedge_jax.image import window_sum
 
 Sharpening = Literal["clip", "median", "quantised", "none"]
 
@@ -179,25 +180,6 @@ def _guided(piece: Array, guide: Array, model: _LocalModel, radius: int) -> Arra
 
 
 def _box_sum(image: Float[Array, "y x"], radius: int) -> Float[Array, "y x"]:
-    """Sum over a square window cut at the border, by sums of doubling width."""
-
-    def along(image: Array, axis: int) -> Array:
-        size, width = image.shape[axis], 2 * radius + 1
-        margin = [(0, 0), (0, 0)]
-        margin[axis] = (radius, radius)
-        part = jnp.pad(image, margin)
-        # The width is odd, so that the sum starts with single samples.
-        total, offset, span = lax.slice_in_dim(part, 0, size, axis=axis), 1, 1
-        while True:
-            if span > 1 and width & span:
-                total = total + lax.slice_in_dim(part, offset, offset + size, axis=axis)
-                offset += span
-            if 2 * span > width:
-                return total
-            length = part.shape[axis]
-            part = lax.slice_in_dim(part, 0, length - span, axis=axis) + lax.slice_in_dim(
-                part, span, length, axis=axis
-            )
-            span *= 2
-
-    return along(along(image, 0), 1)
+    """Sum over a square window cut at the border."""
+    rows = window_sum(image, radius, 0, border="constant")
+    return window_sum(rows, radius, 1, border="constant")
