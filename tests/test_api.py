@@ -163,6 +163,7 @@ _FLOORS = (
     ("model", "baselines", "angular"),
     ("edit",),
     ("datasets", "plotting"),
+    ("sweep",),
     ("cli",),
     ("__init__", "__main__"),
 )
@@ -238,7 +239,7 @@ def test_packages_give_away_few_names():
 
 
 # Where files are read, written and shown, and people are spoken to.
-_HOST_ROOMS = {"cli", "datasets", "plotting"}
+_HOST_ROOMS = {"cli", "datasets", "plotting", "sweep"}
 _HOST_LIBRARIES = {"cv2", "h5py", "matplotlib", "rich", "tyro", "tqdm"}
 
 

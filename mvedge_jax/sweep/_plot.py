@@ -1,0 +1,60 @@
+"""What a sweep found, as a picture."""
+
+import math
+
+import numpy as np
+import optuna
+from matplotlib.figure import Figure
+from optuna.trial import TrialState
+
+from ._sweep import Swept
+
+
+def plot_sweep(swept: Swept) -> Figure:
+    """History, importance and slices of a sweep.
+
+    Args:
+        swept: a finished sweep.
+
+    Returns:
+        A figure: the score of every setting and the best so far; how much of the differences each
+        number or choice accounts for among the better settings (PED-ANOVA), where there are enough
+        of them to say; and the score over each.
+    """
+    trials = [t for t in swept.study.get_trials() if t.state == TrialState.COMPLETE]
+    number = np.asarray([t.number for t in trials])
+    value = np.asarray([float(t.value or 0) for t in trials])
+    names = list(trials[0].params)
+    columns = 3
+    rows = 1 + math.ceil(len(names) / columns)
+    figure = Figure(figsize=(3.6 * columns, 2.8 * rows), layout="constrained")
+    grid = figure.add_gridspec(rows, columns)
+    history = figure.add_subplot(grid[0, :2])
+    history.scatter(number, value, s=12, color="0.6", label="settings")
+    history.step(number, np.minimum.accumulate(value), where="post", label="best so far")
+    history.set(xlabel="setting", ylabel="mean score")
+    history.legend(frameon=False)
+    share = _importances(swept.study)
+    bars = figure.add_subplot(grid[0, 2])
+    bars.barh(list(share), list(share.values()))
+    bars.set(xlabel="importance", xlim=(0, 1))
+    for i, name in enumerate(names):
+        axes = figure.add_subplot(grid[1 + i // columns, i % columns])
+        values = [t.params[name] for t in trials]
+        chosen = [isinstance(v, str) for v in values]
+        axes.scatter(values, value, c=number, s=14, cmap="cividis")
+        distribution = trials[0].distributions[name]
+        if getattr(distribution, "log", False) and not any(chosen):
+            axes.set_xscale("log")
+        axes.axvline(swept.study.best_trial.params[name], color="C3", lw=0.8)
+        axes.set(xlabel=name, ylabel="mean score")
+    return figure
+
+
+def _importances(study: optuna.Study) -> dict[str, float]:
+    """Shares by PED-ANOVA; empty where there are too few settings for it."""
+    evaluator = optuna.importance.PedAnovaImportanceEvaluator()
+    try:
+        return optuna.importance.get_param_importances(study, evaluator=evaluator)
+    except (ValueError, RuntimeError):
+        return {}

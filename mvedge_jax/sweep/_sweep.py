@@ -1,0 +1,298 @@
+"""The sweep: Optuna asks, batches of settings are scored, Optuna is told."""
+
+import os
+import socket
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple, Protocol, runtime_checkable
+
+import jax.numpy as jnp
+import numpy as np
+import optuna
+from optuna.distributions import CategoricalDistribution, FloatDistribution
+from optuna.trial import TrialState
+
+from mvedge_jax.centre import Parameters
+from mvedge_jax.lightfield import LightField
+
+from ._evaluate import Objective, check_objective, evaluate
+from ._space import CHOICE, Space, with_numbers
+
+_OWNER, _LOST = "owner", "lost"
+
+
+@runtime_checkable
+class Future(Protocol):
+    """What `submit` returns: `concurrent.futures.Future`, or that of Dask."""
+
+    def result(self) -> Any:
+        """Waits for the value."""
+        ...
+
+
+class _Done(NamedTuple):
+    value: Any
+
+    def result(self) -> Any:
+        return self.value
+
+
+def _here(function: Callable, *arguments: Any, **options: Any) -> Future:
+    return _Done(function(*arguments, **options))
+
+
+class Swept(NamedTuple):
+    """A finished sweep.
+
+    Attributes:
+        study: everything that was tried, for Optuna's own tools.
+        params: the best setting.
+        choices: its choices of `Sizes`.
+        value: its score, the mean over the scenes.
+        rows: one dictionary per setting: number, state, what was varied, the score on each scene
+            and their mean.
+    """
+
+    study: optuna.Study
+    params: Parameters
+    choices: dict[str, Any]
+    value: float
+    rows: list[dict[str, Any]]
+
+
+def sweep(
+    scenes: Sequence[str | Path | LightField],
+    space: Space,
+    *,
+    start: Parameters | None = None,
+    trials: int = 64,
+    batch: int = 4,
+    wave: int = 16,
+    objective: Objective = "bad_07",
+    journal: str | Path | None = None,
+    name: str = "sweep",
+    sampler: optuna.samplers.BaseSampler | None = None,
+    pruner: optuna.pruners.BasePruner | None = None,
+    submit: Callable[..., Future] | None = None,
+    progress: Callable[[int, float], None] | None = None,
+) -> Swept:
+    """Looks for the setting of `edge_to_depth` with the least mean score over scenes.
+
+    Settings are asked of Optuna in waves and scored scene after scene. Those that differ in traced
+    numbers alone run in batches through one `vmap`-ed program, which computes once what no varied
+    number reaches; each combination of choices is compiled for itself. Between scenes the pruner
+    may give a setting up. With the same seed, wave and scenes the result is the same whatever
+    `submit` is.
+
+    Args:
+        scenes: light fields, or their paths, which is what workers elsewhere need.
+        space: what is varied.
+        start: values of everything else; where they lie in `space`, they are the first setting.
+            `Parameters()` by default.
+        trials: settings to have tried in the end, those in `journal` included.
+        batch: settings per call of the program; memory grows with it.
+        wave: settings asked at a time. Later ones learn from earlier waves only.
+        objective: the name of a field of `DepthScores`, or a jittable function of `DepthResult`
+            and `LightField`, smaller is better.
+        journal: file to keep the trials in. A sweep that was stopped goes on from it, and several
+            processes, on several machines, may share it.
+        name: of the study in the journal.
+        sampler: of settings; TPE with seed 0 by default.
+        pruner: none by default; `optuna.pruners.MedianPruner` gives up what is worse than half.
+        submit: runs a function elsewhere, as `concurrent.futures.Executor.submit` and Dask's
+            `Client.submit` do; in this process by default.
+        progress: called after each wave with the number of settings tried and the best score.
+
+    Returns:
+        The best setting and all trials.
+
+    Raises:
+        ValueError: there are no scenes, a count is below 1, the objective is unknown, the journal
+            holds a sweep over another space, or no setting had a finite score.
+    """
+    scenes = list(scenes)
+    for label, count in (("scenes", len(scenes)), ("trials", trials), ("batch", batch)):
+        if count < 1:
+            raise ValueError(f"`{label}` must be at least 1, got {count}.")
+    if wave < 1:
+        raise ValueError(f"`wave` must be at least 1, got {wave}.")
+    check_objective(objective)
+    start = Parameters() if start is None else start
+    study = _study(journal, name, sampler, pruner)
+    _adopt(study, space, [_name(scene, i) for i, scene in enumerate(scenes)], objective)
+    if not study.trials and (first := space.start(start)) is not None:
+        study.enqueue_trial(first)
+    distributions = _distributions(space)
+    while (left := trials - _finished(study)) > 0:
+        asked = [study.ask(distributions) for _ in range(min(wave, left))]
+        for trial in asked:
+            trial.set_user_attr(_OWNER, _owner())
+        _run_wave(study, asked, scenes, space, start, objective, batch, submit or _here)
+        if progress is not None:
+            progress(_finished(study), _best(study))
+    return _swept(study, space, start)
+
+
+def _study(
+    journal: str | Path | None,
+    name: str,
+    sampler: optuna.samplers.BaseSampler | None,
+    pruner: optuna.pruners.BasePruner | None,
+) -> optuna.Study:
+    storage = None
+    if journal is not None:
+        journal = Path(journal)
+        journal.parent.mkdir(parents=True, exist_ok=True)
+        backend = optuna.storages.journal.JournalFileBackend(str(journal))
+        storage = optuna.storages.JournalStorage(backend)
+    return optuna.create_study(
+        study_name=name,
+        storage=storage,
+        sampler=sampler or optuna.samplers.TPESampler(seed=0, constant_liar=True),
+        pruner=pruner or optuna.pruners.NopPruner(),
+        load_if_exists=True,
+    )
+
+
+def _adopt(study: optuna.Study, space: Space, scenes: list[str], objective: Objective) -> None:
+    """Refuses the journal of another sweep, and asks anew what a killed process had asked."""
+    told = {
+        "space": repr(_distributions(space)),
+        "scenes": scenes,
+        "objective": objective if isinstance(objective, str) else "a function",
+    }
+    for key, value in told.items():
+        before = study.user_attrs.get(key)
+        if before is None:
+            study.set_user_attr(key, value)
+        elif before != value:
+            raise ValueError(
+                f"the journal holds a sweep with {key} {before}, not {value}; name another journal "
+                "or another study."
+            )
+    for trial in study.get_trials(states=(TrialState.RUNNING,)):
+        if _alive(trial.user_attrs.get(_OWNER, "")):
+            continue
+        study.set_user_attr(_LOST, [*_lost(study), trial.number])
+        study.tell(trial.number, state=TrialState.FAIL)
+        study.enqueue_trial(trial.params)
+
+
+def _lost(study: optuna.Study) -> list[int]:
+    """Settings that a killed process had asked; each was asked anew."""
+    return study.user_attrs.get(_LOST, [])
+
+
+def _owner() -> str:
+    return f"{socket.gethostname()}:{os.getpid()}"
+
+
+def _alive(owner: str) -> bool:
+    """Whether the process that asked is still there; one elsewhere is believed to be."""
+    host, _, number = owner.partition(":")
+    if not number or host != socket.gethostname():
+        return bool(number)
+    try:
+        os.kill(int(number), 0)
+    except ProcessLookupError:
+        return False
+    except PermissionError:
+        return True
+    return int(number) != os.getpid()
+
+
+def _distributions(space: Space) -> dict[str, Any]:
+    return {
+        **{n: FloatDistribution(i.low, i.high, log=i.log) for n, i in space.numbers.items()},
+        **{CHOICE + n: CategoricalDistribution(v) for n, v in space.choices.items()},
+    }
+
+
+def _finished(study: optuna.Study) -> int:
+    done = (TrialState.COMPLETE, TrialState.PRUNED, TrialState.FAIL)
+    return len(study.get_trials(deepcopy=False, states=done)) - len(_lost(study))
+
+
+def _best(study: optuna.Study) -> float:
+    done = study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,))
+    return min((float(t.value) for t in done if t.value is not None), default=float("nan"))
+
+
+def _name(scene: str | Path | LightField, index: int) -> str:
+    if isinstance(scene, LightField):
+        return scene.name or f"scene {index}"
+    return Path(scene).name
+
+
+def _run_wave(
+    study: optuna.Study,
+    trials: list[optuna.Trial],
+    scenes: Sequence[str | Path | LightField],
+    space: Space,
+    params: Parameters,
+    objective: Objective,
+    batch: int,
+    submit: Callable[..., Future],
+) -> None:
+    """Scores settings scene after scene; the pruner may give some up in between."""
+    total = {trial.number: 0.0 for trial in trials}
+    for index, scene in enumerate(scenes):
+        running = []
+        for part in _batches(trials, batch):
+            rows = np.asarray([[trial.params[n] for n in space.names] for trial in part])
+            options = {
+                "names": space.names,
+                "choices": {n: part[0].params[CHOICE + n] for n in space.choices},
+                "objective": objective,
+                "batch": batch,
+            }
+            rows = rows.reshape(len(part), len(space.names))
+            running.append((part, submit(evaluate, scene, rows, params, **options)))
+        left = []
+        for part, future in running:
+            for trial, score in zip(part, future.result(), strict=True):
+                trial.set_user_attr(_name(scene, index), float(score))
+                if not np.isfinite(score):
+                    study.tell(trial, state=TrialState.FAIL)
+                    continue
+                total[trial.number] += float(score)
+                trial.report(total[trial.number] / (index + 1), index)
+                left.append(trial)
+        last = index + 1 == len(scenes)
+        trials = [] if last else [trial for trial in left if not trial.should_prune()]
+        for trial in left:
+            if last:
+                study.tell(trial, total[trial.number] / len(scenes))
+            elif trial not in trials:
+                study.tell(trial, state=TrialState.PRUNED)
+
+
+def _batches(trials: Sequence[optuna.Trial], batch: int) -> Iterable[list[optuna.Trial]]:
+    """Settings that share a program, a few at a time."""
+    groups: dict[tuple, list[optuna.Trial]] = {}
+    for trial in trials:
+        choices = tuple(v for n, v in sorted(trial.params.items()) if n.startswith(CHOICE))
+        groups.setdefault(choices, []).append(trial)
+    for group in groups.values():
+        yield from (group[i : i + batch] for i in range(0, len(group), batch))
+
+
+def _swept(study: optuna.Study, space: Space, start: Parameters) -> Swept:
+    rows, lost = [], _lost(study)
+    for trial in study.get_trials(deepcopy=False):
+        if trial.number in lost or not trial.state.is_finished():
+            continue
+        scores = {n: trial.user_attrs.get(n) for n in study.user_attrs["scenes"]}
+        state = trial.state.name.lower()
+        mean = trial.value if trial.state == TrialState.COMPLETE else None
+        rows.append(
+            {"number": trial.number, "state": state, **trial.params, **scores, "mean": mean}
+        )
+    if not np.isfinite(_best(study)):
+        raise ValueError("no setting had a finite score on every scene.")
+    best = study.best_trial
+    dtype = start.centre.precision.dtype
+    values = [jnp.asarray(best.params[n], dtype) for n in space.names]
+    choices = {n: best.params[CHOICE + n] for n in space.choices}
+    params = with_numbers(start, space.names, values)
+    return Swept(study, params, choices, float(study.best_value), rows)

@@ -1,0 +1,194 @@
+"""Sweeps: settings, scores, journals, pruning; against single calls."""
+
+import os
+import signal
+import subprocess
+import sys
+from concurrent.futures import ThreadPoolExecutor
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optuna
+import pytest
+
+from mvedge_jax.centre import Parameters, Sizes, edge_to_depth
+from mvedge_jax.datasets import synthetic
+from mvedge_jax.metrics import depth_scores
+from mvedge_jax.sweep import Interval, Space, evaluate, plot_sweep, sweep
+from mvedge_jax.sweep._space import leaf, number_names, with_numbers
+
+optuna.logging.set_verbosity(optuna.logging.WARNING)
+
+SPACE = Space({"centre.precision": Interval(0.002, 0.02), "centre.trust": Interval(0.7, 2.8)})
+
+
+
+@pytest.fixture
+def bowl(monkeypatch):
+    """Scores with a minimum that is known, in place of the chain."""
+    calls = []
+
+    def score(scene, rows, params, *, names, choices, objective, batch):
+        calls.append((scene, len(rows), dict(choices)))
+        target = np.log([0.006, 1.2])[: len(names)]
+        return ((np.log(rows) - target) ** 2).sum(-1) + choices.get("solves", 0) + len(str(scene))
+
+    monkeypatch.setattr("mvedge_jax.sweep._sweep.evaluate", score)
+    return calls
+
+
+def test_every_number_has_a_name_and_can_be_replaced():
+    params = Parameters()
+    names = number_names(params)
+    assert len(names) == len(jax.tree.leaves(params))
+    new = with_numbers(params, tuple(names), jnp.arange(1.0, len(names) + 1))
+    assert [float(leaf(new, name)) for name in names] == list(range(1, len(names) + 1))
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: Space(), "at least one number or choice"),
+        (lambda: Space({"centre.precisoin": Interval(1, 2)}), "'centre.precisoin' is not a number"),
+        (lambda: Space({}, {"solvse": (1,)}), "'solvse' is not a choice"),
+        (lambda: Space({}, {"solves": ()}), "at least one value"),
+        (lambda: Interval(2.0, 1.0), "increasing order, got 2.0 and 1.0"),
+        (lambda: Interval(0.0, 1.0), "must be positive, got 0.0"),
+        (lambda: sweep([], SPACE), "`scenes` must be at least 1, got 0"),
+        (lambda: sweep(["a"], SPACE, trials=0), "`trials` must be at least 1, got 0"),
+        (lambda: sweep(["a"], SPACE, objective="bad"), "`objective` must be one of"),
+    ],
+)
+def test_mistakes_are_told(make, message):
+    with pytest.raises(ValueError, match=message):
+        make()
+
+
+def test_a_minimum_is_found_and_the_defaults_come_first(bowl):
+    seen = []
+    found = sweep(["a", "bc"], SPACE, trials=60, progress=lambda *now: seen.append(now))
+    assert found.rows[0]["centre.precision"] == pytest.approx(0.005)
+    assert found.value < 1.5 + 0.05
+    assert float(found.params.centre.precision) == pytest.approx(0.006, rel=0.3)
+    assert float(found.params.centre.slant) == float(Parameters().centre.slant)
+    assert len(found.rows) == 60
+    assert [n for n, _ in seen] == [16, 32, 48, 60]
+    row = found.rows[7]
+    assert row["mean"] == pytest.approx((row["a"] + row["bc"]) / 2)
+
+
+def test_choices_are_grouped(bowl):
+    space = Space(SPACE.numbers, {"solves": (2, 1)})
+    found = sweep(["a"], space, trials=32, batch=4)
+    assert found.choices == {"solves": 1}
+    assert all(count <= 4 for _, count, _ in bowl)
+    # One wave of 16 in two groups: no more calls than full batches and one rest each.
+    assert len(bowl) <= 2 * (4 + 2)
+
+
+def test_a_pool_gives_the_same_result(bowl):
+    alone = sweep(["a", "bc"], SPACE, trials=24)
+    with ThreadPoolExecutor(2) as pool:
+        shared = sweep(["a", "bc"], SPACE, trials=24, submit=pool.submit)
+    assert alone.rows == shared.rows
+
+
+def test_hopeless_settings_are_given_up(bowl):
+    pruner = optuna.pruners.MedianPruner(n_startup_trials=8)
+    found = sweep(["a", "bc"], SPACE, trials=48, pruner=pruner)
+    given_up = [row for row in found.rows if row["state"] == "pruned"]
+    assert given_up
+    assert all(row["bc"] is None for row in given_up)
+    assert {row["state"] for row in found.rows} == {"pruned", "complete"}
+
+
+def test_a_journal_is_gone_on_from(bowl, tmp_path):
+    journal = tmp_path / "runs" / "journal.log"
+    first = sweep(["a"], SPACE, trials=20, journal=journal)
+    more = sweep(["a"], SPACE, trials=30, journal=journal)
+    assert more.rows[:20] == first.rows
+    assert len(more.rows) == 30
+    with pytest.raises(ValueError, match="a sweep with scenes"):
+        sweep(["b"], SPACE, trials=40, journal=journal)
+    with pytest.raises(ValueError, match="a sweep with space"):
+        sweep(["a"], Space({"centre.trust": Interval(0.7, 2.8)}), trials=40, journal=journal)
+
+
+_KILLED = """
+import sys, time
+from mvedge_jax.sweep import Interval, Space, sweep
+import mvedge_jax.sweep._sweep as module
+def slow(scene, rows, params, **options):
+    if scene == "second":
+        print("started", flush=True)
+        time.sleep(60)
+    return rows[:, 0]
+module.evaluate = slow
+space = Space({"centre.precision": Interval(0.002, 0.02), "centre.trust": Interval(0.7, 2.8)})
+sweep(["first", "second"], space, trials=32, journal=sys.argv[1])
+"""
+
+
+def test_nothing_is_lost_when_a_sweep_is_killed(bowl, tmp_path):
+    journal = tmp_path / "journal.log"
+    process = subprocess.Popen(
+        [sys.executable, "-c", _KILLED, str(journal)], stdout=subprocess.PIPE, text=True
+    )
+    assert process.stdout is not None
+    assert process.stdout.readline().strip() == "started"
+    os.kill(process.pid, signal.SIGKILL)
+    process.wait()
+    process.stdout.close()
+    found = sweep(["first", "second"], SPACE, trials=32, journal=journal)
+    assert len(found.rows) == 32
+    asked = [t for t in found.study.trials if t.number in found.study.user_attrs["lost"]]
+    again = found.rows[: len(asked)]
+    assert len(asked) == 16
+    for one, other in zip(asked, again, strict=True):
+        assert one.params == {n: other[n] for n in SPACE.names}
+
+
+def test_scores_that_are_not_finite_fail(bowl, monkeypatch):
+    monkeypatch.setattr(
+        "mvedge_jax.sweep._sweep.evaluate",
+        lambda scene, rows, params, **options: np.where(rows[:, 0] > 0.006, np.nan, rows[:, 0]),
+    )
+    found = sweep(["a"], SPACE, trials=20)
+    assert {row["state"] for row in found.rows} == {"complete", "fail"}
+    assert len(found.rows) == 20
+    with pytest.raises(ValueError, match="no setting had a finite score"):
+        monkeypatch.setattr(
+            "mvedge_jax.sweep._sweep.evaluate",
+            lambda scene, rows, params, **options: np.full(len(rows), np.nan),
+        )
+        sweep(["a"], SPACE, trials=4)
+
+
+def test_the_figure_shows_every_number(bowl):
+    found = sweep(["a"], Space(SPACE.numbers, {"views": ("crosshair", "all")}), trials=24)
+    labels = [axes.get_xlabel() for axes in plot_sweep(found).axes]
+    assert labels[:2] == ["setting", "importance"]
+    assert set(labels[2:]) == {"centre.precision", "centre.trust", "sizes.views"}
+
+
+@pytest.mark.slow
+def test_scores_of_a_batch_are_those_of_single_calls():
+    light_field = synthetic.render(
+        synthetic.scene("demo"), shape=(5, 5, 40, 48), samples=1, key=jax.random.key(0)
+    )
+    rows = np.array([[0.005, 1.4], [0.02, 0.5], [0.003, 3.0]])
+    names = ("centre.precision", "centre.trust")
+    options = {"names": names, "choices": {}, "objective": "mae", "batch": 2}
+    found = evaluate(light_field, rows, Parameters(), **options)
+    blind, truth = light_field.without_truth(), light_field.truth
+    assert truth is not None
+    sizes = Sizes.for_light_field(blind)
+    for row, score in zip(rows, found, strict=True):
+        params = eqx.tree_at(
+            lambda p: [p.centre.precision, p.centre.trust], Parameters(), [*map(jnp.asarray, row)]
+        )
+        depth = edge_to_depth(blind, params, sizes).disparity
+        expected = depth_scores(depth, truth.disparity, mask=truth.valid).mae
+        np.testing.assert_allclose(score, expected, rtol=1e-3)
