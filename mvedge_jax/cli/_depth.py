@@ -92,9 +92,9 @@ def depth(
             "estimation": round(time.perf_counter() - start, 3),
         }
         with stage("writing"):
-            report = _report(light_field, params, sizes, result, seconds)
-            _write(folder, light_field, result)
-            scores = _score(folder, light_field, result)
+            report = depth_report(light_field, params, sizes, result, seconds)
+            write_depth(folder, light_field, result)
+            scores = score_depth(folder, light_field, result)
             report["scores"] = scores
             write_json(folder / "report.json", report)
     if not bool(result.stats.converged):
@@ -108,7 +108,7 @@ def depth(
     note(f"{found} edge points, {spent:.1f} s; written to {out}")
 
 
-def _write(folder: Path, light_field: LightField, result: DepthResult) -> None:
+def write_depth(folder: Path, light_field: LightField, result: DepthResult) -> None:
     disparity = np.asarray(result.disparity)
     write_pfm(folder / "disparity.pfm", disparity)
     low, high = float(disparity.min()), float(disparity.max())
@@ -131,7 +131,7 @@ def _image(path: Path, image: np.ndarray) -> None:
         raise OSError(f"{path} could not be written.")
 
 
-def _score(folder: Path, light_field: LightField, result: DepthResult) -> dict[str, Any]:
+def score_depth(folder: Path, light_field: LightField, result: DepthResult) -> dict[str, Any]:
     """Scores by crop and error maps, where there is ground truth."""
     truth = light_field.truth
     if truth is None:
@@ -174,7 +174,7 @@ def _photometry(stats: DepthStats) -> dict[str, Any]:
     }
 
 
-def _report(
+def depth_report(
     light_field: LightField,
     params: Parameters,
     sizes: Sizes,

@@ -20,6 +20,8 @@ _COMMANDS = {
     "views": ("._views", "views"),
     "edit": ("._edit", "edit"),
     "optimize": ("._optimize", "optimize"),
+    "batch": ("._batch", "batch"),
+    "sweep": ("._sweep", "sweep"),
     "demo": ("._demo", "demo"),
 }
 _DESCRIPTION = (

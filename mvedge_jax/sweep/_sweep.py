@@ -10,6 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 import optuna
 from optuna.distributions import CategoricalDistribution, FloatDistribution
+from optuna.storages import JournalStorage
+from optuna.storages.journal import JournalFileBackend
 from optuna.trial import TrialState
 
 from mvedge_jax.centre import Parameters
@@ -143,8 +145,7 @@ def _study(
     if journal is not None:
         journal = Path(journal)
         journal.parent.mkdir(parents=True, exist_ok=True)
-        backend = optuna.storages.journal.JournalFileBackend(str(journal))
-        storage = optuna.storages.JournalStorage(backend)
+        storage = JournalStorage(JournalFileBackend(str(journal)))
     return optuna.create_study(
         study_name=name,
         storage=storage,

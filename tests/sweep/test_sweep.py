@@ -24,7 +24,6 @@ optuna.logging.set_verbosity(optuna.logging.WARNING)
 SPACE = Space({"centre.precision": Interval(0.002, 0.02), "centre.trust": Interval(0.7, 2.8)})
 
 
-
 @pytest.fixture
 def bowl(monkeypatch):
     """Scores with a minimum that is known, in place of the chain."""
@@ -158,11 +157,11 @@ def test_scores_that_are_not_finite_fail(bowl, monkeypatch):
     found = sweep(["a"], SPACE, trials=20)
     assert {row["state"] for row in found.rows} == {"complete", "fail"}
     assert len(found.rows) == 20
+    monkeypatch.setattr(
+        "mvedge_jax.sweep._sweep.evaluate",
+        lambda scene, rows, params, **options: np.full(len(rows), np.nan),
+    )
     with pytest.raises(ValueError, match="no setting had a finite score"):
-        monkeypatch.setattr(
-            "mvedge_jax.sweep._sweep.evaluate",
-            lambda scene, rows, params, **options: np.full(len(rows), np.nan),
-        )
         sweep(["a"], SPACE, trials=4)
 
 

@@ -1,0 +1,198 @@
+"""`mvedge sweep`: the parameters that score best on some scenes."""
+
+import contextlib
+import csv
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import tyro
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+from mvedge_jax.datasets import load_light_field
+
+from ._common import enable_compilation_cache, note
+from ._output import output_folder, write_json
+from ._paths import scenes_and_out
+
+
+def sweep(
+    paths: Annotated[
+        tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="SCENES... OUT")
+    ],
+    /,
+    *,
+    vary: tuple[str, ...] = (),
+    choose: tuple[str, ...] = (),
+    trials: int = 64,
+    batch: int = 4,
+    wave: int = 16,
+    objective: str = "bad_07",
+    journal: Path | None = None,
+    prune: bool = False,
+    seed: int = 0,
+    workers: int = 0,
+    scheduler: str | None = None,
+    overwrite: bool = False,
+) -> None:
+    """Looks for the parameters of `mvedge depth` that score best on average over light fields.
+
+    OUT gets best.json (the setting), trials.csv (every setting with its score on every scene),
+    sweep.png (history, importances, slices) and report.json. A sweep that was stopped goes on from
+    its journal. Example: `mvedge sweep a b OUT --vary centre.precision=0.002:0.02
+    centre.trust=0.7:2.8 --choose views=crosshair,all`.
+
+    Args:
+        paths: light fields, then the folder to make.
+        vary: numbers as NAME=LOW:HIGH, even in the logarithm, or NAME=LOW:HIGH:linear;
+            report.json of `mvedge depth` lists the names.
+        choose: fields of `Sizes` as NAME=A,B,...; each combination is compiled for itself.
+        trials: settings to try, those in the journal included.
+        batch: settings per call of the compiled program; memory grows with it.
+        wave: settings asked at a time; later ones learn from earlier waves only.
+        objective: mse, mae, q25, bad_01, bad_03, bad_07, edge_mse or edge_bad_07.
+        journal: file to keep the trials in, OUT.journal by default. Several processes may share it.
+        prune: give up, between two scenes, settings that are worse than half of the others.
+        seed: of the sampler.
+        workers: processes of a Dask cluster on this machine; 0 for none.
+        scheduler: address of a Dask scheduler to use instead, such as tcp://host:8786; its workers
+            must see the scenes under the same paths.
+        overwrite: replace OUT if it is an earlier result of mvedge, with nothing else in it.
+    """
+    try:
+        import optuna
+
+        from mvedge_jax.sweep import Space, plot_sweep, sweep as search
+    except ModuleNotFoundError as missing:
+        raise ValueError(
+            f"a sweep needs {missing.name}: pip install 'mvedge_jax[sweep]'."
+        ) from missing
+    scenes, out = scenes_and_out(paths)
+    if workers < 0:
+        raise ValueError(f"--workers must not be negative, got {workers}.")
+    optuna.logging.set_verbosity(optuna.logging.WARNING)
+    space = Space(dict(map(_interval, vary)), dict(map(_choice, choose)))
+    for scene in scenes:
+        if load_light_field(scene).truth is None:
+            raise ValueError(f"{scene} has no ground truth, by which a sweep scores.")
+    journal = out.with_name(f"{out.name}.journal") if journal is None else journal
+    before = time.perf_counter()
+    with output_folder(out, inputs=scenes, overwrite=overwrite) as folder:
+        with _executor(workers, scheduler) as submit, _progress() as bar:
+            task = bar.add_task("settings", total=trials)
+            found = search(
+                [scene.resolve() for scene in scenes],
+                space,
+                trials=trials,
+                batch=batch,
+                wave=wave,
+                objective=objective,
+                journal=journal,
+                sampler=optuna.samplers.TPESampler(seed=seed, constant_liar=True),
+                pruner=optuna.pruners.MedianPruner() if prune else None,
+                submit=submit,
+                progress=lambda done, best: bar.update(
+                    task, completed=done, description=f"best {objective} {best:.4g}"
+                ),
+            )
+        seconds = time.perf_counter() - before
+        best = {name: found.study.best_trial.params[name] for name in found.study.best_params}
+        write_json(folder / "best.json", {"setting": best, objective: found.value})
+        with (folder / "trials.csv").open("w", newline="", encoding="utf-8") as file:
+            writer = csv.DictWriter(file, fieldnames=list(found.rows[0]))
+            writer.writeheader()
+            writer.writerows(found.rows)
+        plot_sweep(found).savefig(folder / "sweep.png")
+        first = found.rows[0]["mean"]
+        report = {
+            "scenes": [str(scene) for scene in scenes],
+            "objective": objective,
+            "settings": len(found.rows),
+            "given up": sum(row["state"] == "pruned" for row in found.rows),
+            "first setting": first,
+            "best": found.value,
+            "seconds": round(seconds, 1),
+            "journal": str(journal),
+        }
+        write_json(folder / "report.json", report)
+    note(f"{objective} {found.value:.4g} (first setting: {_number(first)}); written to {out}")
+    for name, value in best.items():
+        note(f"  {name} = {_number(value)}")
+
+
+def _progress() -> Progress:
+    return Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        console=Console(stderr=True),
+    )
+
+
+def _number(value: Any) -> str:
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+def _interval(text: str) -> tuple[str, Any]:
+    """`NAME=LOW:HIGH` or `NAME=LOW:HIGH:linear`."""
+    from mvedge_jax.sweep import Interval
+
+    name, _, ends = text.partition("=")
+    parts = ends.split(":")
+    linear = len(parts) == 3 and parts[2] == "linear"
+    try:
+        low, high = (float(part) for part in (parts[:2] if linear else parts))
+    except ValueError:
+        raise ValueError(
+            f"--vary {text}: expected NAME=LOW:HIGH or NAME=LOW:HIGH:linear, with numbers."
+        ) from None
+    if not np.isfinite((low, high)).all():
+        raise ValueError(f"--vary {text}: the ends must be finite.")
+    return name, Interval(low, high, log=not linear)
+
+
+def _choice(text: str) -> tuple[str, tuple]:
+    """`NAME=A,B,...`; what reads as a number is one."""
+    name, _, values = text.partition("=")
+    if not values:
+        raise ValueError(f"--choose {text}: expected NAME=A,B,...")
+
+    def read(value: str) -> Any:
+        for kind in (int, float):
+            with contextlib.suppress(ValueError):
+                return kind(value)
+        return value
+
+    return name, tuple(read(value) for value in values.split(","))
+
+
+@contextlib.contextmanager
+def _executor(workers: int, scheduler: str | None) -> Iterator[Any]:
+    """`submit` of a Dask client, or None for this process."""
+    if not workers and scheduler is None:
+        yield None
+        return
+    try:
+        from distributed import Client, LocalCluster
+    except ModuleNotFoundError as missing:
+        raise ValueError(
+            f"--workers and --scheduler need {missing.name}: pip install 'mvedge_jax[cluster]'."
+        ) from missing
+    with contextlib.ExitStack() as stack:
+        address: Any = scheduler
+        if address is None:
+            # XLA has threads of its own: one task at a time in a process.
+            cluster = LocalCluster(
+                n_workers=workers, threads_per_worker=1, dashboard_address=":0", processes=True
+            )
+            address = stack.enter_context(cluster)
+        try:
+            client = stack.enter_context(Client(address))
+        except OSError as reason:
+            raise ValueError(f"no Dask scheduler answers at {address}: {reason}") from reason
+        client.run(enable_compilation_cache)
+        yield client.submit
