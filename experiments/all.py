@@ -1,0 +1,340 @@
+"""Every table and figure by one command, with one page that shows them all.
+
+    python experiments/all.py --tier quick --out results/all
+    python experiments/all.py --tier full --only table_6_1 robustness
+
+Each script runs in a process of its own; one that fails, or runs out of time, stops no other.
+What finished at this commit with the same arguments is not run again. The page, `index.html`,
+shows what each script wrote: its tables, its pictures, its seconds, or why there is nothing.
+`quick` uses small rendered scenes; `full` the published sizes and, where it is there, the
+development data.
+"""
+
+import argparse
+import hashlib
+import html
+import json
+import subprocess
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from experiments._report import environment, print_table, shared_data
+
+HERE = Path(__file__).resolve().parent
+# Seconds after which a script is stopped.
+LIMITS = {"quick": 240, "full": 5400}
+
+
+class Item(NamedTuple):
+    """A script and how it is run.
+
+    Attributes:
+        name: of its folder of results.
+        script: below `experiments/`.
+        quick: arguments of the quick tier; None leaves it to the full one.
+        full: arguments of the full tier; `{data}` is the folder of development data.
+        what: the thesis' table or figure, or what it shows.
+    """
+
+    name: str
+    script: str
+    quick: str | None
+    full: str
+    what: str
+
+
+ITEMS = (
+    Item(
+        "table_6_1",
+        "table_6_1.py",
+        "--scenes edges --size 96",
+        "--ablations --size 512",
+        "Table 6.1: the centre view's depth beside baselines",
+    ),
+    Item(
+        "table_6_2",
+        "table_6_2.py",
+        "--scenes edges --size 96",
+        "--size 512",
+        "Table 6.2: how the side of an edge is chosen",
+    ),
+    Item(
+        "table_6_3",
+        "table_6_3.py",
+        "--scenes edges --size 96",
+        "--size 512",
+        "Table 6.3, Figure 6.4: depth boundaries",
+    ),
+    Item(
+        "figure_6_10",
+        "figure_6_10.py",
+        "--scenes edges --size 64 --steps 3 --only centre.precision",
+        "--scenes edges demo --size 128",
+        "Figure 6.10: error against hyperparameters",
+    ),
+    Item(
+        "table_7_2",
+        "table_7_2.py",
+        None,
+        "--scenes hci/cotton hci/backgammon",
+        "Table 7.2: self-supervised optimisation",
+    ),
+    Item(
+        "figure_7_10",
+        "figure_7_10.py",
+        "--scenes edges --size 96 --iterations 20 --only curves",
+        "--scenes hci/cotton edges",
+        "Figure 7.10: supervised optimisation; error against bytes",
+    ),
+    Item("figure_c_1", "figure_c_1.py", None, "--scene hci/cotton", "Figure C.1: noise on points"),
+    Item("figure_c_9", "figure_c_9.py", None, "--scene hci/cotton", "Figure C.9: fewer points"),
+    Item(
+        "edge_accuracy",
+        "edge_accuracy.py",
+        "synthetic:demo --size 96",
+        "cotton backgammon synthetic:demo synthetic:wide --data {data} --sweep",
+        "Chapter 4: accuracy of the multi-view edges",
+    ),
+    Item(
+        "robustness",
+        "robustness.py",
+        "demo --size 96 --changes clean",
+        "{data}/hci/cotton {data}/traced/bench demo",
+        "Noise, gain, brightness",
+    ),
+    Item(
+        "calibration",
+        "calibration.py",
+        "demo --size 96",
+        "cotton backgammon room bench demo edges --size 512",
+        "Are standard errors true?",
+    ),
+    Item(
+        "secants",
+        "secants.py",
+        None,
+        "--scenes edges demo",
+        "Do derivatives mean something?",
+    ),
+    Item(
+        "learn_parameters",
+        "learn_parameters.py",
+        None,
+        "",
+        "Parameters learned by gradient",
+    ),
+    Item(
+        "learn_taps",
+        "learn_parameters.py",
+        None,
+        "--what taps --learn demo --rate 0.003",
+        "Filters learned by gradient",
+    ),
+    Item("hidden_points", "hidden_points.py", None, "", "Points that a neighbour hides"),
+    Item(
+        "solver_truth",
+        "solver_truth.py",
+        "--sizes 64 --seeds 1",
+        "",
+        "Does the solver say the truth?",
+    ),
+    Item(
+        "benchmark_diffusion",
+        "benchmarks/diffusion.py",
+        "--only ours --sizes 128",
+        "",
+        "Seconds of one diffusion",
+    ),
+    Item(
+        "benchmark_depth",
+        "benchmarks/depth.py",
+        "--settings --repeats 1",
+        "",
+        "Seconds and memory of the centre view's depth",
+    ),
+)
+
+
+def main() -> int:
+    """Runs a tier and writes the page."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--tier", choices=list(LIMITS), default="quick")
+    parser.add_argument("--out", type=Path, default=Path("results/all"))
+    parser.add_argument("--only", nargs="*", default=[], choices=[item.name for item in ITEMS])
+    parser.add_argument("--again", action="store_true", help="run what is there already, too")
+    parser.add_argument("--limit", type=float, default=None, help="seconds per script")
+    arguments = parser.parse_args()
+    commit = _commit()
+    limit = arguments.limit or LIMITS[arguments.tier]
+    rows = []
+    for item in ITEMS:
+        if arguments.only and item.name not in arguments.only:
+            continue
+        row = _run(item, arguments.tier, arguments.out / item.name, commit, limit, arguments.again)
+        rows.append(row)
+        print(f"{row['name']}: {row['state']}, {row['seconds']:.0f} s", flush=True)
+        _write_page(arguments.out, arguments.tier, commit, rows)
+    print_table(
+        [{name: row[name] for name in ("name", "what", "state", "seconds")} for row in rows],
+        title=f"{arguments.tier}, {commit}",
+    )
+    print(f"{arguments.out / 'index.html'}")
+    return int(any(row["state"] == "failed" for row in rows))
+
+
+def _commit() -> str:
+    """The commit, and a digest of what differs from it."""
+
+    def git(*words: str) -> str:
+        done = subprocess.run(["git", *words], cwd=HERE, capture_output=True, text=True)
+        return done.stdout if done.returncode == 0 else ""
+
+    name = git("rev-parse", "--short", "HEAD").strip() or "no repository"
+    changes = git("diff", "HEAD", "--", ".", "../mvedge_jax")
+    return f"{name}+{hashlib.sha256(changes.encode()).hexdigest()[:8]}" if changes else name
+
+
+def _run(
+    item: Item, tier: str, out: Path, commit: str, limit: float, again: bool
+) -> dict[str, Any]:
+    """Runs a script, or reads what an earlier run left."""
+    words = item.quick if tier == "quick" else item.full
+    row = {"name": item.name, "what": item.what, "seconds": 0.0, "commit": commit}
+    if words is None:
+        return {**row, "state": "left out", "why": "only in the full tier"}
+    data = shared_data()
+    if data is None and ("{data}" in words or "hci/" in words):
+        return {**row, "state": "left out", "why": "the development data is not there"}
+    words = words.format(data=data)
+    command = [sys.executable, str(HERE / item.script), *words.split(), "--out", str(out)]
+    record = out / "run.json"
+    if not again and record.exists():
+        earlier = json.loads(record.read_text(encoding="utf-8"))
+        if earlier["commit"] == commit and earlier["words"] == words and earlier["state"] == "done":
+            return {**earlier, "what": item.what}
+    out.mkdir(parents=True, exist_ok=True)
+    start = time.perf_counter()
+    with (out / "log.txt").open("w", encoding="utf-8") as log:
+        try:
+            code = subprocess.run(
+                command, cwd=HERE.parent, stdout=log, stderr=subprocess.STDOUT, timeout=limit
+            ).returncode
+            why = "" if code == 0 else f"exit code {code}"
+        except subprocess.TimeoutExpired:
+            why = f"stopped after {limit:.0f} s"
+    row.update(
+        state="failed" if why else "done",
+        why=why,
+        seconds=round(time.perf_counter() - start, 1),
+        words=words,
+        command=f"python experiments/{item.script} {words}".strip(),
+    )
+    record.write_text(json.dumps(row, indent=2), encoding="utf-8")
+    return row
+
+
+_STYLE = """
+body { font: 15px/1.5 system-ui, sans-serif; max-width: 72rem; margin: 2rem auto; padding: 0 1rem }
+table { border-collapse: collapse; margin: .6rem 0; font-variant-numeric: tabular-nums }
+th, td { border-bottom: 1px solid #ccc; padding: .15rem .7rem; text-align: right }
+th:first-child, td:first-child { text-align: left }
+img { max-width: 100% } pre { background: #f4f4f4; padding: .6rem; overflow: auto }
+.failed { color: #a00 } .wide { overflow: auto }
+"""
+
+
+def _write_page(out: Path, tier: str, commit: str, rows: Sequence[dict[str, Any]]) -> None:
+    """The page, rewritten after each script, so that a stopped run has one, too."""
+    machine = ", ".join(f"{name} {value}" for name, value in environment().items())
+    summary = [
+        {
+            "name": f'<a href="#{row["name"]}">{row["name"]}</a>',
+            "shows": html.escape(row["what"]),
+            "state": f'<span class="{row["state"]}">{row["state"]}</span>',
+            "seconds": _cell(row["seconds"]),
+        }
+        for row in rows
+    ]
+    parts = [
+        f"<!doctype html><meta charset=utf-8><title>mvedge_jax: {tier}</title>",
+        f"<style>{_STYLE}</style><h1>mvedge_jax: tables and figures, {tier}</h1>",
+        f"<p>Commit {html.escape(commit)}; {html.escape(machine)}.</p>",
+        _table(summary),
+        *(part for row in rows for part in _section(out, row)),
+    ]
+    out.mkdir(parents=True, exist_ok=True)
+    (out / "index.html").write_text("\n".join(parts), encoding="utf-8")
+
+
+def _section(out: Path, row: dict[str, Any]) -> Iterator[str]:
+    folder = out / row["name"]
+    yield f'<h2 id="{row["name"]}">{html.escape(row["what"])}</h2>'
+    if row["state"] == "left out":
+        yield f"<p>Left out: {html.escape(row['why'])}.</p>"
+        return
+    yield f"<p><code>{html.escape(row['command'])}</code>, {row['seconds']} s</p>"
+    if row["state"] == "failed":
+        log = (folder / "log.txt").read_text(encoding="utf-8", errors="replace")
+        yield f'<p class="failed">{html.escape(row["why"])}</p>'
+        yield f"<pre>{html.escape(log[-3000:])}</pre>"
+    for path in sorted(folder.rglob("*.json")):
+        if path.name == "run.json":
+            continue
+        for title, table in _tables(json.loads(path.read_text(encoding="utf-8")), path.stem):
+            yield f"<h3>{html.escape(title)}</h3>{_table(_escaped(table))}"
+    for path in sorted(folder.rglob("*.png")):
+        where = html.escape(path.relative_to(out).as_posix())
+        yield f'<p><img src="{where}" alt="{html.escape(path.stem)}" loading="lazy"></p>'
+
+
+def _tables(content: Any, title: str) -> Iterator[tuple[str, list[dict[str, Any]]]]:
+    """Lists of rows anywhere in a result, and single rows of numbers and text."""
+    if isinstance(content, dict) and set(content) == {"environment", "content"}:
+        content = content["content"]
+    if isinstance(content, list) and content and all(isinstance(row, dict) for row in content):
+        yield title, [_flat(row) for row in content]
+    elif isinstance(content, dict):
+        nested = {name: part for name, part in content.items() if isinstance(part, dict | list)}
+        plain = {name: part for name, part in content.items() if name not in nested}
+        if plain:
+            yield title, [plain]
+        for name, part in nested.items():
+            yield from _tables(part, f"{title}: {name}")
+
+
+def _flat(row: dict[str, Any]) -> dict[str, Any]:
+    """What fits into a cell."""
+    return {name: part for name, part in row.items() if not isinstance(part, dict | list)}
+
+
+def _cell(value: Any) -> str:
+    if isinstance(value, float):
+        return f"{value:.4g}"
+    return "" if value is None else str(value)
+
+
+def _escaped(rows: Sequence[dict[str, Any]]) -> list[dict[str, str]]:
+    return [
+        {html.escape(str(name)): html.escape(_cell(value)) for name, value in row.items()}
+        for row in rows
+    ]
+
+
+def _table(rows: Sequence[dict[str, str]]) -> str:
+    """Rows of HTML as a table; columns are those of all rows, in order of appearance."""
+    columns = list(dict.fromkeys(name for row in rows for name in row))
+    head = "".join(f"<th>{name}</th>" for name in columns)
+    body = "".join(
+        "<tr>" + "".join(f"<td>{row.get(name, '')}</td>" for name in columns) + "</tr>"
+        for row in rows
+    )
+    return f'<div class="wide"><table><tr>{head}</tr>{body}</table></div>'
+
+
+if __name__ == "__main__":
+    sys.exit(main())
