@@ -14,7 +14,7 @@ import optuna
 import pytest
 
 from mvedge_jax.centre import Parameters, Sizes, edge_to_depth
-from mvedge_jax.datasets import synthetic
+from mvedge_jax.datasets import synthetic, write_hci
 from mvedge_jax.metrics import depth_scores
 from mvedge_jax.sweep import Interval, Space, evaluate, plot_sweep, sweep
 from mvedge_jax.sweep._space import leaf, number_names, with_numbers
@@ -191,3 +191,25 @@ def test_scores_of_a_batch_are_those_of_single_calls():
         depth = edge_to_depth(blind, params, sizes).disparity
         expected = depth_scores(depth, truth.disparity, mask=truth.valid).mae
         np.testing.assert_allclose(score, expected, rtol=1e-3)
+
+
+@pytest.mark.slow
+def test_a_cluster_gives_the_result_of_one_process(tmp_path):
+    """Workers of a scheduler that was started by hand, and those of this machine."""
+    distributed = pytest.importorskip("distributed")
+    light_field = synthetic.render(
+        synthetic.scene("demo"), shape=(3, 3, 32, 40), samples=1, key=jax.random.key(0)
+    )
+    write_hci(light_field, tmp_path / "scene")
+    options = {"trials": 8, "batch": 2, "wave": 4, "objective": "mae"}
+    scenes = [tmp_path / "scene"]
+    alone = sweep(scenes, SPACE, **options)
+    cluster = distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, dashboard_address=":0", processes=True
+    )
+    with cluster, distributed.Client(cluster.scheduler_address) as client:
+        shared = sweep(scenes, SPACE, submit=client.submit, **options)
+    for one, other in zip(alone.rows, shared.rows, strict=True):
+        assert [one[n] for n in SPACE.names] == [other[n] for n in SPACE.names]
+        assert one["mean"] == pytest.approx(other["mean"], rel=1e-5)
+    assert alone.study.best_trial.number == shared.study.best_trial.number
