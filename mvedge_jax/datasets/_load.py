@@ -78,8 +78,8 @@ def load_light_field(
         FileNotFoundError: if there is nothing at `path`, no light field in it, or a view of the
             crosshair is missing.
         ValueError: if files are truncated, unreadable, of different sizes, contradict each other,
-            do not form an odd square grid or a single odd row or column, or hold ground truth that is not finite; or on an
-            option out of its range. The message names the file.
+            do not form an odd square grid or a single odd row or column, or hold ground truth that
+            is not finite; or on an option out of its range. The message names the file.
 
     Example:
         >>> import tempfile

@@ -1,7 +1,6 @@
 """What the colours of the views say: brightness, noise, matching costs, the dense measurement."""
 
 from ._cost import VolumeParams as VolumeParams, best_match as best_match, hypotheses as hypotheses
-from ._denoise import denoised as denoised
 from ._exposure import Exposure as Exposure, expose as expose, rough_exposure as rough_exposure
 from ._grid import Grid as Grid, grid_of as grid_of, look_around as look_around
 from ._look import Look as Look, look as look, view_weights as view_weights
@@ -21,5 +20,6 @@ from ._scene import (
     hypothesis_count as hypothesis_count,
     occluder_radius as occluder_radius,
     prepare as prepare,
+    recentred as recentred,
     sight as sight,
 )
