@@ -8,20 +8,20 @@ finding the thesis' guides are. Per method and scene, MSE x 100 and share of pix
 .07 px: mean over the views, mean of the corner views, pixels whose true surface the centre view
 does not show (mean over the off-centre views), and the centre view itself. `off/centre` is the MSE
 of the off-centre views over that of the centre. `cons` is the variance of map - truth between the
-views that truly see a point, x 100; `agree` is `metrics.view_consistency`, which knows no truth, x 100: a constant map agrees.
+views that truly see a point, x 100; `agree` is `metrics.view_consistency`, which knows no truth,
+x 100: a constant map agrees.
 
 With --cost, the seconds of every view over the number of views, ours.
 """
 
 import argparse
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import jax
 import numpy as np
-from _report import peak_memory, print_table, write_csv, write_json
+from _report import peak_memory, print_table, timed, write_csv, write_json
 from _views import error_consistency, regions, scene, scores
 from matplotlib.figure import Figure
 
@@ -71,11 +71,7 @@ def measured(
     if known is None or known.view_disparity is None:
         raise ValueError(f"{name} has no ground truth of all views to score against.")
     blind, truth = light_field.without_truth(), known.view_disparity
-    seconds = []
-    for _ in range(repeats + 1):
-        start = time.perf_counter()
-        maps = jax.block_until_ready(METHODS[method](blind, result))
-        seconds.append(time.perf_counter() - start)
+    maps, seconds = timed(METHODS[method], blind, result, repeats=repeats)
     cons = error_consistency(maps, truth)
     agree = view_consistency(maps)
     row = {
@@ -84,8 +80,8 @@ def measured(
         **scores(maps, truth, regions(np.asarray(truth))),
         "cons": 100 * float(cons.mean),
         "agree": 100 * float(agree.mean),
-        "seconds": min(seconds[1:] or seconds),
-        "first call": seconds[0],
+        "seconds": seconds.best,
+        "first call": seconds.first,
     }
     return row, cons, maps
 
@@ -97,21 +93,16 @@ def costs(light_field: LightField) -> list[dict[str, Any]]:
     for side in range(3, most + 1, 2):
         field = light_field.without_truth().crop_views(side)
         result = edge_to_depth(field, Parameters(), Sizes.for_light_field(field))
-        seconds = []
-        for _ in range(3):
-            start = time.perf_counter()
-            jax.block_until_ready(ours(field, result))
-            seconds.append(time.perf_counter() - start)
-        best = min(seconds[1:])
-        rows.append(
-            {"views": side * side, "seconds": best, "per view": best / side**2, "first": seconds[0]}
-        )
+        _, seconds = timed(ours, field, result, repeats=2)
+        each = seconds.best / side**2
+        row = {"views": side**2, "seconds": seconds.best, "per view": each}
+        rows.append({**row, "first call": seconds.first})
     return rows
 
 
 def main() -> None:
     """Runs the experiment."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("scenes", nargs="+")
     parser.add_argument("--out", type=Path, default=Path("results/every_view"))
     parser.add_argument("--size", type=int, default=512, help="side of rendered scenes, px")

@@ -168,7 +168,7 @@ def _joined(
     pair: tuple[tuple[Array, Array], ...], picture: Float[Array, "y x c"]
 ) -> Float[Array, "y x"]:
     """Mean of two views' maps projected into a third, diffused where neither reaches."""
-    total, count = 0.0, 0.0
+    total = count = jnp.zeros(picture.shape[:2], picture.dtype)
     for disparity, step in pair:
         moved = forward_warp(disparity[..., None], disparity, step)
         # The median over 3x3 pixels.
