@@ -90,7 +90,7 @@ def thesis_views(
 
     def beside(item: tuple[Array, ...]) -> Array:
         picture, step, place = item
-        right, below = step * jnp.eye(2, dtype=step.dtype)
+        right, below = jnp.diag(step)
         pair = (across[place % columns], below), (down[place // columns], right)
         return _joined(pair, picture)
 
@@ -144,7 +144,8 @@ def _of_arm(
         moved = forward_warp(disparity[..., None], disparity, jnp.stack([step, 0 * step]))
         # A pixel that none beside it joins is noise.
         beside = convolved(moved.hit.astype(disparity.dtype), jnp.ones(3, disparity.dtype), 1)
-        weight = jnp.where(own, _OWN, _PROJECTED) * (moved.hit & (beside > 1.5))
+        trusted = jnp.where(own, _OWN, _PROJECTED).astype(disparity.dtype)
+        weight = jnp.where(moved.hit & (beside > 1.5), trusted, 0)
         place = guides.xy + jnp.stack([step * guides.disparity, 0 * guides.disparity], axis=-1)
         raster = rasterise(place, guides.disparity, shown, (height, width))
         label = jnp.where(raster.hit, raster.values(guides.disparity), moved.image[..., 0])
