@@ -63,29 +63,6 @@ def thesis(light_field: LightField, result: DepthResult) -> jax.Array:
 METHODS: dict[str, Method] = {"ours": ours, "naive": naive, "thesis": thesis}
 
 
-def measured(
-    name: str, light_field: LightField, result: DepthResult, method: str, repeats: int
-) -> tuple[dict[str, Any], Any, jax.Array]:
-    """One row of the table, the consistency for the figures, and the maps."""
-    known = light_field.truth
-    if known is None or known.view_disparity is None:
-        raise ValueError(f"{name} has no ground truth of all views to score against.")
-    blind, truth = light_field.without_truth(), known.view_disparity
-    maps, seconds = timed(METHODS[method], blind, result, repeats=repeats)
-    cons = error_consistency(maps, truth)
-    agree = view_consistency(maps)
-    row = {
-        "scene": name,
-        "method": method,
-        **scores(maps, truth, regions(np.asarray(truth))),
-        "cons": 100 * float(cons.mean),
-        "agree": 100 * float(agree.mean),
-        "seconds": seconds.best,
-        "first call": seconds.first,
-    }
-    return row, cons, maps
-
-
 def costs(light_field: LightField) -> list[dict[str, Any]]:
     """Seconds of all views over their number, warm and first call."""
     rows = []
@@ -117,31 +94,53 @@ def main() -> None:
         name, light_field = Path(place).name, scene(place, arguments.size)
         if arguments.views:
             light_field = light_field.crop_views(arguments.views)
-        blind = light_field.without_truth()
-        result = edge_to_depth(blind, Parameters(), Sizes.for_light_field(blind))
-        found = []
-        for method in arguments.methods:
-            row, cons, maps = measured(name, light_field, result, method, arguments.repeats)
-            rows.append(row)
-            found.append(cons)
-            plot_view_maps(maps).savefig(arguments.out / f"{name}_{method}.png")
-            error = np.abs(np.asarray(maps - light_field.truth.view_disparity))
-            figure = plot_view_maps(error, limits=(0, 0.3), name="error, px")
-            figure.savefig(arguments.out / f"{name}_{method}_error.png")
-        figure = plot_consistency(found, names=arguments.methods)
-        figure.savefig(arguments.out / f"figure_6_5_{name}.png")
-        print_table([row for row in rows if row["scene"] == name], title=name)
+        rows += compared(name, light_field, arguments)
         if arguments.cost and not cost:
             cost = costs(light_field)
             print_table(cost, title=f"seconds of ours, {name}")
+            _cost_plot(cost).savefig(arguments.out / "cost.png")
         # Programs of the whole chain are dropped, see `_depth.scenes`.
         jax.clear_caches()
-    write_csv(arguments.out / "every_view.csv", rows)
-    content = {"rows": rows, "cost": cost, "peak GiB": peak_memory() / 2**30}
-    write_json(arguments.out / "every_view.json", content)
-    _scatter(rows).savefig(arguments.out / "figure_6_6.png")
-    if cost:
-        _cost_plot(cost).savefig(arguments.out / "cost.png")
+        # After every scene: all of them take a while.
+        write_csv(arguments.out / "every_view.csv", rows)
+        content = {"rows": rows, "cost": cost, "peak GiB": peak_memory() / 2**30}
+        write_json(arguments.out / "every_view.json", content)
+        _scatter(rows).savefig(arguments.out / "figure_6_6.png")
+
+
+def compared(
+    name: str, light_field: LightField, arguments: argparse.Namespace
+) -> list[dict[str, Any]]:
+    """The rows of one scene; its pictures are written."""
+    known = light_field.truth
+    if known is None or known.view_disparity is None:
+        raise ValueError(f"{name} has no ground truth of all views to score against.")
+    truth, blind = known.view_disparity, light_field.without_truth()
+    hidden = regions(np.asarray(truth))
+    result = edge_to_depth(blind, Parameters(), Sizes.for_light_field(blind))
+    rows, consistency = [], []
+    for method in arguments.methods:
+        maps, seconds = timed(METHODS[method], blind, result, repeats=arguments.repeats)
+        consistency.append(error_consistency(maps, truth))
+        rows.append(
+            {
+                "scene": name,
+                "method": method,
+                **scores(maps, truth, hidden),
+                "cons": 100 * float(consistency[-1].mean),
+                "agree": 100 * float(view_consistency(maps).mean),
+                "seconds": seconds.best,
+                "first call": seconds.first,
+            }
+        )
+        plot_view_maps(maps).savefig(arguments.out / f"{name}_{method}.png")
+        error = np.abs(np.asarray(maps - truth))
+        figure = plot_view_maps(error, limits=(0, 0.3), name="error, px")
+        figure.savefig(arguments.out / f"{name}_{method}_error.png")
+    figure = plot_consistency(consistency, names=arguments.methods)
+    figure.savefig(arguments.out / f"figure_6_5_{name}.png")
+    print_table(rows, title=name)
+    return rows
 
 
 def _scatter(rows: list[dict[str, Any]]) -> Figure:
