@@ -87,7 +87,8 @@ def paint(
 ) -> LightField:
     """Recolours a surface of the centre view in every view that sees it.
 
-    Where the centre view does not show a surface, its paint goes on from what is seen beside it.
+    Where the centre view does not show a surface, its paint goes on from what is seen of it in the
+    same row or column.
 
     Args:
         light_field: the views, sRGB.
