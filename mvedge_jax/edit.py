@@ -88,7 +88,7 @@ def paint(
     """Recolours a surface of the centre view in every view that sees it.
 
     Where the centre view does not show a surface, its paint goes on from what is seen of it in the
-    same row or column.
+    same row or column, the farthest if several are.
 
     Args:
         light_field: the views, sRGB.
