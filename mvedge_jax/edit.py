@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float
 
-from mvedge_jax.image import box_mean
+from mvedge_jax.image import box_mean, sample
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.warping import holes
 
@@ -68,9 +68,7 @@ def insert_picture(
         # Where the plane shows: q + s (a q) = r, solved for q.
         along = (tilt[0] * x + tilt[1] * y) / (1 + tilt[0] * step[0] + tilt[1] * step[1])
         x, y = x - step[0] * along, y - step[1] * along
-        shown = _bilinear(
-            opaque, x + 0.5 * (picture.shape[1] - 1), y + 0.5 * (picture.shape[0] - 1)
-        )
+        shown = _between(opaque, x + 0.5 * (picture.shape[1] - 1), y + 0.5 * (picture.shape[0] - 1))
         alpha = jnp.where(middle + along > depth, shown[..., 3], 0)[..., None]
         mixed = jnp.where(alpha > 0, shown[..., :3], 0) + (1 - alpha) * view
         return jnp.where(alpha > 0, mixed, view)
@@ -88,6 +86,9 @@ def paint(
     shaded: bool = True,
 ) -> LightField:
     """Recolours a surface of the centre view in every view that sees it.
+
+    Where the centre view does not show a surface, its paint goes on from what is seen of it in the
+    same row or column, the farthest if several are.
 
     Args:
         light_field: the views, sRGB.
@@ -111,8 +112,12 @@ def paint(
     def one(item: tuple[Array, Array, Array]) -> Array:
         view, depth, step = item
         x, y = _in_centre(depth, step)
-        shown = _bilinear(layers, x, y)
-        weight = jnp.where(_shows(disparities[vc, uc], depth, x, y), shown[..., 3], 0)[..., None]
+        seen = _shows(disparities[vc, uc], depth, x, y)
+        # What the centre view does not show is painted as the same surface is beside it.
+        beside = holes(depth, seen).behind
+        goes_on = jnp.abs(depth.ravel()[beside] - depth) < _SAME
+        shown = _between(layers, x, y).reshape(-1, 4)[beside]
+        weight = jnp.where(goes_on, shown[..., 3], 0)[..., None]
         bright = jnp.mean(view, axis=-1, keepdims=True) / mean if shaded else 1
         painted = jnp.clip(shown[..., :3] * bright, 0, 1)
         return jnp.where(weight > 0, weight * painted + (1 - weight) * view, view)
@@ -149,7 +154,7 @@ def remove(
 
     def marked(depth: Array, step: Array) -> Array:
         x, y = _in_centre(depth, step)
-        there = _bilinear(mask[..., None].astype(dtype), x, y)[..., 0] > 0
+        there = _between(mask[..., None].astype(dtype), x, y)[..., 0] > 0
         return there & _shows(centre, depth, x, y)
 
     maps = disparities.reshape(-1, height, width)
@@ -171,7 +176,7 @@ def remove(
             y = jnp.arange(height, dtype=dtype)[:, None] + other[1] * deeper
             clear = _shows(jnp.where(gone[which], jnp.inf, maps[which]), deeper, x, y)
             clear = clear & light_field.available.ravel()[which]
-            return jnp.where(clear[..., None], _bilinear(views[which], x, y), colour), None
+            return jnp.where(clear[..., None], _between(views[which], x, y), colour), None
 
         colour, _ = lax.scan(look, around, sources[order])
         return jnp.where(out[..., None], colour, view)
@@ -223,17 +228,9 @@ def _shows(surface: Array, depth: Array, x: Array, y: Array) -> Array:
     return inside & (jnp.abs(surface.ravel()[index] - depth) < _SAME)
 
 
-def _bilinear(image: Float[Array, "h w c"], x: Array, y: Array) -> Float[Array, "y x c"]:
+def _between(image: Float[Array, "h w c"], x: Array, y: Array) -> Float[Array, "y x c"]:
     """An image between its pixels, 0 beyond them."""
-    height, width = image.shape[:2]
-    column, row = jnp.floor(x), jnp.floor(y)
-    total = jnp.zeros((*x.shape, image.shape[-1]), image.dtype)
-    for down in (0, 1):
-        for right in (0, 1):
-            a, b = column + right, row + down
-            weight = (1 - jnp.abs(x - a)) * (1 - jnp.abs(y - b))
-            inside = (a >= 0) & (a < width) & (b >= 0) & (b < height)
-            index = jnp.where(inside, b * width + a, 0).astype(jnp.int32)
-            value = image.reshape(-1, image.shape[-1])[index]
-            total = total + jnp.where(inside, weight, 0)[..., None] * value
-    return total
+    ringed = jnp.pad(image, ((1, 1), (1, 1), (0, 0)))
+    xy = jnp.stack([x, y], axis=-1).reshape(-1, 2) + 1
+    channels = [sample(ringed[..., c], xy).reshape(x.shape) for c in range(image.shape[-1])]
+    return jnp.stack(channels, axis=-1)

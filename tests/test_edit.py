@@ -75,6 +75,24 @@ def test_paint_follows_the_surface_into_every_view():
     np.testing.assert_array_equal(np.asarray(found.views)[~on], np.asarray(field.views)[~on])
 
 
+def test_paint_goes_on_where_the_centre_view_does_not_show_the_surface():
+    field, depth, _ = _cards()
+    wall = np.asarray(depth == _FAR)
+    mask = jnp.asarray(wall[1, 1], field.views.dtype)
+    found = paint(field, depth, mask, jnp.asarray([0.0, 0.0, 1.0]), shaded=False)
+    painted = np.abs(np.asarray(found.views) - [0, 0, 1]).max(-1) < 1e-9
+    # But for the corners, which have nothing seen beside them.
+    inner = (..., slice(1, -1), slice(1, -1))
+    np.testing.assert_array_equal(painted[inner], wall[inner])
+    assert not painted[~wall].any()
+    # Of a wall that is painted on the left only, what is uncovered right of the card stays.
+    left = jnp.where(jnp.arange(32)[None] < 16, mask, 0)
+    found = paint(field, depth, left, jnp.asarray([0.0, 0.0, 1.0]), shaded=False)
+    changed = (np.asarray(found.views) != np.asarray(field.views)).any(-1)
+    assert not changed[:, :, 9:16, 18:].any()
+    assert not changed[~wall].any()
+
+
 def test_what_is_removed_shows_what_other_views_saw():
     field, depth, plain = _cards((5, 5, 24, 32))
     found = remove(field, depth, depth[2, 2] == _NEAR)

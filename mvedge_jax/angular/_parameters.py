@@ -26,7 +26,7 @@ class ViewParams(eqx.Module):
         smoothness: of the edge weights between them.
         precision: standard error, px, at which a label counts half as much as a perfect one.
         stiffness: weight of an uncut edge between pixels against a perfect label.
-        trust: residual of a label, in multiples of the noise variance, that quarters its weight.
+        trust: residual of a label, in multiples of the noise variance, that halves its weight.
     """
 
     volume: VolumeParams = eqx.field(default_factory=VolumeParams)

@@ -8,15 +8,12 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
-from mvedge_jax._crosshair import Arm
 from mvedge_jax._fence import recomputed, staged
-from mvedge_jax.centre import DepthStats, edge_smoothness
-from mvedge_jax.color import srgb_to_lab
+from mvedge_jax.centre import edge_smoothness
 from mvedge_jax.diffusion import Jacobi, System, diffuse
 from mvedge_jax.image import highest
 from mvedge_jax.lightfield import LightField
-from mvedge_jax.photometry import Scene, Sight, sight
-from mvedge_jax.photometry.brightness import denoised
+from mvedge_jax.photometry import Exposure, Noise, Scene, Sight, recentred, sight
 from mvedge_jax.photometry.matching import hypotheses
 from mvedge_jax.photometry.measuring import PhotometricLabels, labels, look, mismatch
 
@@ -76,33 +73,11 @@ class _Reference(NamedTuple):
     sight: Sight
 
 
-def _recentred(
-    light_field: LightField, view: Int[Array, "2"], stats: DepthStats, params: ViewParams
-) -> _Reference:
-    """The row and the column of views through a view, made ready for being measured in."""
-    v, u = view[0], view[1]
-    factor = stats.exposure.scale / stats.exposure.gain
-
-    def arm(views: Array, gains: Array, there: Array, own: Array) -> Arm:
-        count = views.shape[0]
-        # An arm has its centre in the middle; the order of the other views does not matter.
-        order = (jnp.arange(count, dtype=jnp.int32) - count // 2 + own) % count
-        planes = jnp.moveaxis(views[order] * gains[order][:, None, None, None], -1, 1)
-        return Arm(planes, (own - order).astype(views.dtype), there[order])
-
-    across = arm(light_field.views[v], factor[v], light_field.available[v], u)
-    down = arm(light_field.views[:, u], factor[:, u], light_field.available[:, u], v)
-    down = down._replace(planes=jnp.swapaxes(down.planes, -1, -2))
-    guide = denoised(across.planes[across.centre], stats.noise)
-    lab = jnp.moveaxis(srgb_to_lab(jnp.moveaxis(guide, 0, -1)), -1, 0)
-    scene = Scene((across, down), stats.exposure, stats.noise, guide, lab, None)
-    return _Reference(scene, sight(scene, params.photometric))
-
-
 def uncovered(
     samples: Samples,
     light_field: LightField,
-    stats: DepthStats,
+    exposure: Exposure,
+    noise: Noise,
     params: ViewParams,
     sizes: ViewSizes,
 ) -> tuple[Samples, Int[Array, ""]]:
@@ -114,7 +89,8 @@ def uncovered(
     Args:
         samples: those of the centre view.
         light_field: the views.
-        stats: of the centre view's depth: noise and exposure.
+        exposure: of all views.
+        noise: of them, exposure taken out.
         params: see `ViewParams`.
         sizes: see `ViewSizes`.
 
@@ -125,7 +101,7 @@ def uncovered(
     def add(state: tuple[Samples, Array], view: Array) -> tuple[tuple[Samples, Array], None]:
         samples, count = state
         measure = partial(_measured_in, sizes=sizes)
-        found = staged(measure)(samples, light_field, view, stats, params)
+        found = staged(measure)(samples, light_field, view, exposure, noise, params)
         step = light_field.steps[view[0], view[1]]
         disparity, error, new = found
         new = new & ~_contradicted(samples, disparity, step)
@@ -139,17 +115,19 @@ def _measured_in(
     samples: Samples,
     light_field: LightField,
     view: Array,
-    stats: DepthStats,
+    exposure: Exposure,
+    noise: Noise,
     params: ViewParams,
     *,
     sizes: ViewSizes,
 ) -> tuple[Float[Array, "y x"], Float[Array, "y x"], Bool[Array, "y x"]]:
     """Disparity and standard error of a view, and which pixels the samples do not explain."""
     shape = (light_field.views.shape[2], light_field.views.shape[3])
-    reference = _recentred(light_field, view, stats, params)
+    scene = recentred(light_field, view, exposure, noise)
+    reference = _Reference(scene, sight(scene, params.photometric))
     picture = jnp.moveaxis(light_field.views[view[0], view[1]], -1, 0)
     first = drawn(samples, light_field.steps[view[0], view[1]], shape)
-    drawing = decided(first, samples, picture, stats.noise.deviation)
+    drawing = decided(first, samples, picture, noise.deviation)
     known = samples.disparity[drawing.sample]
     # Pixels that the front covers only because samples fill whole pixels are new, too.
     new = drawing.hole | (samples.disparity[first.sample] - known > STEP)
@@ -160,7 +138,10 @@ def _measured_in(
     def solve(state: tuple[Array, Array], _: None) -> Any:
         disparity = state[0]
         measured = _labels(reference, disparity, sizes)
-        weight = jnp.where(new, _confidence(measured, reference.sight, params) + _ANCHOR, 1)
+        sure = measured.weight(
+            reference.sight.params, precision=params.precision, trust=params.trust
+        )
+        weight = jnp.where(new, sure + _ANCHOR, 1)
         label = jnp.where(new, measured.disparity, known)
         edges = edge_smoothness(reference.scene.lab, disparity, params.smoothness)
         across, down = (params.stiffness * t for t in edges)
@@ -218,10 +199,3 @@ def _halved(planes: Float[Array, "*c y x"]) -> Float[Array, "*c h w"]:
     height, width = planes.shape[-2] // 2, planes.shape[-1] // 2
     even = planes[..., : 2 * height, : 2 * width]
     return jnp.mean(even.reshape(*planes.shape[:-2], height, 2, width, 2), axis=(-3, -1))
-
-
-def _confidence(measured: PhotometricLabels, seen: Sight, params: ViewParams) -> Array:
-    """Weight of measured labels: by their standard error and by how well the views agree."""
-    precision, floor = params.precision**2, seen.params.noise**2
-    excess = jnp.maximum(measured.residual, floor) / (params.trust * floor)
-    return precision / (precision + measured.variance) / (1 + excess**2)

@@ -86,7 +86,8 @@ def depth_of_views(
     # Where nothing is known, infinities would make derivatives that are no numbers.
     error = jnp.where(jnp.isfinite(result.error), result.error, jnp.std(result.disparity))
     samples = samples_of(result.disparity, error, capacity=sizes.capacity)
-    samples, count = uncovered(samples, light_field, result.stats, params, sizes)
+    exposure = result.stats.exposure.everywhere(light_field, result.disparity)
+    samples, count = uncovered(samples, light_field, exposure, result.stats.noise, params, sizes)
 
     def view(item: tuple[Array, ...]) -> tuple[Array, Array, Array]:
         picture, there, step = item

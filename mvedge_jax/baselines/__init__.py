@@ -1,6 +1,5 @@
-"""What the method is compared with: the thesis' own chain, points alone, plane sweep."""
+"""What the method is compared with: the thesis' own chains, points alone, plane sweep."""
 
-from ._joint_filter import joint_filter as joint_filter
 from ._reproject import reproject_views as reproject_views
 from ._sparse_depth import (
     SparseDepth as SparseDepth,
@@ -15,3 +14,4 @@ from ._sweep import (
 from ._thesis_depth import thesis_depth as thesis_depth
 from ._thesis_edges import thesis_edges as thesis_edges
 from ._thesis_params import ThesisParams as ThesisParams, ThesisSizes as ThesisSizes
+from ._thesis_views import thesis_views as thesis_views

@@ -25,7 +25,7 @@ class CentreParams(eqx.Module):
         precision: standard error, px, at which a label counts half as much as a perfect one.
         smoothness: weight of an uncut edge between pixels against a perfect label.
         points: weight of the edge points' labels against those of the dense measurement.
-        trust: residual of a dense label, in multiples of the noise variance, that quarters its
+        trust: residual of a dense label, in multiples of the noise variance, that halves its
             weight.
         slant: stiffness of the map's slopes, weight of an uncut edge against a perfect label.
     """

@@ -229,9 +229,7 @@ def _with_dense(
     measuring: Measuring,
 ) -> Labels:
     """Labels of the points together with one measured at every pixel."""
-    floor = measuring.noise**2
-    excess = jnp.maximum(measured.residual, floor) / (params.trust * floor)
-    weight = precision_weight(measured.variance, params) / (1 + excess**2)
+    weight = measured.weight(measuring, precision=params.precision, trust=params.trust)
     distance = (from_points.value - disparity) / AGREEMENT
     sparse = from_points.weight / (1 + distance**2) ** 2
     total = weight + sparse + _ANCHOR

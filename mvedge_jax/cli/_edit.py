@@ -9,13 +9,11 @@ import numpy as np
 import tyro
 
 from mvedge_jax import plotting
-from mvedge_jax.angular import ViewParams, ViewSizes, depth_of_views
-from mvedge_jax.centre import Parameters, Sizes, edge_to_depth
 from mvedge_jax.datasets import load_light_field, write_hci
 from mvedge_jax.edit import insert_picture, paint, remove
-from mvedge_jax.lightfield import LightField
 
 from ._common import note, stage
+from ._every_view import every_view
 from ._output import output_folder
 
 
@@ -62,8 +60,7 @@ def edit(
             f"{given.shape[1]}x{given.shape[0]}."
         )
     with output_folder(out, inputs=inputs, overwrite=overwrite) as folder:
-        with stage("estimating depth of all views"):
-            depths = _depths(light_field)
+        depths = every_view(light_field)[0].disparity
         with stage("editing"):
             white = jnp.asarray(given[..., :3].mean(-1) > 0.5)
             if mask is None:
@@ -81,12 +78,6 @@ def edit(
             write_hci(edited, folder)
             plotting.plot_views(edited).savefig(folder / "views.png")
     note(f"written to {out}")
-
-
-def _depths(light_field: LightField):
-    result = edge_to_depth(light_field, Parameters(), Sizes.for_light_field(light_field))
-    sizes = ViewSizes.for_light_field(light_field)
-    return depth_of_views(light_field, result, ViewParams(), sizes).disparity
 
 
 def _read(path: Path | None) -> np.ndarray:

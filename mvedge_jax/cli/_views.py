@@ -1,24 +1,22 @@
 """`mvedge views`: a disparity map of every view."""
 
-import time
 from pathlib import Path
 from typing import Annotated, Any
 
 import h5py
-import jax
 import numpy as np
 import tyro
 from PIL import Image
 
 from mvedge_jax import plotting
-from mvedge_jax.angular import ViewDepths, ViewParams, ViewSizes, depth_of_views
-from mvedge_jax.centre import Parameters, Sizes, edge_to_depth
+from mvedge_jax.angular import ViewDepths
 from mvedge_jax.datasets import load_light_field, write_pfm
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.metrics import view_consistency
 from mvedge_jax.metrics.depth import bad_pixels, mse
 
-from ._common import compiled, note, stage, warn
+from ._common import note, stage
+from ._every_view import every_view
 from ._output import output_folder, write_json
 
 
@@ -45,27 +43,13 @@ def views(
     """
     with stage("reading"):
         light_field = load_light_field(scene, views=views)
-    blind = light_field.without_truth()
     with output_folder(out, inputs=[scene], overwrite=overwrite) as folder:
-        with stage("choosing sizes"):
-            sizes, every = Sizes.for_light_field(blind), ViewSizes.for_light_field(blind)
-        with stage("compiling, or reading what was compiled before"):
-            centre = compiled(edge_to_depth, blind, Parameters(), sizes)
-        with stage("estimating depth of the centre view"):
-            result = jax.block_until_ready(centre(blind, Parameters(), sizes))
-        with stage("compiling, or reading what was compiled before"):
-            program = compiled(depth_of_views, blind, result, ViewParams(), every)
-        start = time.perf_counter()
-        with stage("estimating depth of all views"):
-            found = jax.block_until_ready(program(blind, result, ViewParams(), every))
-        seconds = round(time.perf_counter() - start, 3)
+        found, seconds = every_view(light_field.without_truth())
         with stage("writing"):
             _write(folder, found)
-            report = {"scene": light_field.name, "seconds": seconds, **_report(found)}
+            report = {"scene": light_field.name, "seconds": round(seconds, 3), **_report(found)}
             report["scores"] = _score(folder, light_field, found)
             write_json(folder / "report.json", report)
-    if int(found.overflow):
-        warn(f"{int(found.overflow)} hidden samples found no slot and were left out.")
     for name, value in report["scores"].items():
         note(f"{name} {value:.4g}")
     note(f"{seconds:.1f} s for all views; written to {out}")

@@ -60,8 +60,9 @@ def load_light_field(
 
     Args:
         path: a folder or a file.
-        views: keeps the central `views` x `views` (odd). The rest is not read. A Lytro's outer
-            views are dark and distorted; 7 or 9 are usual.
+        views: keeps the central `views` x `views` (odd), of a single row or column the central
+            `views`. The rest is not read. A Lytro's outer views are dark and distorted; 7 or 9 are
+            usual.
         scale: shrinks the views by this factor in (0, 1], averaging areas, as they are read;
             disparities, range and camera shrink alike.
         flip_u: reverses the view columns, on top of what the layout needs by itself.
@@ -77,8 +78,8 @@ def load_light_field(
         FileNotFoundError: if there is nothing at `path`, no light field in it, or a view of the
             crosshair is missing.
         ValueError: if files are truncated, unreadable, of different sizes, contradict each other,
-            do not form an odd square grid, or hold ground truth that is not finite; or on an
-            option out of its range. The message names the file.
+            do not form an odd square grid or a single odd row or column, or hold ground truth that
+            is not finite; or on an option out of its range. The message names the file.
 
     Example:
         >>> import tempfile
@@ -194,48 +195,42 @@ def _places(
     """The rows and columns of the file order to read, in the order of the convention."""
     rows, columns = source.available.shape
     where = source.label(0, 0) if rows * columns == 1 else f"{source.name} ({source.layout})"
+    # Of a single row or column, the other side tells.
+    single = min(rows, columns) == 1
+    most = max(rows, columns) if single else min(rows, columns)
     if views is None:
-        if rows != columns or rows % 2 == 0 or rows < 3:
-            advice = (
-                f"; views={_largest_odd(rows, columns)} keeps the central ones"
-                if min(rows, columns) >= 3
-                else ""
-            )
+        if not (single or rows == columns) or most % 2 == 0 or most < 3:
+            advice = f"; views={most - (most % 2 == 0)} keeps the central ones" if most >= 3 else ""
             raise ValueError(
                 f"{where} has a grid of {rows}x{columns} views (rows x columns); expected an odd "
-                f"square of 3x3 or more{advice}."
+                f"square of 3x3 or more, or an odd row or column of three or more{advice}."
             )
-        count = rows
-    elif views % 2 == 0 or views < 3 or views > min(rows, columns):
+        views = most
+    elif views % 2 == 0 or views < 3 or views > most:
         raise ValueError(
             f"`views` must be odd, at least 3 and at most the grid of {rows}x{columns} views of "
             f"{where}, got {views}."
         )
-    else:
-        count = views
+    counts = min(views, rows), min(views, columns)
+    flips = source.flip_v != flip_v, source.flip_u != flip_u
     kept = []
-    for size, flip in ((rows, source.flip_v != flip_v), (columns, source.flip_u != flip_u)):
+    for size, count, flip in zip((rows, columns), counts, flips, strict=True):
         first = size // 2 - count // 2
         kept.append(list(range(first, first + count))[:: -1 if flip else 1])
     missing = [
         (row, column)
         for i, row in enumerate(kept[0])
         for j, column in enumerate(kept[1])
-        if count // 2 in (i, j) and not source.available[row, column]
+        if (i == counts[0] // 2 or j == counts[1] // 2) and not source.available[row, column]
     ]
     if missing:
         row, column = min(missing)
         raise FileNotFoundError(
             f"{source.label(row, column)} is missing (row {row}, column {column} of a grid of "
             f"{rows}x{columns} views); expected at least the crosshair, the whole centre row and "
-            f"column, of which {len(missing)} of {2 * count - 1} are missing."
+            f"column, of which {len(missing)} of {sum(counts) - 1} are missing."
         )
     return kept[0], kept[1]
-
-
-def _largest_odd(rows: int, columns: int) -> int:
-    side = min(rows, columns)
-    return side - (side % 2 == 0)
 
 
 def _ground_truth(

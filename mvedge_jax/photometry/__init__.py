@@ -11,6 +11,7 @@ from ._scene import (
     hypothesis_count as hypothesis_count,
     occluder_radius as occluder_radius,
     prepare as prepare,
+    recentred as recentred,
     sight as sight,
 )
 from .brightness import Exposure as Exposure, Noise as Noise

@@ -4,7 +4,7 @@ import math
 from typing import NamedTuple
 
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from mvedge_jax._crosshair import Arm, crosshair
 from mvedge_jax._fence import staged
@@ -121,10 +121,9 @@ def prepare(
     arms = exposed_arms(own, exposure)
     centre = arms[0].planes[arms[0].centre]
     noise = measure_noise(centre, exposure.scale, arms=arms, disparities=disparities)
-    guide = denoised(centre, noise)
-    lab = jnp.moveaxis(srgb_to_lab(jnp.moveaxis(guide, 0, -1)), -1, 0)
+    scene = _guided(arms, exposure, noise)
     if not search:
-        return Scene(arms, exposure, noise, guide, lab, None)
+        return scene
 
     @staged
     def searched(
@@ -134,9 +133,9 @@ def prepare(
         soft = low_pass(arms, noise, sigma).arms
         return hypotheses(*soft, lab, disparities, params, noise=noise, window=window)
 
-    first = searched(arms, lab, noise, params)
+    first = searched(arms, scene.lab, noise, params)
     exposure = exposure_along(light_field, exposure.scale, first, every=every)
-    return Scene(exposed_arms(own, exposure), exposure, noise, guide, lab, first)
+    return scene._replace(arms=exposed_arms(own, exposure), exposure=exposure, first=first)
 
 
 def sight(scene: Scene, params: PhotometricParams, *, every: LightField | None = None) -> Sight:
@@ -182,6 +181,53 @@ def _whole_grid(scene: Scene, every: LightField, sigma: Float[Array, ""]) -> Gri
     planes = jnp.moveaxis(views, -1, 1) * factor[:, None, None, None]
     soft = soften(planes, scene.noise, sigma)
     return grid_of(soft, every.steps.reshape(-1, 2), every.available.reshape(-1))
+
+
+def recentred(
+    light_field: LightField,
+    view: Int[Array, "2"],
+    exposure: Exposure,
+    noise: Noise,
+) -> Scene:
+    """The row and the column of views through any view, as the crosshair of a scene of its own.
+
+    Args:
+        light_field: the views as they came.
+        view: index `(v, u)` of what becomes the centre view, traced.
+        exposure: of the light field.
+        noise: of its views, exposure taken out.
+
+    Returns:
+        The scene, without a first map; steps are those from the view. Differentiable.
+
+    Example:
+        >>> field = LightField(jnp.zeros((3, 5, 8, 8, 3)))
+        >>> same = Exposure(jnp.ones(()), jnp.ones((3, 5)))
+        >>> moved = recentred(field, jnp.asarray([0, 4]), same, Noise.of(jnp.zeros(())))
+        >>> sorted(moved.arms[0].steps.tolist())
+        [0.0, 1.0, 2.0, 3.0, 4.0]
+    """
+    v, u = view[0], view[1]
+    factor = exposure.scale / exposure.gain
+
+    def arm(views: Array, gains: Array, there: Array, own: Array) -> Arm:
+        count = views.shape[0]
+        # An arm has its centre in the middle; the order of the other views does not matter.
+        order = (jnp.arange(count, dtype=jnp.int32) - count // 2 + own) % count
+        planes = jnp.moveaxis(views[order] * gains[order][:, None, None, None], -1, 1)
+        return Arm(planes, (own - order).astype(views.dtype), there[order])
+
+    across = arm(light_field.views[v], factor[v], light_field.available[v], u)
+    down = arm(light_field.views[:, u], factor[:, u], light_field.available[:, u], v)
+    down = down._replace(planes=jnp.swapaxes(down.planes, -1, -2))
+    return _guided((across, down), exposure, noise)
+
+
+def _guided(arms: tuple[Arm, Arm], exposure: Exposure, noise: Noise) -> Scene:
+    """A scene without a first map, whose guide is the centre view without its noise."""
+    guide = denoised(arms[0].planes[arms[0].centre], noise)
+    lab = jnp.moveaxis(srgb_to_lab(jnp.moveaxis(guide, 0, -1)), -1, 0)
+    return Scene(arms, exposure, noise, guide, lab, None)
 
 
 def first_labels(scene: Scene, seen: Sight, *, radius: int, passes: int) -> PhotometricLabels:

@@ -26,6 +26,8 @@ def landing(
 ) -> tuple[Int[Array, "y x"], Bool[Array, "y x"]]:
     """Flat index of the pixel of the other view that each pixel lands on.
 
+    Halves are rounded upwards: a plane at half a pixel would become a comb otherwise.
+
     Args:
         disparity: px per view step; pixels that are not finite land nowhere.
         step: `(u_c - u, v_c - v)` of the other view.
@@ -38,8 +40,9 @@ def landing(
     finite = jnp.isfinite(disparity)
     shift = jnp.where(finite, disparity, 0)
     step = step.astype(disparity.dtype)
-    x = jnp.round(jnp.arange(width, dtype=disparity.dtype)[None] + step[0] * shift)
-    y = jnp.round(jnp.arange(height, dtype=disparity.dtype)[:, None] + step[1] * shift)
+    x = jnp.arange(width, dtype=disparity.dtype)[None] + step[0] * shift
+    y = jnp.arange(height, dtype=disparity.dtype)[:, None] + step[1] * shift
+    x, y = jnp.floor(x + 0.5), jnp.floor(y + 0.5)
     stays = finite & (x >= 0) & (x <= width - 1) & (y >= 0) & (y <= height - 1)
     # As integers: float32 does not count the pixels of an image beyond 16 megapixels.
     index = jnp.where(stays, y.astype(jnp.int32) * width + x.astype(jnp.int32), height * width)

@@ -8,57 +8,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from angular.cards import FAR, NEAR, cards
 from helpers import dot, random_like
 
 from mvedge_jax.angular import ViewParams, ViewSizes, depth_of_views
 from mvedge_jax.baselines import reproject_views
 from mvedge_jax.centre import DepthResult, DepthStats
-from mvedge_jax.lightfield import GroundTruth, LightField
+from mvedge_jax.lightfield import LightField
 from mvedge_jax.photometry import Exposure, Noise
-
-_NEAR, _FAR = 1.0, -1.0
-
-
-def _texture(shape, rng):
-    """Smooth random colours, so that they can be told apart and followed."""
-    coarse = rng.random((shape[0] // 3 + 2, shape[1] // 3 + 2, 3))
-    y, x = (np.arange(n) / 3 for n in shape)
-    fine = np.stack([_bilinear(coarse[..., c], y, x) for c in range(3)], -1)
-    return fine
-
-
-def _bilinear(image, y, x):
-    b, a = y.astype(int), x.astype(int)
-    t, s = (y - b)[:, None], (x - a)[None]
-    rows = (1 - t) * image[b] + t * image[b + 1]
-    return (1 - s) * rows[:, a] + s * rows[:, a + 1]
-
-
-def _cards(shape=(5, 5, 40, 48), dtype: Any = np.float32) -> Any:
-    """A dark card before a bright wall, at whole disparities: views are exact copies."""
-    rows, columns, height, width = shape
-    rng = np.random.default_rng(0)
-    margin = max(rows, columns)
-    wall = 0.5 + 0.4 * _texture((height + 2 * margin, width + 2 * margin), rng)
-    card = 0.3 * _texture((height + 2 * margin, width + 2 * margin), rng)
-    y, x = np.mgrid[:height, :width]
-    views, truth = np.zeros((*shape, 3)), np.zeros(shape)
-    for v, u in np.ndindex(rows, columns):
-        a, b = columns // 2 - u, rows // 2 - v
-
-        def at(image, d, a=a, b=b):
-            """What a plane shows: the pixel of the centre view that a pixel of this view is."""
-            return image[margin + y - b * int(d), margin + x - a * int(d)]
-
-        row, column = y - b * _NEAR, x - a * _NEAR
-        on = (abs(row - height // 2) < height // 4) & (abs(column - width // 2) < width // 4)
-        views[v, u] = np.where(on[..., None], at(card, _NEAR), at(wall, _FAR))
-        truth[v, u] = np.where(on, _NEAR, _FAR)
-    centre = truth[rows // 2, columns // 2]
-    known = GroundTruth(
-        jnp.asarray(centre, dtype), jnp.ones((height, width), bool), None, jnp.asarray(truth, dtype)
-    )
-    return LightField(jnp.asarray(views, dtype), disparity_range=(-1.5, 1.5), truth=known)
 
 
 def _known(field):
@@ -77,7 +34,7 @@ def _bad(maps, field):
 
 
 def test_surfaces_hidden_in_the_centre_view_are_found():
-    field = _cards()
+    field = cards()
     result = _known(field)
     found = depth_of_views(field, result, ViewParams(), ViewSizes.for_light_field(field))
     assert _bad(found.disparity, field) < 0.002
@@ -98,11 +55,11 @@ def test_surfaces_hidden_in_the_centre_view_are_found():
 
 def test_a_wrong_first_guess_is_put_right_by_the_views():
     # Seen from the centre, the wall behind the card seems to be a step further away all around it.
-    field = _cards()
+    field = cards()
     result = _known(field)
-    depth = jnp.where(result.disparity == _NEAR, _NEAR, result.disparity)
+    depth = jnp.where(result.disparity == NEAR, NEAR, result.disparity)
     rim = jnp.abs(jnp.arange(48) - 24) < 16
-    depth = jnp.where(rim[None] & (depth == _FAR), -1.15, depth)
+    depth = jnp.where(rim[None] & (depth == FAR), -1.15, depth)
     found = depth_of_views(
         field, result._replace(disparity=depth), ViewParams(), ViewSizes.for_light_field(field)
     )
@@ -113,14 +70,14 @@ def test_a_wrong_first_guess_is_put_right_by_the_views():
 
 @pytest.mark.parametrize("grid", [(1, 5), (5, 1), (3, 3), (3, 7)])
 def test_any_grid(grid):
-    field = _cards((*grid, 33, 40))
+    field = cards((*grid, 33, 40))
     found = depth_of_views(field, _known(field), ViewParams(), ViewSizes.for_light_field(field))
     assert _bad(found.disparity, field) < 0.004
     assert _bad(reproject_views(field.truth.disparity, field.steps), field) < 0.02
 
 
 def test_missing_views_are_not_read():
-    field = _cards()
+    field = cards()
     there = np.zeros((5, 5), bool)
     there[2], there[:, 2] = True, True
     sizes, result = ViewSizes.for_light_field(field), _known(field)
@@ -137,7 +94,7 @@ def test_missing_views_are_not_read():
 
 
 def test_overflow_is_counted():
-    field = _cards()
+    field = cards()
     result = _known(field)
     everything = depth_of_views(field, result, ViewParams(), ViewSizes.for_light_field(field))
     sizes = ViewSizes.for_light_field(field, capacity=10)
@@ -149,7 +106,7 @@ def test_overflow_is_counted():
 @pytest.mark.slow
 def test_derivatives_of_off_centre_maps_equal_differences():
     shape = (3, 3, 24, 32)
-    field = _cards(shape, np.float64)
+    field = cards(shape, np.float64)
     sizes = ViewSizes.for_light_field(field, tolerance=1e-12)
     keys = jax.random.split(jax.random.key(1), 4)
     # Off the exact copies and the whole disparities, where minima and selections would tie.
@@ -182,7 +139,7 @@ def test_derivatives_of_off_centre_maps_equal_differences():
 
 
 def test_other_sizes_are_refused():
-    field = _cards()
+    field = cards()
     wrong = _known(field)._replace(disparity=jnp.zeros((8, 8)))
     with pytest.raises(ValueError, match=r"`result.disparity` must have the size"):
         inspect.unwrap(depth_of_views)(field, wrong, ViewParams(), ViewSizes.for_light_field(field))

@@ -47,6 +47,31 @@ def test_views_writes_maps_of_all_views(scene, tmp_path):
         assert (out / name).stat().st_size > 0
 
 
+@pytest.mark.slow
+def test_a_single_row_of_views(tmp_path):
+    rng = np.random.default_rng(1)
+    texture = ndimage.gaussian_filter(rng.uniform(size=(52, 60, 3)), (0.9, 0.9, 0)) * 2 - 0.5
+    y, x = np.mgrid[0:32, 0:40].astype(float) + 10
+    views = np.stack(
+        [
+            [
+                ndimage.map_coordinates(texture[..., c], [y, x - (4 - u) * 0.4], order=3)
+                for c in range(3)
+            ]
+            for u in range(9)
+        ]
+    )
+    pixels = np.round(255 * np.clip(views.transpose(0, 2, 3, 1), 0, 1)).astype(np.uint8)
+    scene = write_hci(tmp_path / "row", pixels[None])
+    assert _main.main(["depth", str(scene), str(tmp_path / "depth")]) == 0
+    found = read_pfm(tmp_path / "depth" / "disparity.pfm")
+    assert np.median(np.abs(found - 0.4)) < 0.01
+    assert _main.main(["views", str(scene), str(tmp_path / "views")]) == 0
+    for k in range(9):
+        found = read_pfm(tmp_path / "views" / f"disparity_Cam{k:03d}.pfm")
+        assert np.median(np.abs(found - 0.4)) < 0.01
+
+
 def test_edit_puts_a_picture_before_the_plane(scene, tmp_path):
     picture, out = tmp_path / "red.png", tmp_path / "out"
     cv2.imwrite(str(picture), np.full((5, 5, 3), (0, 0, 255), np.uint8))

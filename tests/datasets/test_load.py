@@ -86,6 +86,20 @@ def test_non_square_grid_of_the_hci_layout(tmp_path):
         load_light_field(path)
 
 
+@pytest.mark.parametrize("grid", [(1, 5), (5, 1)])
+def test_a_single_row_or_column_of_views(tmp_path, grid):
+    views = random_views((*grid, 4, 6, 3))
+    path = write_hci(tmp_path / "scene", views)
+    expected = views.astype(np.float32) / 255
+    np.testing.assert_array_equal(np.asarray(load_light_field(path).views), expected)
+    middle = expected[:, 1:4] if grid[0] == 1 else expected[1:4]
+    np.testing.assert_array_equal(np.asarray(load_light_field(path, views=3).views), middle)
+    with pytest.raises(ValueError, match="`views` must be odd"):
+        load_light_field(path, views=7)
+    with pytest.raises(ValueError, match="1x4 views.*an odd row or column.*views=3"):
+        load_light_field(write_hci(tmp_path / "even", views.reshape(1, 5, 4, 6, 3)[:, :4]))
+
+
 def test_scale_averages_areas_and_shrinks_what_is_in_pixels(tmp_path):
     views = random_views((3, 3, 7, 10, 3))
     disparity = np.full((7, 10), 0.5, np.float32)

@@ -20,7 +20,7 @@ def brute_force(image, disparity, step):
     for i in order:
         y, x = divmod(i, width)
         d = disparity[y, x]
-        tx, ty = np.round(x + step[0] * d), np.round(y + step[1] * d)
+        tx, ty = np.floor(x + step[0] * d + 0.5), np.floor(y + step[1] * d + 0.5)
         if 0 <= tx < width and 0 <= ty < height:
             tx, ty = int(tx), int(ty)
             out[ty, tx], depth[ty, tx], hit[ty, tx], owner[ty, tx] = image[y, x], d, True, i

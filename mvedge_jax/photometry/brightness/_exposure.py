@@ -43,6 +43,18 @@ class Exposure(NamedTuple):
     scale: Float[Array, ""]
     gain: Float[Array, "v u"]
 
+    def everywhere(self, light_field: LightField, disparity: Float[Array, "y x"]) -> "Exposure":
+        """The same with the gains of all views, measured along a map of the centre view.
+
+        Args:
+            light_field: the views as they came.
+            disparity: px per view step, `[y, x]`.
+
+        Returns:
+            Gains to about 0.2 %. Differentiable in the views and the map.
+        """
+        return exposure_along(light_field, self.scale, disparity, every=True)
+
 
 def expose(light_field: LightField, exposure: Exposure) -> LightField:
     """Takes exposure and gains out of the views.

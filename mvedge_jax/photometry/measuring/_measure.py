@@ -42,6 +42,23 @@ class PhotometricLabels(NamedTuple):
     variance: Float[Array, "y x"]
     residual: Float[Array, "y x"]
 
+    def weight(
+        self, params: Measuring, *, precision: Float[Array, ""], trust: Float[Array, ""]
+    ) -> Float[Array, "y x"]:
+        """Data weight of the labels: by standard error, and by how well the views agree.
+
+        Args:
+            params: of the measurement.
+            precision: standard error, px, at which a label counts half as much as a perfect one.
+            trust: residual, in multiples of the noise variance, that halves the weight.
+
+        Returns:
+            Weights in [0, 1]. Differentiable.
+        """
+        floor = params.noise**2
+        excess = jnp.maximum(self.residual, floor) / (trust * floor)
+        return precision**2 / (precision**2 + self.variance) / (1 + excess**2)
+
 
 @partial(jax.jit, static_argnames=("radius", "passes"))
 def photometric_labels(

@@ -1,0 +1,175 @@
+"""Depth of every view: errors, hidden surfaces, consistency, seconds; Figures 6.5 and 6.6.
+
+    python experiments/every_view.py demo edges crossing thin wide room bench --out results/views
+
+Scenes are folders, names of the development data, or of synthetic scenes (rendered at --size).
+All methods start from the same map of the centre view; its seconds are not in theirs, those of
+finding the thesis' guides are. Per method and scene, MSE x 100 and share of pixels off by more than
+.07 px: mean over the views, mean of the corner views, pixels whose true surface the centre view
+does not show (mean over the off-centre views), and the centre view itself. `off/centre` is the MSE
+of the off-centre views over that of the centre. `cons` is the variance of map - truth between the
+views that truly see a point, x 100; `agree` is `metrics.view_consistency`, which knows no truth,
+x 100: a constant map agrees.
+
+With --cost, the seconds of every view over the number of views, ours.
+"""
+
+import argparse
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+from _report import peak_memory, print_table, timed, write_csv, write_json
+from _views import error_consistency, regions, scene, scores
+from matplotlib.figure import Figure
+
+from mvedge_jax.angular import ViewParams, ViewSizes, depth_of_views
+from mvedge_jax.baselines import (
+    SparseParams,
+    ThesisParams,
+    ThesisSizes,
+    reproject_views,
+    thesis_edges,
+    thesis_views,
+)
+from mvedge_jax.centre import DepthResult, Parameters, Sizes, edge_to_depth
+from mvedge_jax.lightfield import LightField
+from mvedge_jax.metrics import view_consistency
+from mvedge_jax.plotting import plot_consistency, plot_view_maps
+
+Method = Callable[[LightField, DepthResult], jax.Array]
+
+
+def ours(light_field: LightField, result: DepthResult) -> jax.Array:
+    """Common surface samples, drawn into every view."""
+    sizes = ViewSizes.for_light_field(light_field)
+    return depth_of_views(light_field, result, ViewParams(), sizes).disparity
+
+
+def naive(light_field: LightField, result: DepthResult) -> jax.Array:
+    """The centre view's map moved, holes filled from behind."""
+    return reproject_views(result.disparity, light_field.steps)
+
+
+def thesis(light_field: LightField, result: DepthResult) -> jax.Array:
+    """The centre view's map, projected and diffused in EPIs, guided by the thesis' points."""
+    sizes = ThesisSizes.for_light_field(light_field)
+    points = thesis_edges(light_field, ThesisParams(), sizes, key=jax.random.key(0)).points
+    return thesis_views(light_field, result.disparity, points, SparseParams())
+
+
+METHODS: dict[str, Method] = {"ours": ours, "naive": naive, "thesis": thesis}
+
+
+def costs(light_field: LightField) -> list[dict[str, Any]]:
+    """Seconds of all views over their number, warm and first call."""
+    rows = []
+    most = min(light_field.views.shape[:2])
+    for side in range(3, most + 1, 2):
+        field = light_field.without_truth().crop_views(side)
+        result = edge_to_depth(field, Parameters(), Sizes.for_light_field(field))
+        _, seconds = timed(ours, field, result, repeats=2)
+        each = seconds.best / side**2
+        row = {"views": side**2, "seconds": seconds.best, "per view": each}
+        rows.append({**row, "first call": seconds.first})
+    return rows
+
+
+def main() -> None:
+    """Runs the experiment."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("scenes", nargs="+")
+    parser.add_argument("--out", type=Path, default=Path("results/every_view"))
+    parser.add_argument("--size", type=int, default=512, help="side of rendered scenes, px")
+    parser.add_argument("--views", type=int, help="use the central VIEWS x VIEWS only")
+    parser.add_argument("--methods", nargs="+", choices=list(METHODS), default=list(METHODS))
+    parser.add_argument("--repeats", type=int, default=2, help="warm calls; the best counts")
+    parser.add_argument("--cost", action="store_true", help="plot seconds over number of views")
+    arguments = parser.parse_args()
+    arguments.out.mkdir(parents=True, exist_ok=True)
+    rows, cost = [], []
+    for place in arguments.scenes:
+        name, light_field = Path(place).name, scene(place, arguments.size)
+        if arguments.views:
+            light_field = light_field.crop_views(arguments.views)
+        rows += compared(name, light_field, arguments)
+        if arguments.cost and not cost:
+            cost = costs(light_field)
+            print_table(cost, title=f"seconds of ours, {name}")
+            _cost_plot(cost).savefig(arguments.out / "cost.png")
+        # Programs of the whole chain are dropped, see `_depth.scenes`.
+        jax.clear_caches()
+        # After every scene: all of them take a while.
+        write_csv(arguments.out / "every_view.csv", rows)
+        content = {"rows": rows, "cost": cost, "peak GiB": peak_memory() / 2**30}
+        write_json(arguments.out / "every_view.json", content)
+        _scatter(rows).savefig(arguments.out / "figure_6_6.png")
+
+
+def compared(
+    name: str, light_field: LightField, arguments: argparse.Namespace
+) -> list[dict[str, Any]]:
+    """The rows of one scene; its pictures are written."""
+    known = light_field.truth
+    if known is None or known.view_disparity is None:
+        raise ValueError(f"{name} has no ground truth of all views to score against.")
+    truth, blind = known.view_disparity, light_field.without_truth()
+    hidden = regions(np.asarray(truth))
+    result = edge_to_depth(blind, Parameters(), Sizes.for_light_field(blind))
+    rows, consistency = [], []
+    for method in arguments.methods:
+        maps, seconds = timed(METHODS[method], blind, result, repeats=arguments.repeats)
+        consistency.append(error_consistency(maps, truth))
+        rows.append(
+            {
+                "scene": name,
+                "method": method,
+                **scores(maps, truth, hidden),
+                "cons": 100 * float(consistency[-1].mean),
+                "agree": 100 * float(view_consistency(maps).mean),
+                "seconds": seconds.best,
+                "first call": seconds.first,
+            }
+        )
+        plot_view_maps(maps).savefig(arguments.out / f"{name}_{method}.png")
+        error = np.abs(np.asarray(maps - truth))
+        figure = plot_view_maps(error, limits=(0, 0.3), name="error, px")
+        figure.savefig(arguments.out / f"{name}_{method}_error.png")
+    figure = plot_consistency(consistency, names=arguments.methods)
+    figure.savefig(arguments.out / f"figure_6_5_{name}.png")
+    print_table(rows, title=name)
+    return rows
+
+
+def _scatter(rows: list[dict[str, Any]]) -> Figure:
+    """Seconds against consistency, a mark per scene and a colour per method (Fig. 6.6)."""
+    figure = Figure(figsize=(4.5, 3.4), layout="constrained")
+    axes = figure.subplots()
+    for method in dict.fromkeys(row["method"] for row in rows):
+        own = [row for row in rows if row["method"] == method]
+        axes.loglog(
+            [row["seconds"] for row in own], [row["cons"] for row in own], "o", label=method
+        )
+        for row in own:
+            axes.annotate(row["scene"], (row["seconds"], row["cons"]), fontsize=6)
+    axes.set(xlabel="seconds for all views", ylabel="variance of the error between views x 100")
+    axes.legend()
+    return figure
+
+
+def _cost_plot(cost: list[dict[str, Any]]) -> Figure:
+    """Seconds per view and in all over the number of views."""
+    figure = Figure(figsize=(4.5, 3.4), layout="constrained")
+    axes = figure.subplots()
+    count = [row["views"] for row in cost]
+    for column in ("seconds", "per view"):
+        axes.loglog(count, [row[column] for row in cost], "o-", label=column)
+    axes.set(xlabel="views", ylabel="seconds")
+    axes.legend()
+    return figure
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,38 @@
+"""What `mvedge views` and `mvedge edit` share: the depth of every view, with progress."""
+
+import time
+
+import jax
+
+from mvedge_jax.angular import ViewDepths, ViewParams, ViewSizes, depth_of_views
+from mvedge_jax.centre import Parameters, Sizes, edge_to_depth
+from mvedge_jax.lightfield import LightField
+
+from ._common import compiled, stage, warn
+
+
+def every_view(light_field: LightField) -> tuple[ViewDepths, float]:
+    """Depth of every view of a light field, stage by stage.
+
+    Args:
+        light_field: without ground truth.
+
+    Returns:
+        The maps, and the seconds from the centre view's map to all of them.
+    """
+    params, every = Parameters(), ViewParams()
+    with stage("choosing sizes"):
+        sizes = Sizes.for_light_field(light_field), ViewSizes.for_light_field(light_field)
+    with stage("compiling, or reading what was compiled before"):
+        centre = compiled(edge_to_depth, light_field, params, sizes[0])
+    with stage("estimating depth of the centre view"):
+        result = jax.block_until_ready(centre(light_field, params, sizes[0]))
+    with stage("compiling, or reading what was compiled before"):
+        program = compiled(depth_of_views, light_field, result, every, sizes[1])
+    start = time.perf_counter()
+    with stage("estimating depth of all views"):
+        found = jax.block_until_ready(program(light_field, result, every, sizes[1]))
+    seconds = time.perf_counter() - start
+    if int(found.overflow):
+        warn(f"{int(found.overflow)} hidden samples found no slot and were left out.")
+    return found, seconds
