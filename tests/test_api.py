@@ -161,7 +161,7 @@ _FLOORS = (
     ("edges", "losses", "metrics"),
     ("centre",),
     ("model", "baselines", "angular"),
-    ("edit",),
+    ("edit", "superpixels"),
     ("datasets", "plotting"),
     ("cli",),
     ("__init__", "__main__"),
@@ -228,11 +228,12 @@ _MOST = {
     "edges": 19,
     "epi": 9,
     "losses": 19,
-    "metrics": 17,
+    "metrics": 20,
     "model": 39,
     "photometry": 29,
     "plotting": 12,
     "splatting": 8,
+    "superpixels": 8,
     "warping": 10,
 }
 

@@ -1,4 +1,4 @@
-"""Scores: depth errors, what is said about them, boundaries, consistency, reprojection."""
+"""Scores: depth errors, what is said about them, boundaries, consistency, superpixels."""
 
 from ._boundary import BoundaryScores as BoundaryScores, boundary_scores as boundary_scores
 from ._calibration import Calibration as Calibration, calibration as calibration
@@ -18,3 +18,8 @@ from ._depth import (
 )
 from ._region import edge_band as edge_band
 from ._reprojection import Reprojection as Reprojection, reprojection_error as reprojection_error
+from ._superpixels import (
+    SuperpixelScores as SuperpixelScores,
+    labels_per_pixel as labels_per_pixel,
+    superpixel_scores as superpixel_scores,
+)
