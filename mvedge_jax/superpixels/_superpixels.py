@@ -1,0 +1,151 @@
+"""Superpixels of a light field: one label per surface patch in every view (Thesis Ch. 5)."""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Bool, Float, Int
+
+from mvedge_jax._params import cast
+from mvedge_jax.angular import ViewDepths
+from mvedge_jax.color import srgb_to_lab
+from mvedge_jax.lightfield import LightField
+
+from ._clusters import Surface, clustered, grid_over, surface_of
+from ._parameters import SuperpixelParams, SuperpixelSizes
+from ._pieces import joined, numbered
+from ._tables import tables_of
+from ._views import canvas_of, continued, labelled, whole
+
+
+class Superpixels(NamedTuple):
+    """Superpixels; row k of a table is that of label k + 1.
+
+    Attributes:
+        labels: of every pixel of every view, `[v, u, y, x]`, from 1 on; 0 for none.
+        valid: rows of the tables in use.
+        xy: mean place in the centre view, px; of labels that it does not show, where they would be.
+        plane: disparity at `xy`, px per view step, and its change per px along x and y.
+        colour: mean colour, sRGB.
+        area: pixels of the centre view.
+        parents: the least label among those that are connected without a depth step.
+        neighbours: pairs of labels that touch in the centre view, the smaller one first; 0 where
+            unused.
+        linked: pairs that touch without a depth step.
+        count: of superpixels; what exceeds the capacity has no label.
+    """
+
+    labels: Int[Array, "v u y x"]
+    valid: Bool[Array, " k"]
+    xy: Float[Array, "k 2"]
+    plane: Float[Array, "k 3"]
+    colour: Float[Array, "k 3"]
+    area: Int[Array, " k"]
+    parents: Int[Array, " k"]
+    neighbours: Int[Array, "m 2"]
+    linked: Bool[Array, " m"]
+    count: Int[Array, ""]
+
+
+@eqx.filter_jit
+def superpixels(
+    light_field: LightField,
+    depths: ViewDepths,
+    params: SuperpixelParams,
+    sizes: SuperpixelSizes,
+) -> Superpixels:
+    """Cuts a light field into small patches of surface, each with one label in every view.
+
+    1. The pixels of the centre view are clustered by place, colour and a slanted plane per cluster,
+       with short contours; cells are enlarged or shrunk until the number of superpixels is right.
+    2. Clusters are cut into connected pieces, and at every depth step. Small pieces join the most
+       similar neighbour on their own surface; thin things stay for themselves.
+    3. Surfaces that only other views show continue the superpixels of the same surface around
+       them, by disparity; where there are none, they are superpixels of their own.
+    4. Every pixel of every view gets the label of the surface that it shows, by its disparity:
+       views agree by construction. In each view, a superpixel that something hides the middle of
+       gives its smaller pieces to neighbours on its surface.
+
+    Args:
+        light_field: the views; ground truth is not read.
+        depths: disparity of all views, from `depth_of_views`.
+        params: see `SuperpixelParams`.
+        sizes: see `SuperpixelSizes.for_depths`.
+
+    Returns:
+        Labels of all views, of missing ones as well, and tables. The same for the same input. Not
+        differentiable: `soft_superpixels` is.
+
+    Raises:
+        ValueError: if the depths are not those of the views' grid and size.
+
+    Source: Thesis Ch. 5, which clusters EPI segments instead: see `baselines`.
+
+    Example:
+        >>> flat = jnp.zeros((1, 3, 20, 20))
+        >>> depths = ViewDepths(flat, flat, flat.astype(jnp.int8), jnp.asarray(0))
+        >>> params, sizes = SuperpixelParams(size=10.0), SuperpixelSizes.for_depths(depths)
+        >>> light_field = LightField(jnp.full((1, 3, 20, 20, 3), 0.5))
+        >>> found = superpixels(light_field, depths, params, sizes)
+        >>> int(found.count), found.labels[0, 0, 0, ::10].tolist()
+        (4, [1, 2])
+    """
+    check_depths(light_field, depths)
+    params = cast(params, light_field.views.dtype)
+    disparities = depths.disparity.astype(light_field.views.dtype)
+    vc, uc = light_field.centre
+    surface = surface_of(srgb_to_lab(light_field.centre_view), disparities[vc, uc], params.step)
+    centre, count = _counted(surface, params, sizes)
+    canvas = canvas_of(disparities, centre, params.step, margin=sizes.margin)
+    canvas, count = continued(canvas, count, params.step, params.speck, capacity=sizes.capacity)
+    labels = labelled(disparities, canvas, params.step, margin=sizes.margin)
+    shape = labels.shape
+
+    def one(item: tuple[Array, Array]) -> Array:
+        return whole(*item, params.step, sizes.capacity + 1)
+
+    maps = (labels.reshape(-1, *shape[2:]), disparities.reshape(-1, *shape[2:]))
+    labels = lax.map(one, maps).reshape(shape).at[vc, uc].set(centre)
+    tables = tables_of(
+        light_field, labels, surface, canvas, params, margin=sizes.margin, capacity=sizes.capacity
+    )
+    valid = jnp.arange(sizes.capacity) < count
+    return Superpixels(labels, valid, *tables, count)
+
+
+def check_depths(light_field: LightField, depths: ViewDepths) -> None:
+    """Raises a ValueError where depths are not those of a light field."""
+    shape = light_field.views.shape[:4]
+    if depths.disparity.shape != shape:
+        raise ValueError(
+            f"`depths` must have the shape of the views, {shape}, got {depths.disparity.shape}."
+        )
+
+
+def _counted(
+    surface: Surface, params: SuperpixelParams, sizes: SuperpixelSizes
+) -> tuple[Array, Array]:
+    """Labels of the centre view, about as many as the size asks for, and their number."""
+    shape = surface.disparity.shape
+    pixels = jnp.asarray(shape[0] * shape[1], surface.disparity.dtype)
+    wanted = pixels / params.size**2
+
+    def attempt(state: tuple[Array, Array, Array], _):
+        size, best, gap = state
+        grid = grid_over(shape, size, sizes.capacity)
+        labels, _ = clustered(surface, grid, params, capacity=sizes.capacity, rounds=sizes.rounds)
+        root = joined(surface, labels, params.size, params)
+        _, count = numbered(root, sizes.capacity)
+        number = count.astype(wanted.dtype)
+        off = jnp.abs(jnp.log(number / wanted))
+        better = off < gap
+        best, gap = jnp.where(better, root, best), jnp.where(better, off, gap)
+        # What a cell's area has to change by, were all superpixels cells; a little more than that,
+        # as pieces are not.
+        size = size * jnp.clip((number / wanted) ** 0.7, 0.5, 2.0)
+        return (size, best, gap), number
+
+    start = params.size, jnp.zeros(shape, jnp.int32), jnp.asarray(jnp.inf, pixels.dtype)
+    (_, best, _), _ = lax.scan(attempt, start, length=sizes.attempts)
+    return numbered(best, sizes.capacity)
