@@ -231,7 +231,7 @@ _MOST = {
     "metrics": 20,
     "model": 39,
     "photometry": 29,
-    "plotting": 12,
+    "plotting": 17,
     "splatting": 8,
     "superpixels": 8,
     "warping": 10,

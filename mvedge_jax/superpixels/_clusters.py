@@ -142,7 +142,13 @@ def distance(
     colour = jnp.sum((surface.lab - clusters.lab[which]) ** 2, axis=-1) / params.colour**2
     depth = ((surface.disparity - predicted) / params.depth) ** 2
     near = jnp.sum(away**2, axis=-1) / size**2
-    return near + jnp.minimum(colour, params.limit) + jnp.minimum(depth, params.limit)
+    return near + _bounded(colour, params.limit)[0] + _bounded(depth, params.limit)[0]
+
+
+def _bounded(square: Array, limit: Array) -> tuple[Array, Array]:
+    """A square that levels off smoothly at a limit (Geman and McClure), and its slope."""
+    share = 1 / (1 + square / limit)
+    return square * share, share * share
 
 
 def updated(
@@ -157,9 +163,8 @@ def updated(
     plane = clusters.plane[which]
     residual = surface.disparity - plane[..., 0]
     off = residual - jnp.sum(plane[..., 1:] * away, axis=-1)
-    # Pixels of another surface have no say about the plane.
-    inlier = off**2 <= params.limit * params.depth**2
-    sure = weights * lax.stop_gradient(inlier.astype(weights.dtype))
+    # Pixels of another surface have next to no say about the plane.
+    sure = weights * _bounded((off / params.depth) ** 2, params.limit)[1]
     x, y = away[..., 0], away[..., 1]
     first = weights[..., None] * jnp.concatenate(
         [jnp.ones_like(x)[..., None], away, surface.lab], axis=-1

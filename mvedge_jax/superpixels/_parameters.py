@@ -11,7 +11,6 @@ from jaxtyping import Array, Float
 from mvedge_jax._params import described, number
 from mvedge_jax.angular import ViewDepths
 
-
 # Pairs of labels are numbered in 32 bits.
 _MOST = 32000
 
