@@ -193,7 +193,7 @@ def means(clusters: Clusters, sums: Float[Array, "k 15"], params: SuperpixelPara
     determinant = cxx * cyy - cxy * cxy
     a, b = (cyy * cxd - cxy * cyd) / determinant, (cxx * cyd - cxy * cxd) / determinant
     # At the cluster's new place.
-    level = (d - a * x - b * y) / n + a * shift[:, 0] + b * shift[:, 1]
+    level = clusters.plane[:, 0] + (d - a * x - b * y) / n + a * shift[:, 0] + b * shift[:, 1]
     rise = clusters.plane[:, 0] + jnp.sum(clusters.plane[:, 1:] * shift, axis=1)
     kept = jnp.concatenate([rise[:, None], clusters.plane[:, 1:]], axis=1)
     plane = jnp.where(fitted[:, None], jnp.stack([level, a, b], axis=1), kept)

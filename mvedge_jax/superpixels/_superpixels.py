@@ -110,7 +110,7 @@ def superpixels(
     tables = tables_of(
         light_field, labels, surface, canvas, params, margin=sizes.margin, capacity=sizes.capacity
     )
-    valid = jnp.arange(sizes.capacity) < count
+    valid = jnp.arange(sizes.capacity, dtype=jnp.int32) < count
     return Superpixels(labels, valid, *tables, count)
 
 

@@ -39,7 +39,8 @@ def _soft(field, depths, params=None):
 
 def test_shares_are_those_of_the_formula():
     field, depths = _scene()
-    soft, params = _soft(field, depths), SuperpixelParams(**_PARAMS)
+    soft = jax.tree.map(np.asarray, _soft(field, depths))
+    params = SuperpixelParams(**_PARAMS)
     np.testing.assert_allclose(soft.shares.sum(0), 1, rtol=1e-12)
     assert int(soft.count) == 2 * 3
     lab, depth = np.asarray(srgb_to_lab(field.centre_view)), np.asarray(depths.disparity[0, 0])
