@@ -30,6 +30,8 @@ class SuperpixelParams(eqx.Module):
         smallest: pieces with less than this share of the aimed area join a neighbour on the same
             surface.
         speck: surfaces with fewer pixels than this join whatever is around them.
+        fragment: pieces with fewer pixels than this, apart from the rest of their superpixel in
+            a view, join what is around them.
         slope: of a plane that is expected, px per view step and px.
         temperature: of soft assignments, in the same units as `limit`.
     """
@@ -42,6 +44,7 @@ class SuperpixelParams(eqx.Module):
     step: Float[Array, ""] = number(0.1, "px per view step")
     smallest: Float[Array, ""] = number(0.1, "share of the area")
     speck: Float[Array, ""] = number(6.0, "px")
+    fragment: Float[Array, ""] = number(10.0, "px")
     slope: Float[Array, ""] = number(0.02, "px per view step and px")
     temperature: Float[Array, ""] = number(0.2, "sizes squared")
 

@@ -16,7 +16,7 @@ from ._clusters import Surface, clustered, grid_over, surface_of
 from ._parameters import SuperpixelParams, SuperpixelSizes
 from ._pieces import joined, numbered
 from ._tables import tables_of
-from ._views import canvas_of, continued, labelled, whole
+from ._views import canvas_of, continued, labelled
 
 
 class Superpixels(NamedTuple):
@@ -64,8 +64,9 @@ def superpixels(
     3. Surfaces that only other views show continue the superpixels of the same surface around
        them, by disparity; where there are none, they are superpixels of their own.
     4. Every pixel of every view gets the label of the surface that it shows, by its disparity:
-       views agree by construction. In each view, a superpixel that something hides the middle of
-       gives its smaller pieces to neighbours on its surface.
+       views agree by construction, and outlines are where the centre view has them. Fragments of a
+       few pixels join what is around them. A superpixel that something hides the middle of is in
+       two pieces in that view.
 
     Args:
         light_field: the views; ground truth is not read.
@@ -99,14 +100,15 @@ def superpixels(
     centre, count = _counted(surface, params, sizes)
     canvas = canvas_of(disparities, centre, params.step, margin=sizes.margin)
     canvas, count = continued(canvas, count, params.step, params.speck, capacity=sizes.capacity)
-    labels = labelled(disparities, canvas, params.step, margin=sizes.margin)
-    shape = labels.shape
-
-    def one(item: tuple[Array, Array]) -> Array:
-        return whole(*item, params.step, sizes.capacity + 1)
-
-    maps = (labels.reshape(-1, *shape[2:]), disparities.reshape(-1, *shape[2:]))
-    labels = lax.map(one, maps).reshape(shape).at[vc, uc].set(centre)
+    labels = labelled(
+        disparities,
+        centre,
+        canvas,
+        params.step,
+        params.fragment,
+        margin=sizes.margin,
+        capacity=sizes.capacity,
+    )
     tables = tables_of(
         light_field, labels, surface, canvas, params, margin=sizes.margin, capacity=sizes.capacity
     )

@@ -4,10 +4,10 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float, Int
 
 from mvedge_jax.image import components
-from mvedge_jax.warping import holes
+from mvedge_jax.warping import forward_warp, holes
 
 from ._clusters import shifted
 
@@ -142,10 +142,29 @@ def continued(
 
 
 def labelled(
-    disparities: Float[Array, "v u y x"], canvas: Canvas, step: Float[Array, ""], *, margin: int
+    disparities: Float[Array, "v u y x"],
+    labels: Int[Array, "y x"],
+    canvas: Canvas,
+    step: Float[Array, ""],
+    fragment: Float[Array, ""],
+    *,
+    margin: int,
+    capacity: int,
 ) -> Int[Array, "v u y x"]:
-    """Labels of all views: those of the surfaces that their pixels show."""
+    """Labels of all views: those of the surfaces that their pixels show.
+
+    Args:
+        disparities: of all views, px per view step.
+        labels: of the centre view, from 1 on.
+        canvas: with labels.
+        step: two surfaces differ by more than this, px per view step.
+        fragment: pieces with fewer pixels than this, apart from the rest of their label, join what
+            is around them, px.
+        margin: of the canvas, px.
+        capacity: of labels.
+    """
     front, back, front_labels, back_labels = (a.ravel() for a in canvas)
+    centre = disparities[disparities.shape[0] // 2, disparities.shape[1] // 2]
 
     def one(item: tuple[Array, Array]) -> Array:
         disparity, view = item
@@ -153,10 +172,16 @@ def labelled(
         in_front = jnp.abs(front[place] - disparity) <= step
         behind = jnp.abs(back[place] - disparity) <= step
         label = jnp.where(in_front, front_labels[place], jnp.where(behind, back_labels[place], 0))
-        return _filled(label, disparity)
+        label = _filled(label, disparity)
+        # An outline that is wider in this view than in the centre view ends where that one does.
+        moved = forward_warp(labels[..., None].astype(disparity.dtype), centre, view)
+        wide = moved.hit & ~in_front & (moved.disparity < disparity - step)
+        label = jnp.where(wide, moved.image[..., 0].astype(jnp.int32), label)
+        return whole(label, disparity, fragment, capacity + 1)
 
-    maps = lax.map(one, _items(disparities))
-    return maps.reshape(disparities.shape)
+    maps = lax.map(one, _items(disparities)).reshape(disparities.shape)
+    # Which it is itself, but for what has no label.
+    return maps.at[disparities.shape[0] // 2, disparities.shape[1] // 2].set(labels)
 
 
 def _filled(labels: Int[Array, "y x"], disparity: Float[Array, "y x"]) -> Int[Array, "y x"]:
@@ -179,37 +204,37 @@ def _filled(labels: Int[Array, "y x"], disparity: Float[Array, "y x"]) -> Int[Ar
 
 
 def whole(
-    labels: Int[Array, "y x"], disparity: Float[Array, "y x"], step: Float[Array, ""], count: int
+    labels: Int[Array, "y x"],
+    disparity: Float[Array, "y x"],
+    fragment: Float[Array, ""],
+    count: int,
 ) -> Int[Array, "y x"]:
-    """Gives pieces of a label that lie apart from its largest one to neighbours on their surface.
+    """Gives fragments of labels to the neighbour that is closest in disparity.
 
     Args:
         labels: of a view.
         disparity: of it, px per view step.
-        step: two surfaces differ by more than this, px per view step.
+        fragment: pixels that a piece apart from the largest one of its label needs to stay.
         count: of labels, 0 included.
     """
-    same: list[Bool[Array, "y x"]] = [
-        labels == shifted(labels, *offset, -1) for offset in ((0, 1), (1, 0))
-    ]
-    root = components(*same).ravel()
-    area = jnp.zeros(root.size, jnp.int32).at[root].add(1)
-    most = jnp.zeros(count, jnp.int32).at[labels.ravel()].max(area[root])
-    main = jnp.full(count, root.size, jnp.int32)
-    largest = area[root] == most[labels.ravel()]
-    main = main.at[labels.ravel()].min(jnp.where(largest, root, root.size))
-    apart = (root != main[labels.ravel()]).reshape(labels.shape)
-    # The neighbour that the piece as a whole is closest to, so that it is not cut again.
-    gap, name = jnp.full(root.size, jnp.inf, disparity.dtype), jnp.full(root.size, count, jnp.int32)
+    root = components(*(labels == shifted(labels, *offset, -1) for offset in ((0, 1), (1, 0))))
+    root, name = root.ravel(), labels.ravel()
+    area = jnp.zeros(root.size, jnp.int32).at[root].add(1)[root]
+    most = jnp.zeros(count, jnp.int32).at[name].max(area)[name]
+    apart = (area < most) & (area.astype(fragment.dtype) < fragment)
+    apart = apart.reshape(labels.shape)
+    # The neighbour that the fragment as a whole is closest to, so that it is not cut again.
+    gap = jnp.full(root.size, jnp.inf, disparity.dtype)
     options = []
     for offset in ((0, 1), (0, -1), (1, 0), (-1, 0)):
         difference = jnp.abs(shifted(disparity, *offset, jnp.nan) - disparity)
         label = jnp.where(shifted(apart, *offset, True), 0, shifted(labels, *offset, 0))
-        usable = apart & (label > 0) & (difference <= step)
-        options.append((jnp.where(usable, difference, jnp.inf).ravel(), label.ravel()))
-        gap = gap.at[root].min(options[-1][0])
+        difference = jnp.where(apart & (label > 0), difference, jnp.inf).ravel()
+        options.append((difference, label.ravel()))
+        gap = gap.at[root].min(difference)
+    best = jnp.full(root.size, count, jnp.int32)
     for difference, label in options:
         chosen = jnp.isfinite(difference) & (difference == gap[root])
-        name = name.at[root].min(jnp.where(chosen, label, count))
-    return jnp.where(apart & (name[root] < count).reshape(labels.shape),
-                     name[root].reshape(labels.shape), labels)  # fmt: skip
+        best = best.at[root].min(jnp.where(chosen, label, count))
+    found = best[root].reshape(labels.shape)
+    return jnp.where(apart & (found < count), found, labels)
