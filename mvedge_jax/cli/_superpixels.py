@@ -81,7 +81,9 @@ def superpixels(
                 SuperpixelSizes.for_depths(depths).capacity, int(4 * height * width / size**2)
             )
             sizes = SuperpixelSizes.for_depths(depths, capacity=min(room, 32000))
-            found = jax.block_until_ready(cut(blind, depths, SuperpixelParams(size=size), sizes))
+            found = jax.block_until_ready(
+                cut(blind, depths, SuperpixelParams(size=jnp.asarray(size)), sizes)
+            )
         with stage("writing"):
             _write(folder, blind, found)
             report: dict[str, Any] = {"scene": light_field.name, "count": int(found.count)}

@@ -66,7 +66,7 @@ class SuperpixelSizes:
     capacity: int
     margin: int
     rounds: int = 10
-    attempts: int = 3
+    attempts: int = 4
 
     def __post_init__(self) -> None:
         for name, least in (("capacity", 1), ("margin", 0), ("rounds", 1), ("attempts", 1)):
@@ -115,7 +115,8 @@ def grid_of(
     height, width = shape
     size = jnp.maximum(size, jnp.sqrt(jnp.asarray(height * width / capacity, size.dtype)))
     rows = jnp.maximum(jnp.round(height / size), 1)
-    columns = jnp.maximum(jnp.round(width / size), 1)
+    # Not of the width alone: rows and columns that are rounded alike leave wide gaps of number.
+    columns = jnp.maximum(jnp.round(height * width / (size**2 * rows)), 1)
     fit = rows * columns <= capacity
     return jnp.where(fit, rows, jnp.maximum(rows - 1, 1)), jnp.where(
         fit, columns, jnp.maximum(jnp.floor(capacity / jnp.maximum(rows - 1, 1)), 1)

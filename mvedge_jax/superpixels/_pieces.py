@@ -1,5 +1,7 @@
 """Connected pieces of one surface, the small ones joined to what they belong to."""
 
+from typing import NamedTuple
+
 import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
@@ -13,9 +15,21 @@ from ._parameters import SuperpixelParams
 _JOINS = 6
 
 
+class Pieces(NamedTuple):
+    """Connected pieces of the centre view.
+
+    Attributes:
+        sums: of ones, colours and disparities over the pixels of each piece.
+        root: of every pixel, the number of its piece, which is below the number of pixels.
+    """
+
+    sums: Float[Array, "n 5"]
+    root: Int[Array, "y x"]
+
+
 def joined(
     surface: Surface, labels: Int[Array, "y x"], size: Float[Array, ""], params: SuperpixelParams
-) -> Int[Array, "y x"]:
+) -> Pieces:
     """Cuts labels into connected pieces of one surface, and joins small pieces to neighbours.
 
     Args:
@@ -25,8 +39,7 @@ def joined(
         params: of superpixels.
 
     Returns:
-        Of every pixel, a number of its piece, below the number of pixels. Pieces are connected, and
-        those of different surfaces are apart unless one is a speck.
+        Pieces, each connected; those of different surfaces are apart unless one is a speck.
     """
     right, down = surface.links[0], surface.links[1]
     root = components(
@@ -43,10 +56,31 @@ def joined(
         0, _JOINS, lambda _, state: _join(*state, right, down, least), (sums, root)
     )
     every = jnp.ones_like(right)
-    _, root = lax.fori_loop(
+    sums, root = lax.fori_loop(
         0, _JOINS, lambda _, state: _join(*state, every, every, params.speck), (sums, root)
     )
-    return root
+    return Pieces(sums, root)
+
+
+def fewer(pieces: Pieces, surface: Surface, wanted: Float[Array, ""]) -> Pieces:
+    """Joins the smallest pieces to neighbours on their surface until about so many are left."""
+    right, down = surface.links[0], surface.links[1]
+
+    def join(_, state: tuple[Array, Array]) -> tuple[Array, Array]:
+        sums, root = state
+        area = sums[:, 0]
+        beside = jnp.zeros(area.size, bool)
+        for links, offset in ((right, (0, 1)), (down, (1, 0))):
+            other = shifted(root, *offset, -1)
+            apart = (links & (other >= 0) & (other != root)).ravel()
+            for end in (root, other):
+                beside = beside.at[jnp.where(apart, end.ravel(), area.size)].set(True, mode="drop")
+        excess = jnp.sum(area > 0, dtype=jnp.int32) - jnp.round(wanted).astype(jnp.int32)
+        order = jnp.sort(jnp.where(beside, area, jnp.inf))
+        least = jnp.where(excess > 0, order[jnp.maximum(excess - 1, 0)] + 0.5, 0)
+        return _join(sums, root, right, down, least)
+
+    return Pieces(*lax.fori_loop(0, _JOINS, join, tuple(pieces)))
 
 
 def _join(

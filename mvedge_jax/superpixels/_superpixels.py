@@ -1,8 +1,9 @@
 """Superpixels of a light field: one label per surface patch in every view (Thesis Ch. 5)."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
@@ -14,9 +15,12 @@ from mvedge_jax.lightfield import LightField
 
 from ._clusters import Surface, clustered, grid_over, surface_of
 from ._parameters import SuperpixelParams, SuperpixelSizes
-from ._pieces import joined, numbered
+from ._pieces import Pieces, fewer, joined, numbered
 from ._tables import tables_of
 from ._views import canvas_of, continued, labelled
+
+# How many more pieces than wanted are aimed at, relatively: the smallest then join others.
+_MORE = 0.03
 
 
 class Superpixels(NamedTuple):
@@ -133,21 +137,27 @@ def _counted(
     pixels = jnp.asarray(shape[0] * shape[1], surface.disparity.dtype)
     wanted = pixels / params.size**2
 
-    def attempt(state: tuple[Array, Array, Array], _):
-        size, best, gap = state
-        grid = grid_over(shape, size, sizes.capacity)
+    def attempt(state: tuple[Any, ...], _) -> tuple[tuple[Any, ...], None]:
+        size, slope, before, best, gap = state
+        grid = grid_over(shape, jnp.exp(size), sizes.capacity)
         labels, _ = clustered(surface, grid, params, capacity=sizes.capacity, rounds=sizes.rounds)
-        root = joined(surface, labels, params.size, params)
-        _, count = numbered(root, sizes.capacity)
-        number = count.astype(wanted.dtype)
-        off = jnp.abs(jnp.log(number / wanted))
-        better = off < gap
-        best, gap = jnp.where(better, root, best), jnp.where(better, off, gap)
-        # What a cell's area has to change by, were all superpixels cells; a little more than that,
-        # as pieces are not.
-        size = size * jnp.clip((number / wanted) ** 0.7, 0.5, 2.0)
-        return (size, best, gap), number
+        pieces = joined(surface, labels, params.size, params)
+        off = jnp.log(numbered(pieces.root, sizes.capacity)[1].astype(wanted.dtype) / wanted)
+        # Too many are made fewer afterwards; too few stay.
+        badness = jnp.where(off < 0, -4 * off, off)
+        better = badness < gap
+        best = jax.tree.map(lambda new, old: jnp.where(better, new, old), pieces, best)
+        # The number falls with the square of the size of cells; less, where pieces make it up.
+        moved = size - before[0]
+        measured = (off - before[1]) / jnp.where(moved == 0, 1, moved)
+        slope = jnp.where(moved == 0, slope, jnp.clip(measured, -2.0, -0.7))
+        following = size - jnp.clip((off - _MORE) / slope, -1.0, 1.0)
+        gap = jnp.minimum(gap, badness)
+        return (following, slope, jnp.stack([size, off]), best, gap), None
 
-    start = params.size, jnp.zeros(shape, jnp.int32), jnp.asarray(jnp.inf, pixels.dtype)
-    (_, best, _), _ = lax.scan(attempt, start, length=sizes.attempts)
-    return numbered(best, sizes.capacity)
+    size = jnp.log(params.size)
+    nothing = Pieces(jnp.zeros((shape[0] * shape[1], 5), wanted.dtype), jnp.zeros(shape, jnp.int32))
+    first = jnp.stack([size, jnp.zeros_like(size)])
+    start = size, jnp.full_like(size, -1.5), first, nothing, jnp.full_like(size, jnp.inf)
+    (*_, best, _), _ = lax.scan(attempt, start, length=sizes.attempts)
+    return numbered(fewer(best, surface, wanted).root, sizes.capacity)

@@ -5,7 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers import check_gradient
+from helpers import check_gradient, with_values
 
 from mvedge_jax.angular import ViewDepths
 from mvedge_jax.color import srgb_to_lab
@@ -33,14 +33,14 @@ _SIZES = SuperpixelSizes(capacity=16, margin=2, rounds=3)
 
 
 def _soft(field, depths, params=None):
-    params = SuperpixelParams(**_PARAMS) if params is None else params
+    params = with_values(SuperpixelParams, **_PARAMS) if params is None else params
     return soft_superpixels(field, depths, params, _SIZES)
 
 
 def test_shares_are_those_of_the_formula():
     field, depths = _scene()
     soft = jax.tree.map(np.asarray, _soft(field, depths))
-    params = SuperpixelParams(**_PARAMS)
+    params = with_values(SuperpixelParams, **_PARAMS)
     np.testing.assert_allclose(soft.shares.sum(0), 1, rtol=1e-12)
     assert int(soft.count) == 2 * 3
     lab, depth = np.asarray(srgb_to_lab(field.centre_view)), np.asarray(depths.disparity[0, 0])
@@ -64,7 +64,7 @@ def test_shares_are_those_of_the_formula():
 
 def test_a_low_temperature_tells_surfaces_apart():
     field, depths = _scene()
-    soft = _soft(field, depths, SuperpixelParams(size=6.0, temperature=0.01))
+    soft = _soft(field, depths, with_values(SuperpixelParams, size=6.0, temperature=0.01))
     labels = np.take_along_axis(
         np.asarray(soft.names), np.asarray(soft.shares).argmax(0)[None], axis=0
     )[0]
@@ -81,7 +81,7 @@ def test_gradients_are_those_of_differences(what):
         found = through_superpixels(soft, target)
         return jnp.sum(jnp.sin(3 * found) * target) + jnp.sum(soft.plane[:6] ** 2)
 
-    params = SuperpixelParams(**_PARAMS)
+    params = with_values(SuperpixelParams, **_PARAMS)
     names = ("colour", "depth", "limit", "slope", "temperature")
     cases = {
         "views": (
@@ -95,7 +95,7 @@ def test_gradients_are_those_of_differences(what):
                 _soft(
                     field,
                     depths,
-                    SuperpixelParams(**_PARAMS | dict(zip(names, a, strict=True))),
+                    with_values(SuperpixelParams, **_PARAMS | dict(zip(names, a, strict=True))),
                 )
             ),
         ),
@@ -106,6 +106,6 @@ def test_gradients_are_those_of_differences(what):
 
 def test_an_image_of_means_passes_unchanged():
     field, depths = _scene()
-    soft = _soft(field, depths, SuperpixelParams(size=6.0, temperature=1e-3))
+    soft = _soft(field, depths, with_values(SuperpixelParams, size=6.0, temperature=1e-3))
     flat = jnp.full((14, 17, 2), 0.3)
     np.testing.assert_allclose(through_superpixels(soft, flat), flat, rtol=1e-12)

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers import count_traces
+from helpers import count_traces, with_values
 from scipy import ndimage
 
 from mvedge_jax.angular import ViewDepths
@@ -41,7 +41,7 @@ def _cards(shape=(3, 3, 36, 44), dtype: Any = np.float32, pole=False):
 
 def _found(field, depths, size=8.0, **choices):
     sizes = SuperpixelSizes.for_depths(depths, **{"rounds": 3, "attempts": 2, **choices})
-    return superpixels(field, depths, SuperpixelParams(size=size), sizes)
+    return superpixels(field, depths, with_values(SuperpixelParams, size=size), sizes)
 
 
 @pytest.mark.parametrize("shape", [(3, 3, 36, 44), (1, 5, 30, 33)])
@@ -63,8 +63,8 @@ def test_a_pole_is_apart_from_the_wall_and_cuts_it():
     field, depths, ids = _cards(pole=True)
     found = _found(field, depths)
     centre = np.asarray(found.labels[1, 1])
-    on = set(np.unique(centre[ids[1, 1] == 1])), set(np.unique(centre[ids[1, 1] == 0]))
-    assert not on[0] & on[1]
+    pole, wall = (set(np.unique(centre[ids[1, 1] == k])) for k in (1, 0))
+    assert not pole & wall
     left, right = centre[:, :20], centre[:, 25:]
     assert not set(np.unique(left)) & set(np.unique(right))
 
@@ -130,7 +130,8 @@ def test_the_same_twice_and_one_program_for_all_sizes():
     sizes = SuperpixelSizes.for_depths(depths, rounds=2, attempts=1)
     function, traces = count_traces(inspect.unwrap(superpixels))
     first, second, _ = (
-        function(field, depths, SuperpixelParams(size=size), sizes) for size in (8.0, 8.0, 11.0)
+        function(field, depths, with_values(SuperpixelParams, size=size), sizes)
+        for size in (8.0, 8.0, 11.0)
     )
     assert traces() == 1
     same = jax.tree.map(lambda a, b: bool(jnp.array_equal(a, b)), first, second)
