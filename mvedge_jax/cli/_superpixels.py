@@ -86,7 +86,7 @@ def superpixels(
             )
         with stage("writing"):
             _write(folder, blind, found)
-            report: dict[str, Any] = {"scene": light_field.name, "count": int(found.count)}
+            report: dict[str, Any] = {"scene": light_field.name, "count": int(found.number)}
             report["size"] = size
             report["scores"] = _score(folder, light_field, found)
             if pick is not None:
@@ -97,9 +97,9 @@ def superpixels(
                 )
                 report["picked"] = label
             write_json(folder / "report.json", report)
-    if int(found.count) > sizes.capacity:
-        warn(f"{int(found.count) - sizes.capacity} superpixels found no slot and have no label.")
-    note(f"{int(found.count)} superpixels; written to {out}")
+    if int(found.number) > sizes.capacity:
+        warn(f"{int(found.number) - sizes.capacity} superpixels found no slot and have no label.")
+    note(f"{int(found.number)} superpixels; written to {out}")
 
 
 def _depths(light_field: LightField) -> ViewDepths:

@@ -41,8 +41,8 @@ class SuperpixelScores(NamedTuple):
         inconsistent: share of the pairs of a pixel and another view seeing it that disagree.
         boundary_density: share of neighbouring pixels with different labels, mean over views.
         unlabelled: share of pixels without a label.
-        count: labels in all views together.
-        count_connected: connected pieces in the centre view.
+        number: labels in all views together.
+        number_connected: connected pieces in the centre view.
         pieces: connected pieces per label and view that has it.
         hidden: labels that the centre view lacks.
         small: labels with 1 to 9 px in the centre view.
@@ -66,8 +66,8 @@ class SuperpixelScores(NamedTuple):
     inconsistent: Float[Array, ""]
     boundary_density: Float[Array, ""]
     unlabelled: Float[Array, ""]
-    count: Int[Array, ""]
-    count_connected: Int[Array, ""]
+    number: Int[Array, ""]
+    number_connected: Int[Array, ""]
     pieces: Float[Array, ""]
     hidden: Int[Array, ""]
     small: Int[Array, ""]
@@ -195,10 +195,11 @@ def _scores(labels, object_ids, disparity, available, *, count, kinds) -> Superp
     middle = maps.shape[0] // 2
 
     shapes = lax.map(lambda view: shape_of(view, count, dtype), maps)
-    centre = shapes.compactness[middle], shapes.median[middle]
-    absent = [jnp.asarray(jnp.nan, dtype)] * 7
-    against = absent if object_ids is None else _against(maps, object_ids, use, count, kinds, dtype)
-    views = absent[:5] if disparity is None else _between(labels, disparity, available, count)
+    known: dict[str, Array] = dict.fromkeys((*_OF_OBJECTS, *_OF_VIEWS), jnp.asarray(jnp.nan, dtype))
+    if object_ids is not None:
+        known |= _against(maps, object_ids, use, count, kinds, dtype)
+    if disparity is not None:
+        known |= _between(labels, disparity, available, count)
 
     def total(numbers: Array) -> Array:
         return jnp.sum(jnp.where(use, numbers, 0)).astype(dtype)
@@ -208,22 +209,41 @@ def _scores(labels, object_ids, disparity, available, *, count, kinds) -> Superp
     there, seen = there[1:], area > 0
     none = jnp.mean(maps == 0, axis=(1, 2), dtype=dtype)
     return SuperpixelScores(
-        *against,
-        jnp.sum(weight * shapes.compactness),
-        *centre,
-        *views,
-        jnp.sum(weight * shapes.density),
-        jnp.sum(weight * none),
-        jnp.sum(there, dtype=jnp.int32),
-        shapes.pieces[middle],
-        total(shapes.pieces) / total(shapes.present),
-        jnp.sum(there & ~seen, dtype=jnp.int32),
-        jnp.sum(seen & (area < 10), dtype=jnp.int32),
-        jnp.sum(jnp.sqrt(area.astype(dtype))) / jnp.sum(seen).astype(dtype),
+        **known,
+        compactness=jnp.sum(weight * shapes.compactness),
+        compactness_centre=shapes.compactness[middle],
+        compactness_code=shapes.median[middle],
+        boundary_density=jnp.sum(weight * shapes.density),
+        unlabelled=jnp.sum(weight * none),
+        number=jnp.sum(there, dtype=jnp.int32),
+        number_connected=shapes.pieces[middle],
+        pieces=total(shapes.pieces) / total(shapes.present),
+        hidden=jnp.sum(there & ~seen, dtype=jnp.int32),
+        small=jnp.sum(seen & (area < 10), dtype=jnp.int32),
+        size=jnp.sum(jnp.sqrt(area.astype(dtype))) / jnp.sum(seen).astype(dtype),
     )
 
 
-def _against(maps, object_ids, use, count, kinds, dtype) -> list[Array]:
+# In the order in which they are made.
+_OF_OBJECTS = (
+    "accuracy",
+    "accuracy_code",
+    "recall",
+    "recall_code",
+    "undersegmentation",
+    "undersegmentation_area",
+    "undersegmentation_once",
+)
+_OF_VIEWS = (
+    "self_similarity",
+    "self_similarity_code",
+    "labels_per_pixel",
+    "labels_per_pixel_code",
+    "inconsistent",
+)
+
+
+def _against(maps, object_ids, use, count, kinds, dtype) -> dict[str, Array]:
     """Accuracy, recall and undersegmentation, each in its forms."""
     objects = object_ids.reshape(maps.shape)
 
@@ -243,15 +263,16 @@ def _against(maps, object_ids, use, count, kinds, dtype) -> list[Array]:
     right = jnp.sum(jnp.max(summed[1:], axis=1)), jnp.sum(summed[jnp.arange(count), best])
     pooled = jnp.sum(hits, axis=0).astype(dtype)
     each = hits_code.astype(dtype)
-    return [
+    scores = [
         *(a.astype(dtype) / pixels.astype(dtype) for a in right),
         pooled[0] / pooled[1],
         jnp.nanmean(each[:, 0] / each[:, 1]),
         *(jnp.sum(jnp.where(use, leak, 0)) / jnp.sum(use).astype(dtype) for leak in leaks),
     ]
+    return dict(zip(_OF_OBJECTS, scores, strict=True))
 
 
-def _between(labels, disparity, available, count) -> list[Array]:
+def _between(labels, disparity, available, count) -> dict[str, Array]:
     """Self-similarity, labels per pixel and the share of inconsistent pairs."""
     found = agreement(labels, disparity, available, count=count)
     dtype = disparity.dtype
@@ -259,10 +280,11 @@ def _between(labels, disparity, available, count) -> list[Array]:
         jnp.sum(a).astype(dtype) for a in (found.seen, found.differs, found.differs_code)
     )
     pixels = found.seen.size
-    return [
+    scores = [
         found.distance / found.labels.astype(dtype),
         found.distance_code / found.labels_code.astype(dtype),
         1 + differs / pixels,
         1 + differs_code / pixels,
         differs / seen,
     ]
+    return dict(zip(_OF_VIEWS, scores, strict=True))

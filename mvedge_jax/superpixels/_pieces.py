@@ -52,23 +52,22 @@ def joined(
     sums = jnp.zeros((count, 5), depth.dtype)
     sums = sums.at[root.ravel()].add(features.reshape(-1, 5), mode="promise_in_bounds")
     least = params.smallest * size**2
-    sums, root = lax.fori_loop(
-        0, _JOINS, lambda _, state: _join(*state, right, down, least), (sums, root)
-    )
-    every = jnp.ones_like(right)
-    sums, root = lax.fori_loop(
-        0, _JOINS, lambda _, state: _join(*state, every, every, params.speck), (sums, root)
-    )
-    return Pieces(sums, root)
+    pieces, every = Pieces(sums, root), jnp.ones_like(right)
+    for along, below, limit in ((right, down, least), (every, every, params.speck)):
+
+        def join(_, pieces: Pieces, along=along, below=below, limit=limit) -> Pieces:
+            return _join(pieces, along, below, limit)
+
+        pieces = lax.fori_loop(0, _JOINS, join, pieces)
+    return pieces
 
 
 def fewer(pieces: Pieces, surface: Surface, wanted: Float[Array, ""]) -> Pieces:
     """Joins the smallest pieces to neighbours on their surface until about so many are left."""
     right, down = surface.links[0], surface.links[1]
 
-    def join(_, state: tuple[Array, Array]) -> tuple[Array, Array]:
-        sums, root = state
-        area = sums[:, 0]
+    def join(_, pieces: Pieces) -> Pieces:
+        root, area = pieces.root, pieces.sums[:, 0]
         beside = jnp.zeros(area.size, bool)
         for links, offset in ((right, (0, 1)), (down, (1, 0))):
             other = shifted(root, *offset, -1)
@@ -78,21 +77,20 @@ def fewer(pieces: Pieces, surface: Surface, wanted: Float[Array, ""]) -> Pieces:
         excess = jnp.sum(area > 0, dtype=jnp.int32) - jnp.round(wanted).astype(jnp.int32)
         order = jnp.sort(jnp.where(beside, area, jnp.inf))
         least = jnp.where(excess > 0, order[jnp.maximum(excess - 1, 0)] + 0.5, 0)
-        return _join(sums, root, right, down, least)
+        return _join(pieces, right, down, least)
 
-    return Pieces(*lax.fori_loop(0, _JOINS, join, tuple(pieces)))
+    return lax.fori_loop(0, _JOINS, join, pieces)
 
 
 def _join(
-    sums: Float[Array, "n 5"],
-    root: Int[Array, "y x"],
+    pieces: Pieces,
     right: Bool[Array, "y x"],
     down: Bool[Array, "y x"],
     least: Float[Array, ""],
-) -> tuple[Array, Array]:
+) -> Pieces:
     """Joins each piece of less than some pixels to the most similar larger neighbour."""
-    count = sums.shape[0]
-    area = sums[:, 0]
+    sums, root = pieces
+    count, area = sums.shape[0], sums[:, 0]
     mean = sums[:, 1:] / jnp.maximum(area, 1)[:, None]
     pairs = []
     for links, (dy, dx) in ((right, (0, 1)), (down, (1, 0))):
@@ -113,7 +111,7 @@ def _join(
     target = jnp.where(target < count, target, own)
     # Chains end after doublings: a chain is shorter than 2**16 as areas grow along it.
     target = lax.fori_loop(0, 16, lambda _, t: t[t], target)
-    return jnp.zeros_like(sums).at[target].add(sums), target[root]
+    return Pieces(jnp.zeros_like(sums).at[target].add(sums), target[root])
 
 
 def numbered(root: Int[Array, "y x"], capacity: int) -> tuple[Int[Array, "y x"], Int[Array, ""]]:

@@ -40,7 +40,7 @@ class SoftSuperpixels(NamedTuple):
         xy: mean place of each superpixel, px; of those in use.
         lab: mean colour, CIE Lab.
         plane: disparity at `xy`, px per view step, and its change per px along x and y.
-        count: of superpixels; rows from there on are not in use.
+        number: of superpixels; rows from there on are not in use.
     """
 
     shares: Float[Array, "9 y x"]
@@ -48,7 +48,7 @@ class SoftSuperpixels(NamedTuple):
     xy: Float[Array, "k 2"]
     lab: Float[Array, "k 3"]
     plane: Float[Array, "k 3"]
-    count: Int[Array, ""]
+    number: Int[Array, ""]
 
 
 @eqx.filter_jit
@@ -87,7 +87,7 @@ def soft_superpixels(
         >>> params, sizes = SuperpixelParams(size=10.0), SuperpixelSizes.for_depths(depths)
         >>> light_field = LightField(jnp.full((1, 3, 20, 20, 3), 0.5))
         >>> found = soft_superpixels(light_field, depths, params, sizes)
-        >>> int(found.count), found.shares.sum(0).max().round(4).item()
+        >>> int(found.number), found.shares.sum(0).max().round(4).item()
         (4, 1.0)
     """
     check_depths(light_field, depths)
@@ -95,7 +95,8 @@ def soft_superpixels(
     params = cast(params, dtype)
     disparity = depths.disparity[light_field.centre].astype(dtype)
     surface = surface_of(srgb_to_lab(light_field.centre_view), disparity, params.step)
-    grid = grid_over(disparity.shape, lax.stop_gradient(params.size), sizes.capacity)
+    shape = light_field.views.shape[2], light_field.views.shape[3]
+    grid = grid_over(shape, lax.stop_gradient(params.size), sizes.capacity)
 
     def one(clusters: Clusters, _) -> tuple[Clusters, None]:
         shares, names = _shares(surface, grid, clusters, params)

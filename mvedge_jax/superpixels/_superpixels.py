@@ -37,7 +37,7 @@ class Superpixels(NamedTuple):
         neighbours: pairs of labels that touch in the centre view, the smaller one first; 0 where
             unused.
         linked: pairs that touch without a depth step.
-        count: of superpixels; what exceeds the capacity has no label.
+        number: of superpixels; what exceeds the capacity has no label.
     """
 
     labels: Int[Array, "v u y x"]
@@ -49,7 +49,7 @@ class Superpixels(NamedTuple):
     parents: Int[Array, " k"]
     neighbours: Int[Array, "m 2"]
     linked: Bool[Array, " m"]
-    count: Int[Array, ""]
+    number: Int[Array, ""]
 
 
 @eqx.filter_jit
@@ -93,7 +93,7 @@ def superpixels(
         >>> params, sizes = SuperpixelParams(size=10.0), SuperpixelSizes.for_depths(depths)
         >>> light_field = LightField(jnp.full((1, 3, 20, 20, 3), 0.5))
         >>> found = superpixels(light_field, depths, params, sizes)
-        >>> int(found.count), found.labels[0, 0, 0, ::10].tolist()
+        >>> int(found.number), found.labels[0, 0, 0, ::10].tolist()
         (4, [1, 2])
     """
     check_depths(light_field, depths)
@@ -133,7 +133,7 @@ def _counted(
     surface: Surface, params: SuperpixelParams, sizes: SuperpixelSizes
 ) -> tuple[Array, Array]:
     """Labels of the centre view, about as many as the size asks for, and their number."""
-    shape = surface.disparity.shape
+    shape = surface.disparity.shape[0], surface.disparity.shape[1]
     pixels = jnp.asarray(shape[0] * shape[1], surface.disparity.dtype)
     wanted = pixels / params.size**2
 

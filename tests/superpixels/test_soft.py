@@ -42,7 +42,7 @@ def test_shares_are_those_of_the_formula():
     soft = jax.tree.map(np.asarray, _soft(field, depths))
     params = with_values(SuperpixelParams, **_PARAMS)
     np.testing.assert_allclose(soft.shares.sum(0), 1, rtol=1e-12)
-    assert int(soft.count) == 2 * 3
+    assert int(soft.number) == 2 * 3
     lab, depth = np.asarray(srgb_to_lab(field.centre_view)), np.asarray(depths.disparity[0, 0])
     side = np.sqrt(14 * 17 / 6)
     limit = float(params.limit)
