@@ -1,13 +1,16 @@
 """Scores of superpixels: small cases by hand, and the same written with loops."""
 
 import inspect
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from skimage.measure import label
+from skimage import measure
 
 from mvedge_jax.metrics import labels_per_pixel, superpixel_scores
+
+_LABEL: Any = measure.label
 
 
 def _one(rows, columns, fill):
@@ -115,7 +118,7 @@ def _brute(labels, objects):
                 sides = sum((region[1:-1, 1:-1] & ~np.roll(region, s, a)[1:-1, 1:-1]).sum()
                             for s in (1, -1) for a in (0, 1))  # fmt: skip
                 round_off += 4 * np.pi * sum(on) ** 2 / sides**2 / view.size
-                pieces += np.max(label(view == k, connectivity=1))
+                pieces += _LABEL(view == k, connectivity=1).max()
                 present += 1
         for o in np.unique(ids):
             inside = [((view == k) & (ids == o)).sum() for k in np.unique(view)]
