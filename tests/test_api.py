@@ -226,7 +226,7 @@ _MOST = {
     "datasets": 11,
     "diffusion": 13,
     "edges": 19,
-    "epi": 9,
+    "epi": 12,
     "losses": 19,
     "metrics": 20,
     "model": 39,
