@@ -221,7 +221,7 @@ def test_private_modules_stay_in_their_package():
 # Names that each package gives away; a new one takes the place of another, or moves this bar.
 _MOST = {
     "angular": 4,
-    "baselines": 12,
+    "baselines": 15,
     "centre": 12,
     "datasets": 11,
     "diffusion": 13,

@@ -1,6 +1,11 @@
 """What the method is compared with: the thesis' own chain, points alone, plane sweep."""
 
 from ._joint_filter import joint_filter as joint_filter
+from ._kmeans import (
+    KMeansParams as KMeansParams,
+    KMeansSizes as KMeansSizes,
+    kmeans_superpixels as kmeans_superpixels,
+)
 from ._reproject import reproject_views as reproject_views
 from ._sparse_depth import (
     SparseDepth as SparseDepth,
