@@ -16,9 +16,9 @@
 # %% [markdown]
 # # Superpixels of all views
 #
-# A light field cut into small patches of surface, each with one label in every view: pick a patch in
-# one view, and it is picked in all of them. To keep this notebook quick, the depth is the true one;
-# `depth_of_views` estimates it.
+# A light field cut into small patches of surface, each with one label in every view: pick a patch
+# in one view, and it is picked in all of them. To keep this notebook quick, the depth is the true
+# one; `depth_of_views` estimates it.
 
 # %%
 # %matplotlib inline
@@ -102,8 +102,8 @@ plotting.plot_views(paint(blind, exact, mask, jnp.array([0.9, 0.1, 0.1])))
 # ## Shares instead of labels
 #
 # `soft_superpixels` says how much each pixel belongs to the nine superpixels around it, and has
-# gradients in the views and in the disparity. What is lost by describing the picture with one colour
-# per superpixel, and what would reduce it?
+# gradients in the views and in the disparity. What is lost by describing the picture with one
+# colour per superpixel, and what would reduce it?
 
 # %%
 params = SuperpixelParams(size=10.0)

@@ -37,10 +37,10 @@ class SuperpixelParams(eqx.Module):
     """
 
     size: Float[Array, ""] = number(20.0, "px")
-    colour: Float[Array, ""] = number(10.0, "Lab")
+    colour: Float[Array, ""] = number(7.0, "Lab")
     depth: Float[Array, ""] = number(0.05, "px per view step")
-    limit: Float[Array, ""] = number(4.0, "sizes squared")
-    contour: Float[Array, ""] = number(0.3, "sizes squared per px")
+    limit: Float[Array, ""] = number(8.0, "sizes squared")
+    contour: Float[Array, ""] = number(0.4, "sizes squared per px")
     step: Float[Array, ""] = number(0.1, "px per view step")
     smallest: Float[Array, ""] = number(0.1, "share of the area")
     speck: Float[Array, ""] = number(6.0, "px")
