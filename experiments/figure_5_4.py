@@ -107,7 +107,13 @@ def _case(arguments: Any, name: str, stride: int) -> Case:
         result = edge_to_depth(light_field, Parameters(), Sizes.for_light_field(light_field))
         sizes = ViewSizes.for_light_field(light_field)
         found = depth_of_views(light_field, result, ViewParams(), sizes)
-        np.savez(file, **{key: np.asarray(value) for key, value in found._asdict().items()})
+        np.savez(
+            file,
+            disparity=np.asarray(found.disparity),
+            error=np.asarray(found.error),
+            source=np.asarray(found.source),
+            overflow=np.asarray(found.overflow),
+        )
         jax.clear_caches()
     with np.load(file) as kept:
         depths = ViewDepths(*(jnp.asarray(kept[key]) for key in ViewDepths._fields))

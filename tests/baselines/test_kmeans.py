@@ -29,6 +29,7 @@ def _loops(lab, disparity, size, rounds):
         for y in range(size // 2, height // size * size, size)
         for x in range(size // 2, width // size * size, size)
     ]
+    labels: list[int] = []
     for k in range(rounds):
         labels = [
             int(
