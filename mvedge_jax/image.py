@@ -289,3 +289,52 @@ def nearest_pixels(xy: Float[Array, "n 2"], shape: tuple[int, int]) -> Pixels:
     column, row = jnp.round(lax.stop_gradient(xy)).astype(jnp.int32).T
     inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
     return Pixels(jnp.clip(row, 0, height - 1), jnp.clip(column, 0, width - 1), inside)
+
+
+def components(right: Bool[Array, "*s y x"], down: Bool[Array, "*s y x"]) -> Int[Array, "*s y x"]:
+    """Connected pieces of images whose neighbouring pixels are linked or not.
+
+    Args:
+        right: whether a pixel is linked to the next one in its row; the last column is not read.
+        down: whether it is linked to the one below; the last row is not read.
+
+    Returns:
+        Of every pixel, the least flat index within its image of all pixels it is connected to.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> row = jnp.array([[True, False, True, True]])
+        >>> components(row, row).tolist()
+        [[0, 0, 2, 2]]
+    """
+    shape, (height, width) = right.shape, right.shape[-2:]
+    # Scans run over the first axis: one copy with rows in front, one with columns.
+    below = jnp.moveaxis(down.reshape(-1, height, width), 1, 0)[:-1]
+    beside = jnp.moveaxis(right.reshape(-1, height, width), 2, 0)[:-1]
+    own = jnp.arange(height * width, dtype=jnp.int32).reshape(height, width)
+    start = jnp.broadcast_to(own, (right.size // own.size, height, width))
+
+    def swept(least: Array, links: Array) -> Array:
+        """Least values handed on along the first axis, there and back."""
+        for reverse in (False, True):
+            first, rest = (least[-1], least[:-1]) if reverse else (least[0], least[1:])
+
+            def hand(carry: Array, item: tuple[Array, Array]) -> tuple[Array, Array]:
+                here, linked = item
+                here = jnp.where(linked, jnp.minimum(here, carry), here)
+                return here, here
+
+            _, rest = lax.scan(hand, first, (rest, links), reverse=reverse)
+            parts = [rest, first[None]] if reverse else [first[None], rest]
+            least = jnp.concatenate(parts)
+        return least
+
+    def spread(state: tuple[Array, Array]) -> tuple[Array, Array]:
+        least, _ = state
+        found = swept(jnp.moveaxis(least, 1, 0), below)
+        found = swept(jnp.moveaxis(jnp.moveaxis(found, 0, 1), 2, 0), beside)
+        found = jnp.moveaxis(found, 0, 2)
+        return found, jnp.any(found != least)
+
+    result, _ = lax.while_loop(lambda state: state[1], spread, (start, jnp.asarray(True)))
+    return result.reshape(shape)

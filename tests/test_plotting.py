@@ -223,3 +223,46 @@ def test_calibration_is_drawn_beside_the_diagonal():
     with pytest.raises(ValueError, match="names"):
         plotting.plot_calibration(found, names=["a"])
     _draw(figure)
+
+
+def _labels():
+    labels = np.ones((3, 3, 8, 9), int)
+    labels[..., 4:] = 2
+    labels[..., 0, 0] = 0
+    return labels
+
+
+def test_superpixels_are_outlined_or_filled_with_their_colours():
+    views, labels = np.full((3, 3, 8, 9, 3), 0.2), _labels()
+    outlined = plotting.superpixel_picture(views[1, 1], labels[1, 1], outline=(1.0, 0.0, 0.0))
+    red = (outlined == [255, 0, 0]).all(-1)
+    assert red[:, 4].all()
+    assert red.sum() == 8 + 2  # and around the pixel without a label
+    colours = plotting.label_colours(2)
+    filled = plotting.superpixel_picture(views[1, 1], labels[1, 1], colours=colours, outline=None)
+    np.testing.assert_array_equal(filled[3, 2], np.round(255 * colours[0]))
+    np.testing.assert_array_equal(filled[3, 7], np.round(255 * colours[1]))
+    np.testing.assert_array_equal(filled[0, 0], [51, 51, 51])
+
+
+def test_superpixels_of_all_views_are_drawn():
+    views, labels = np.full((3, 3, 8, 9, 3), 0.2), _labels()
+    figure = plotting.plot_superpixels(views, labels, colours=plotting.label_colours(2))
+    assert len(_images(figure)) == 5
+    _draw(figure)
+    assert len(plotting.superpixel_frames(views, labels)) == 8
+    assert len(plotting.superpixel_frames(views[:1], labels[:1])) == 5
+
+
+def test_labels_per_pixel_are_drawn_from_one_on():
+    figure = plotting.plot_labels_per_pixel(np.full((4, 5), 2.0))
+    (image,) = _images(figure)
+    assert image.get_clim() == (1, 8)
+    _draw(figure)
+
+
+def test_label_colours_are_colours_and_differ():
+    colours = plotting.label_colours(200)
+    assert colours.min() >= 0
+    assert colours.max() <= 1
+    assert len(np.unique(np.round(255 * colours), axis=0)) > 190

@@ -1,4 +1,7 @@
-"""What the method is compared with: the thesis' own chains, points alone, plane sweep."""
+"""What the method is compared with: the thesis' own chains, points alone, plane sweep.
+
+Room: `kmeans` (superpixels by k-means).
+"""
 
 from ._reproject import reproject_views as reproject_views
 from ._sparse_depth import (

@@ -19,6 +19,7 @@ _COMMANDS = {
     "depth": ("._depth", "depth"),
     "views": ("._views", "views"),
     "edit": ("._edit", "edit"),
+    "superpixels": ("._superpixels", "superpixels"),
     "optimize": ("._optimize", "optimize"),
     "batch": ("._batch", "batch"),
     "sweep": ("._sweep", "sweep"),

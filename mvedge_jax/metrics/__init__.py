@@ -1,6 +1,6 @@
 """Scores: depth errors, what is said about them, boundaries, consistency, reprojection.
 
-Room: `depth` (the single figures that `depth_scores` gathers).
+Rooms: `depth` (the single figures that `depth_scores` gathers), `superpixels` (Thesis 5.2.3).
 """
 
 from ._boundary import BoundaryScores as BoundaryScores, boundary_scores as boundary_scores

@@ -15,4 +15,11 @@ from ._maps import (
     plot_disparity as plot_disparity,
     plot_error as plot_error,
 )
+from ._superpixels import (
+    label_colours as label_colours,
+    plot_labels_per_pixel as plot_labels_per_pixel,
+    plot_superpixels as plot_superpixels,
+    superpixel_frames as superpixel_frames,
+    superpixel_picture as superpixel_picture,
+)
 from ._views import plot_view_maps as plot_view_maps, view_frames as view_frames

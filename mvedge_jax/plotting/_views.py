@@ -52,16 +52,25 @@ def view_frames(
         Frames of an animation; of a single row or column, there and back.
     """
     maps = np.asarray(maps)
-    rows, columns = maps.shape[:2]
-    top, right = [(0, u) for u in range(columns)], [(v, columns - 1) for v in range(1, rows)]
-    bottom = [(rows - 1, u) for u in range(columns - 2, -1, -1)]
-    left = [(v, 0) for v in range(rows - 2, 0, -1)]
     scale = limits_norm(_limits(maps) if limits is None else limits)
     colours = colour_map("viridis")
     return [
         (255 * colours(scale(maps[place]))[..., :3]).astype(np.uint8)
-        for place in (*top, *right, *bottom, *left)
+        for place in around_the_grid(*maps.shape[:2])
     ]
+
+
+def around_the_grid(rows: int, columns: int) -> list[tuple[int, int]]:
+    """The views along the border of a grid, clockwise; of a single row or column, there and back.
+
+    Args:
+        rows: of views.
+        columns: of views.
+    """
+    top, right = [(0, u) for u in range(columns)], [(v, columns - 1) for v in range(1, rows)]
+    bottom = [(rows - 1, u) for u in range(columns - 2, -1, -1)]
+    left = [(v, 0) for v in range(rows - 2, 0, -1)]
+    return [*top, *right, *bottom, *left]
 
 
 def _limits(maps: np.ndarray) -> tuple[float, float]:

@@ -1,0 +1,241 @@
+"""Figure 5.4 and Appendix A: superpixels of all views, six metrics in both forms, over sizes.
+
+python experiments/figure_5_4.py --scenes demo edges --sizes 15 20 25 30 35 40
+python experiments/figure_5_4.py --scenes edges --sweep colour 5 10 20    (Figs. A.1 to A.3)
+python experiments/figure_5_4.py --scenes edges --strides 1 2 4           (Fig. A.4)
+
+A scene is a folder, or a name of a synthetic scene or of one under --data. Depth is ours, estimated
+once per scene and kept under --out. Where only the centre view has true ids, that view is scored.
+"""
+
+import argparse
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from _report import peak_memory, print_table, shared_data, write_csv, write_json
+from jax import Array, lax
+from matplotlib.figure import Figure
+
+from mvedge_jax import plotting
+from mvedge_jax.angular import ViewDepths, ViewParams, ViewSizes, depth_of_views
+from mvedge_jax.baselines.kmeans import KMeansParams, KMeansSizes, kmeans_superpixels
+from mvedge_jax.centre import Parameters, Sizes, edge_to_depth
+from mvedge_jax.datasets import load_light_field, synthetic
+from mvedge_jax.lightfield import LightField
+from mvedge_jax.metrics.superpixels import labels_per_pixel, superpixel_scores
+from mvedge_jax.superpixels import SuperpixelParams, SuperpixelSizes, superpixels
+from mvedge_jax.warping import forward_warp, holes
+
+METHODS = ("ours", "k-means", "SLIC projected", "grid and true ids")
+
+
+class Case(NamedTuple):
+    """A scene with what is known of it, `ids` and `truth` of all views or of the centre view."""
+
+    light_field: LightField
+    depths: ViewDepths
+    ids: Array
+    truth: Array
+
+
+def main() -> None:
+    """Scores every method on every scene at every size."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--out", type=Path, default=Path("results/figure_5_4"))
+    parser.add_argument("--data", type=Path, default=shared_data())
+    parser.add_argument("--scenes", nargs="+", default=["demo", "edges"])
+    parser.add_argument("--pixels", type=int, default=512, help="side of rendered scenes, px")
+    parser.add_argument("--sizes", type=float, nargs="+", default=[20.0])
+    parser.add_argument("--methods", nargs="+", default=METHODS, choices=METHODS)
+    parser.add_argument("--strides", type=int, nargs="+", default=[1], help="views left out")
+    parser.add_argument("--sweep", nargs="+", default=[], help="parameter of ours, and its values")
+    arguments = parser.parse_args()
+    arguments.out.mkdir(parents=True, exist_ok=True)
+    rows = []
+    for name in arguments.scenes:
+        for stride in arguments.strides:
+            case = _case(arguments, name, stride)
+            for label, size, method, params in _runs(arguments):
+                start = time.perf_counter()
+                labels = jax.block_until_ready(_cut(method, case, size, params))
+                seconds = time.perf_counter() - start
+                key = {"scene": name, "stride": stride, "method": label, "aimed": size}
+                rows.append({**key, **_score(labels, case), "seconds": round(seconds, 2)})
+                _draw(arguments.out, f"{name}-{stride}-{label}-{size:g}", labels, case)
+            print_table(
+                [{k: row[k] for k in _SHOWN} for row in rows if row["scene"] == name], title=name
+            )
+            jax.clear_caches()
+    write_csv(arguments.out / "figure_5_4.csv", rows)
+    write_json(arguments.out / "figure_5_4.json", {"rows": rows, "peak memory": peak_memory()})
+    _plot(rows).savefig(arguments.out / "figure_5_4.png")
+
+
+_SHOWN = (
+    *("method", "aimed", "accuracy", "recall", "undersegmentation_once", "compactness"),
+    *("self_similarity", "labels_per_pixel", "inconsistent", "pieces", "number_connected"),
+    "seconds",
+)
+
+
+def _runs(arguments: Any) -> Iterator[tuple[str, float, str, SuperpixelParams]]:
+    for size in arguments.sizes:
+        for method in arguments.methods:
+            yield method, size, method, SuperpixelParams(size=jnp.asarray(size))
+        if arguments.sweep:
+            field, *values = arguments.sweep
+            for value in values:
+                chosen = {"size": jnp.asarray(size), field: jnp.asarray(float(value))}
+                yield f"ours, {field} {value}", size, "ours", SuperpixelParams(**chosen)
+
+
+def _case(arguments: Any, name: str, stride: int) -> Case:
+    """A scene with its depth, from --out if it was estimated before."""
+    light_field, ids, truth = _scene(arguments, name)
+    middle = [n // 2 % stride for n in light_field.views.shape[:2]]
+    thin = (slice(middle[0], None, stride), slice(middle[1], None, stride))
+    wide = ids.shape[:2] == light_field.views.shape[:2]
+    light_field = LightField(light_field.views[thin], available=light_field.available[thin])
+    ids, truth = (ids[thin], truth[thin] * stride) if wide else (ids, truth * stride)
+    file = arguments.out / f"{name}-{arguments.pixels}-{stride}.npz"
+    if not file.exists():
+        result = edge_to_depth(light_field, Parameters(), Sizes.for_light_field(light_field))
+        sizes = ViewSizes.for_light_field(light_field)
+        found = depth_of_views(light_field, result, ViewParams(), sizes)
+        np.savez(
+            file,
+            disparity=np.asarray(found.disparity),
+            error=np.asarray(found.error),
+            source=np.asarray(found.source),
+            overflow=np.asarray(found.overflow),
+        )
+        jax.clear_caches()
+    with np.load(file) as kept:
+        depths = ViewDepths(*(jnp.asarray(kept[key]) for key in ViewDepths._fields))
+    return Case(light_field, depths, jnp.asarray(ids, jnp.int32), jnp.asarray(truth))
+
+
+def _scene(arguments: Any, name: str) -> tuple[LightField, np.ndarray, np.ndarray]:
+    """A light field, the true ids and disparities of its views or of its centre view."""
+    folders = [Path(name)]
+    if arguments.data:
+        folders += [arguments.data / kind / name for kind in ("hci", "traced")]
+    folder = next((path for path in folders if path.is_dir()), None)
+    if folder is None:
+        shape = (9, 9, arguments.pixels, arguments.pixels)
+        light_field = synthetic.render(synthetic.scene(name), shape=shape, key=jax.random.key(0))
+    else:
+        light_field = load_light_field(folder)
+    if folder is not None and (folder / "truth.npz").exists():
+        with np.load(folder / "truth.npz") as known:
+            disparity = known["offset"] + known["scale"] * known["disparity"].astype(np.float32)
+            return light_field, known["ids"], disparity.astype(np.float32)
+    truth = light_field.truth
+    if truth is None or truth.object_ids is None:
+        raise SystemExit(f"scene {name} has no object ids to score against.")
+    if truth.view_ids is None or truth.view_disparity is None:
+        one = truth.object_ids[None, None], truth.disparity[None, None]
+        return light_field, np.asarray(one[0]), np.asarray(one[1])
+    return light_field, np.asarray(truth.view_ids), np.asarray(truth.view_disparity)
+
+
+def _cut(method: str, case: Case, size: float, params: SuperpixelParams) -> Array:
+    """Labels of all views."""
+    light_field, depths = case.light_field, case.depths
+    centre = depths.disparity[light_field.centre]
+    if method == "k-means":
+        sizes = KMeansSizes(size=round(size))
+        return kmeans_superpixels(light_field, centre, KMeansParams(), sizes)
+    if method == "SLIC projected":
+        return _projected(_slic(light_field.centre_view, size), centre, light_field.steps)
+    if method == "grid and true ids":
+        return _perfect(case, size)
+    sizes = SuperpixelSizes.for_depths(depths)
+    return superpixels(light_field, depths, params, sizes).labels
+
+
+def _slic(image: Array, size: float) -> Array:
+    from skimage.segmentation import slic
+
+    picture = np.asarray(image, float)
+    wanted = asked = picture[..., 0].size / size**2
+    found = []
+    # It makes fewer than it is asked for.
+    for _ in range(4):
+        labels = slic(picture, n_segments=round(asked), compactness=10.0)
+        number = len(np.unique(labels))
+        found.append((abs(number / wanted - 1), labels))
+        asked *= wanted / number
+    best = min(found, key=lambda pair: pair[0])[1]
+    return jnp.asarray(best, jnp.int32)
+
+
+@jax.jit
+def _projected(labels: Array, disparity: Array, steps: Array) -> Array:
+    """Labels of the centre view moved to all views by its map; holes go on from behind."""
+
+    def one(step: Array) -> Array:
+        moved = forward_warp(labels[..., None].astype(disparity.dtype), disparity, step)
+        behind = holes(moved.disparity, moved.hit).behind
+        return moved.image[..., 0].ravel()[behind].astype(jnp.int32)
+
+    maps = lax.map(one, steps.reshape(-1, 2))
+    return maps.reshape(*steps.shape[:2], *labels.shape)
+
+
+def _perfect(case: Case, size: float) -> Array:
+    """Square cells in the centre view's coordinates times true objects."""
+    rows, columns, height, width = case.truth.shape
+    y, x = (a.astype(case.truth.dtype) for a in jnp.indices((height, width)))
+    v, u = (a.astype(case.truth.dtype)[..., None, None] for a in jnp.indices((rows, columns)))
+    row = jnp.floor((y - (rows // 2 - v) * case.truth + 0.5) / size).astype(jnp.int32)
+    column = jnp.floor((x - (columns // 2 - u) * case.truth + 0.5) / size).astype(jnp.int32)
+    far = 64
+    across = width + 2 * far
+    ids = case.ids - jnp.min(case.ids)
+    return 1 + ((row + far) * across + column + far) * (jnp.max(ids) + 1) + ids
+
+
+def _score(labels: Array, case: Case) -> dict[str, float]:
+    if case.ids.shape != labels.shape:
+        labels = labels[case.light_field.centre][None, None]
+    scores = superpixel_scores(labels, case.ids, case.truth)
+    return {name: float(value) for name, value in scores._asdict().items()}
+
+
+def _draw(folder: Path, name: str, labels: Array, case: Case) -> None:
+    """Superpixels in five views, and Fig. 5.9 where there is truth."""
+    views = np.asarray(case.light_field.views)
+    if labels.shape != views.shape[:4]:
+        return
+    plotting.plot_superpixels(views, np.asarray(labels)).savefig(folder / f"{name}.png")
+    if case.truth.shape == labels.shape:
+        counts = labels_per_pixel(labels, case.truth)
+        plotting.plot_labels_per_pixel(counts).savefig(folder / f"{name}-labels.png")
+
+
+def _plot(rows: list[dict]) -> Figure:
+    """Six metrics over the size, means over scenes."""
+    names = (
+        *("accuracy", "recall", "undersegmentation", "compactness"),
+        *("self_similarity", "labels_per_pixel"),
+    )
+    figure = Figure(figsize=(11, 6), layout="constrained")
+    for axis, name in zip(figure.subplots(2, 3).ravel(), names, strict=True):
+        for method in dict.fromkeys(row["method"] for row in rows):
+            here = [row for row in rows if row["method"] == method and row["stride"] == 1]
+            sizes = sorted({row["aimed"] for row in here})
+            means = [np.mean([r[name] for r in here if r["aimed"] == size]) for size in sizes]
+            axis.plot(sizes, means, "o-", label=method)
+        axis.set(title=name.replace("_", " "), xlabel="size, px")
+    figure.axes[0].legend(fontsize=7)
+    return figure
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,154 @@
+"""`mvedge superpixels`: one label per surface patch in every view."""
+
+import csv
+from pathlib import Path
+from typing import Annotated, Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import tyro
+from PIL import Image
+
+from mvedge_jax import plotting
+from mvedge_jax.angular import ViewDepths, ViewParams, ViewSizes, depth_of_views
+from mvedge_jax.centre import Parameters, Sizes, edge_to_depth
+from mvedge_jax.datasets import load_light_field, write_hci
+from mvedge_jax.edit import paint
+from mvedge_jax.lightfield import LightField
+from mvedge_jax.metrics.superpixels import labels_per_pixel, superpixel_scores
+from mvedge_jax.superpixels import (
+    SuperpixelParams,
+    Superpixels,
+    SuperpixelSizes,
+    superpixels as cut,
+)
+
+from ._common import note, stage, warn
+from ._output import output_folder, write_json
+
+
+def superpixels(
+    scene: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="SCENE")],
+    out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT")],
+    /,
+    *,
+    size: float = 20.0,
+    count: int | None = None,
+    pick: tuple[int, int] | None = None,
+    colour: tuple[float, float, float] = (0.9, 0.1, 0.1),
+    views: int | None = None,
+    overwrite: bool = False,
+) -> None:
+    """Cuts a light field into superpixels that all views agree about.
+
+    OUT gets labels.npy (int32, [v, u, y, x], 0 for none), superpixels.csv (a row per label: place,
+    disparity plane, colour, area, parent), neighbours.csv, superpixels.png, colours.png,
+    superpixels.gif that moves over the grid, and report.json. With ground truth of all views:
+    labels_per_pixel.png and scores. With --pick, edited/ is the light field with that superpixel
+    recoloured in every view.
+
+    Args:
+        scene: folder or file of a light field; `mvedge info` tells what it is.
+        out: folder to make.
+        size: side of a superpixel in the centre view, px.
+        count: about how many superpixels, in place of --size.
+        pick: x and y in the centre view, px, of a superpixel to recolour.
+        colour: red, green and blue to recolour it with, 0..1.
+        views: use the central VIEWS x VIEWS views only; odd.
+        overwrite: replace OUT if it is an earlier result of mvedge, with nothing else in it.
+    """
+    with stage("reading"):
+        light_field = load_light_field(scene, views=views)
+    height, width = light_field.views.shape[2:4]
+    if count is not None:
+        if count < 1:
+            raise ValueError(f"--count must be at least 1, got {count}.")
+        size = (height * width / count) ** 0.5
+    if not 4 <= size <= min(height, width):
+        raise ValueError(
+            f"--size must be between 4 px and the shorter side, {min(height, width)} px, got "
+            f"{size:.4g}."
+        )
+    if pick is not None and not (0 <= pick[0] < width and 0 <= pick[1] < height):
+        raise ValueError(f"--pick must lie in the centre view, {width}x{height} px, got {pick}.")
+    blind = light_field.without_truth()
+    with output_folder(out, inputs=[scene], overwrite=overwrite) as folder:
+        with stage("estimating depth of all views"):
+            depths = _depths(blind)
+        with stage("cutting"):
+            room = max(
+                SuperpixelSizes.for_depths(depths).capacity, int(4 * height * width / size**2)
+            )
+            sizes = SuperpixelSizes.for_depths(depths, capacity=min(room, 32000))
+            found = jax.block_until_ready(
+                cut(blind, depths, SuperpixelParams(size=jnp.asarray(size)), sizes)
+            )
+        with stage("writing"):
+            _write(folder, blind, found)
+            report: dict[str, Any] = {"scene": light_field.name, "count": int(found.number)}
+            report["size"] = size
+            report["scores"] = _score(folder, light_field, found)
+            if pick is not None:
+                label = int(found.labels[(*light_field.centre, pick[1], pick[0])])
+                mask = (found.labels[light_field.centre] == label).astype(blind.views.dtype)
+                write_hci(
+                    paint(blind, depths.disparity, mask, jnp.asarray(colour)), folder / "edited"
+                )
+                report["picked"] = label
+            write_json(folder / "report.json", report)
+    if int(found.number) > sizes.capacity:
+        warn(f"{int(found.number) - sizes.capacity} superpixels found no slot and have no label.")
+    note(f"{int(found.number)} superpixels; written to {out}")
+
+
+def _depths(light_field: LightField) -> ViewDepths:
+    result = edge_to_depth(light_field, Parameters(), Sizes.for_light_field(light_field))
+    sizes = ViewSizes.for_light_field(light_field)
+    return jax.block_until_ready(depth_of_views(light_field, result, ViewParams(), sizes))
+
+
+def _write(folder: Path, light_field: LightField, found: Superpixels) -> None:
+    labels, views = np.asarray(found.labels), np.asarray(light_field.views)
+    np.save(folder / "labels.npy", labels)
+    rows = np.flatnonzero(np.asarray(found.valid))
+    with (folder / "superpixels.csv").open("w", newline="") as file:
+        writer = csv.writer(file)
+        names = ("x", "y", "disparity", "slope_x", "slope_y", "red", "green", "blue")
+        writer.writerow(["label", *names, "area", "parent"])
+        numbers = np.concatenate(
+            [np.asarray(a)[rows] for a in (found.xy, found.plane, found.colour)], axis=1
+        )
+        wholes = np.stack([rows + 1, *(np.asarray(a)[rows] for a in (found.area, found.parents))])
+        for (label, area, parent), values in zip(wholes.T, numbers, strict=True):
+            writer.writerow([label, *(f"{value:.6g}" for value in values), area, parent])
+    pairs, linked = np.asarray(found.neighbours), np.asarray(found.linked)
+    used = pairs[:, 0] > 0
+    with (folder / "neighbours.csv").open("w", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(["label", "neighbour", "same_surface"])
+        writer.writerows(
+            [*pair, int(same)] for pair, same in zip(pairs[used], linked[used], strict=True)
+        )
+    colours = plotting.label_colours(int(labels.max()))
+    plotting.plot_superpixels(views, labels).savefig(folder / "superpixels.png")
+    plotting.plot_superpixels(views, labels, colours=colours).savefig(folder / "colours.png")
+    frames = [Image.fromarray(frame) for frame in plotting.superpixel_frames(views, labels)]
+    options: dict[str, Any] = {"save_all": True, "append_images": frames[1:], "loop": 0}
+    frames[0].save(folder / "superpixels.gif", duration=60, **options)
+
+
+def _score(folder: Path, light_field: LightField, found: Superpixels) -> dict[str, float]:
+    """Scores that the ground truth allows: all of them, of the centre view, or shape alone."""
+    truth, labels = light_field.truth, found.labels
+    ids = disparity = None
+    if truth is not None and truth.view_disparity is not None:
+        ids, disparity = truth.view_ids, truth.view_disparity
+        heat = labels_per_pixel(labels, disparity, available=light_field.available)
+        plotting.plot_labels_per_pixel(heat).savefig(folder / "labels_per_pixel.png")
+    elif truth is not None and truth.object_ids is not None:
+        labels, ids = labels[light_field.centre][None, None], truth.object_ids[None, None]
+    whole = labels.shape == found.labels.shape
+    available = light_field.available if whole else None
+    scores = superpixel_scores(labels, ids, disparity, available=available)
+    return {name: float(value) for name, value in scores._asdict().items()}

@@ -1,0 +1,9 @@
+"""Superpixels: one label per surface patch in every view (Thesis Ch. 5)."""
+
+from ._parameters import SuperpixelParams as SuperpixelParams, SuperpixelSizes as SuperpixelSizes
+from ._soft import (
+    SoftSuperpixels as SoftSuperpixels,
+    soft_superpixels as soft_superpixels,
+    through_superpixels as through_superpixels,
+)
+from ._superpixels import Superpixels as Superpixels, superpixels as superpixels

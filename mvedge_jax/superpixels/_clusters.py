@@ -1,0 +1,266 @@
+"""Clusters of the centre view's pixels: a place, a colour and a slanted plane each."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Bool, Float, Int
+
+from ._parameters import SuperpixelParams, grid_of
+
+# A cluster reaches into its own cell of the grid and the eight around it.
+_CELLS = tuple((dy, dx) for dy in (-1, 0, 1) for dx in (-1, 0, 1))
+# One of each pair of opposite neighbours.
+_HALF = ((0, 1), (1, 0), (1, 1), (1, -1))
+
+
+class Surface(NamedTuple):
+    """What is known of the centre view's pixels.
+
+    Attributes:
+        xy: their places, px.
+        lab: their colours.
+        disparity: px per view step.
+        links: whether a pixel is on one surface with its neighbour to the right, below, below to
+            the right, below to the left; False at the frame.
+    """
+
+    xy: Float[Array, "y x 2"]
+    lab: Float[Array, "y x 3"]
+    disparity: Float[Array, "y x"]
+    links: Bool[Array, "4 y x"]
+
+
+class Grid(NamedTuple):
+    """Square cells over the centre view.
+
+    Attributes:
+        rows: how many.
+        columns: how many.
+        home: row and column of the cell of each pixel.
+        size: side of a cell, px.
+    """
+
+    rows: Int[Array, ""]
+    columns: Int[Array, ""]
+    home: Int[Array, "2 y x"]
+    size: Float[Array, ""]
+
+
+class Clusters(NamedTuple):
+    """Padded.
+
+    Attributes:
+        xy: mean place, px.
+        lab: mean colour.
+        plane: disparity there and its change per px along x and y.
+    """
+
+    xy: Float[Array, "k 2"]
+    lab: Float[Array, "k 3"]
+    plane: Float[Array, "k 3"]
+
+
+def surface_of(
+    lab: Float[Array, "y x 3"], disparity: Float[Array, "y x"], step: Float[Array, ""]
+) -> Surface:
+    """Puts together what is known of the pixels of the centre view."""
+    rows, columns = jnp.indices(disparity.shape)
+    xy = jnp.stack([columns, rows], axis=-1).astype(disparity.dtype)
+    links = jnp.stack([_linked(disparity, step, *offset) for offset in _HALF])
+    return Surface(xy, lab, disparity, links)
+
+
+def shifted(image: Array, dy: int, dx: int, fill) -> Array:
+    """The image's values at `(y + dy, x + dx)`; `fill` beyond the frame."""
+    margin = ((max(-dy, 0), max(dy, 0)), (max(-dx, 0), max(dx, 0)))
+    height, width = image.shape
+    padded = jnp.pad(image, margin, constant_values=fill)
+    return lax.slice(padded, (max(dy, 0), max(dx, 0)), (max(dy, 0) + height, max(dx, 0) + width))
+
+
+def _linked(disparity: Array, step: Array, dy: int, dx: int) -> Array:
+    """Whether neighbours are on one surface: a jump is no step where a slope goes on."""
+    first, last = disparity, shifted(disparity, dy, dx, jnp.nan)
+    jump = jnp.abs(last - first)
+    before = jnp.abs(first - shifted(disparity, -dy, -dx, jnp.nan))
+    after = jnp.abs(shifted(disparity, 2 * dy, 2 * dx, jnp.nan) - last)
+    slope = jnp.minimum(before, after)
+    # At the frame, where a side is missing, nothing is allowed for.
+    return jump <= step + jnp.where(jnp.isfinite(slope), 1.5 * slope, 0)
+
+
+def grid_over(shape: tuple[int, int], size: Float[Array, ""], capacity: int) -> Grid:
+    """Cells of about a size; their borders are between pixels."""
+    rows, columns = grid_of(size, shape, capacity)
+    y, x = (jnp.arange(n, dtype=size.dtype) + 0.5 for n in shape)
+    row = jnp.minimum(jnp.floor(y * rows / shape[0]), rows - 1).astype(jnp.int32)
+    column = jnp.minimum(jnp.floor(x * columns / shape[1]), columns - 1).astype(jnp.int32)
+    home = jnp.stack(jnp.broadcast_arrays(row[:, None], column[None]))
+    side = jnp.sqrt(shape[0] * shape[1] / (rows * columns))
+    return Grid(rows.astype(jnp.int32), columns.astype(jnp.int32), home, side)
+
+
+def seeded(surface: Surface, grid: Grid, capacity: int) -> Clusters:
+    """One cluster at the middle of each cell."""
+    height, width = surface.disparity.shape
+    dtype = surface.disparity.dtype
+    index = jnp.arange(capacity, dtype=jnp.int32)
+    row, column = index // grid.columns, index % grid.columns
+    y = (row.astype(dtype) + 0.5) * height / grid.rows.astype(dtype) - 0.5
+    x = (column.astype(dtype) + 0.5) * width / grid.columns.astype(dtype) - 0.5
+    at = (
+        jnp.clip(jnp.round(y), 0, height - 1).astype(jnp.int32),
+        jnp.clip(jnp.round(x), 0, width - 1).astype(jnp.int32),
+    )
+    flat = jnp.zeros((capacity, 2), dtype)
+    plane = jnp.concatenate([surface.disparity[at][:, None], flat], axis=1)
+    return Clusters(jnp.stack([x, y], axis=-1), surface.lab[at], plane)
+
+
+def cell_of(grid: Grid, offset: Int[Array, "2"]) -> tuple[Int[Array, "y x"], Bool[Array, "y x"]]:
+    """The cell beside the own one of each pixel, and whether there is one."""
+    row, column = grid.home[0] + offset[0], grid.home[1] + offset[1]
+    inside = (row >= 0) & (row < grid.rows) & (column >= 0) & (column < grid.columns)
+    return jnp.where(inside, row * grid.columns + column, 0), inside
+
+
+def cell_offsets() -> Int[Array, "9 2"]:
+    """From the own cell to those whose clusters a pixel may join."""
+    return jnp.asarray(np.array(_CELLS), jnp.int32)
+
+
+def distance(
+    surface: Surface, clusters: Clusters, which: Int[Array, "y x"], size: Array,
+    params: SuperpixelParams,
+) -> Float[Array, "y x"]:  # fmt: skip
+    """Squared distance of each pixel to a cluster, in units of the size."""
+    away = surface.xy - clusters.xy[which]
+    plane = clusters.plane[which]
+    predicted = plane[..., 0] + jnp.sum(plane[..., 1:] * away, axis=-1)
+    colour = jnp.sum((surface.lab - clusters.lab[which]) ** 2, axis=-1) / params.colour**2
+    depth = ((surface.disparity - predicted) / params.depth) ** 2
+    near = jnp.sum(away**2, axis=-1) / size**2
+    return near + _bounded(colour, params.limit)[0] + _bounded(depth, params.limit)[0]
+
+
+def _bounded(square: Array, limit: Array) -> tuple[Array, Array]:
+    """A square that levels off smoothly at a limit (Geman and McClure), and its slope."""
+    share = 1 / (1 + square / limit)
+    return square * share, share * share
+
+
+def updated(
+    surface: Surface,
+    clusters: Clusters,
+    weights: Float[Array, "y x"],
+    which: Int[Array, "y x"],
+    params: SuperpixelParams,
+) -> Float[Array, "k 15"]:
+    """Sums over the pixels of each cluster, from which `means` makes the next ones."""
+    away = surface.xy - clusters.xy[which]
+    plane = clusters.plane[which]
+    residual = surface.disparity - plane[..., 0]
+    off = residual - jnp.sum(plane[..., 1:] * away, axis=-1)
+    # Pixels of another surface have next to no say about the plane.
+    sure = weights * _bounded((off / params.depth) ** 2, params.limit)[1]
+    x, y = away[..., 0], away[..., 1]
+    first = weights[..., None] * jnp.concatenate(
+        [jnp.ones_like(x)[..., None], away, surface.lab], axis=-1
+    )
+    second = sure[..., None] * jnp.stack(
+        [jnp.ones_like(x), x, y, x * x, x * y, y * y, residual, x * residual, y * residual], -1
+    )
+    values = jnp.concatenate([first, second], axis=-1).reshape(-1, 15)
+    sums = jnp.zeros((clusters.xy.shape[0], 15), values.dtype)
+    return sums.at[which.ravel()].add(values, mode="promise_in_bounds")
+
+
+def means(clusters: Clusters, sums: Float[Array, "k 15"], params: SuperpixelParams) -> Clusters:
+    """Next clusters; those without pixels stay as they are."""
+    mass = sums[:, 0]
+    there = mass > 1e-6
+    each = jnp.where(there, mass, 1)[:, None]
+    shift, lab = sums[:, 1:3] / each, sums[:, 3:6] / each
+    n, x, y, xx, xy, yy, d, xd, yd = (sums[:, 6 + k] for k in range(9))
+    fitted = n > 1e-6
+    n = jnp.where(fitted, n, 1)
+    # Slopes are held back as far as the pixels do not tell.
+    prior = (params.depth / params.slope) ** 2
+    cxx, cyy = xx - x * x / n + prior, yy - y * y / n + prior
+    cxy, cxd, cyd = xy - x * y / n, xd - x * d / n, yd - y * d / n
+    determinant = cxx * cyy - cxy * cxy
+    a, b = (cyy * cxd - cxy * cyd) / determinant, (cxx * cyd - cxy * cxd) / determinant
+    # At the cluster's new place.
+    level = clusters.plane[:, 0] + (d - a * x - b * y) / n + a * shift[:, 0] + b * shift[:, 1]
+    rise = clusters.plane[:, 0] + jnp.sum(clusters.plane[:, 1:] * shift, axis=1)
+    kept = jnp.concatenate([rise[:, None], clusters.plane[:, 1:]], axis=1)
+    plane = jnp.where(fitted[:, None], jnp.stack([level, a, b], axis=1), kept)
+    held = there[:, None]
+    return Clusters(
+        jnp.where(held, clusters.xy + shift, clusters.xy),
+        jnp.where(held, lab, clusters.lab),
+        jnp.where(held, plane, clusters.plane),
+    )
+
+
+def clustered(
+    surface: Surface, grid: Grid, params: SuperpixelParams, *, capacity: int, rounds: int
+) -> tuple[Int[Array, "y x"], Clusters]:
+    """Clusters pixels by place, colour and plane, with short contours.
+
+    Returns:
+        The cluster of every pixel, and the clusters.
+    """
+    offsets = cell_offsets()
+    height, width = surface.disparity.shape
+    odd = (jnp.indices((height, width)).sum(0) % 2).astype(bool)
+    neighbours = list(zip(_HALF, surface.links, strict=True))
+
+    def one(state: tuple[Array, Clusters], _) -> tuple[tuple[Array, Clusters], None]:
+        labels, clusters = state
+
+        def cost(offset: Array) -> tuple[Array, Array]:
+            which, inside = cell_of(grid, offset)
+            found = distance(surface, clusters, which, grid.size, params)
+            return jnp.where(inside, found, jnp.inf), jnp.where(inside, which, -1)
+
+        costs, names = lax.map(cost, offsets)
+        # Half of the pixels at a time: neighbours that change at once swap for ever.
+        for now in (odd, ~odd):
+            around = _around(labels, neighbours, params.contour)
+            labels = jnp.where(now, _best(costs, names, around), labels)
+        sums = updated(surface, clusters, jnp.ones_like(surface.disparity), labels, params)
+        return (labels, means(clusters, sums, params)), None
+
+    first, _ = cell_of(grid, jnp.zeros(2, jnp.int32))
+    start = first, seeded(surface, grid, capacity)
+    return lax.scan(one, start, length=rounds)[0]
+
+
+def _best(costs: Array, names: Array, around: list[tuple[Array, Array]]) -> Array:
+    """The cluster of least cost, contours included, of every pixel; the first among equals."""
+
+    def better(best: tuple[Array, Array], item: tuple[Array, Array]):
+        value, name = item
+        for weight, label in around:
+            value = value + jnp.where(label == name, 0, weight)
+        take = value < best[0]
+        return (jnp.where(take, value, best[0]), jnp.where(take, name, best[1])), None
+
+    start = jnp.full(costs.shape[1:], jnp.inf, costs.dtype), names[0]
+    return lax.scan(better, start, (costs, names))[0][1]
+
+
+def _around(labels: Array, neighbours: list, contour: Array) -> list[tuple[Array, Array]]:
+    """What a contour towards each of eight neighbours costs, and their labels."""
+    found = []
+    for (dy, dx), link in neighbours:
+        # Lengths of contours along all directions are about right with these shares.
+        share = contour * (0.4 if dy and dx else 0.6)
+        for sign in (1, -1):
+            here = link if sign == 1 else shifted(link, -dy, -dx, False)
+            weight = jnp.where(here, share, 0)
+            found.append((weight, shifted(labels, sign * dy, sign * dx, -1)))
+    return found

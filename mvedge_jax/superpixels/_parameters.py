@@ -1,0 +1,123 @@
+"""Parameters (traced) and sizes (static) of superpixels."""
+
+import math
+from dataclasses import dataclass
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from mvedge_jax._params import described, number
+from mvedge_jax.angular import ViewDepths
+
+# Pairs of labels are numbered in 32 bits.
+_MOST = 32000
+
+
+class SuperpixelParams(eqx.Module):
+    """The continuous parameters of `superpixels` and `soft_superpixels`, each traced.
+
+    Attributes:
+        size: side of a superpixel in the centre view, px: the views' area over its square is the
+            number of superpixels that is aimed at.
+        colour: difference of colour, CIE Lab, that counts as much as a distance of `size`.
+        depth: difference from the plane of a superpixel that counts as much, px per view step.
+        limit: most that either difference counts, in units of `size`, squared.
+        contour: what a contour costs per px of its length, in the same units.
+        step: differences of disparity between neighbours beyond this are steps between two
+            surfaces, px per view step.
+        smallest: pieces with less than this share of the aimed area join a neighbour on the same
+            surface.
+        speck: surfaces with fewer pixels than this join whatever is around them.
+        fragment: pieces with fewer pixels than this, apart from the rest of their superpixel in
+            a view, join what is around them.
+        slope: of a plane that is expected, px per view step and px.
+        temperature: of soft assignments, in the same units as `limit`.
+    """
+
+    size: Float[Array, ""] = number(20.0, "px")
+    colour: Float[Array, ""] = number(7.0, "Lab")
+    depth: Float[Array, ""] = number(0.05, "px per view step")
+    limit: Float[Array, ""] = number(8.0, "sizes squared")
+    contour: Float[Array, ""] = number(0.4, "sizes squared per px")
+    step: Float[Array, ""] = number(0.1, "px per view step")
+    smallest: Float[Array, ""] = number(0.1, "share of the area")
+    speck: Float[Array, ""] = number(6.0, "px")
+    fragment: Float[Array, ""] = number(10.0, "px")
+    slope: Float[Array, ""] = number(0.02, "px per view step and px")
+    temperature: Float[Array, ""] = number(0.2, "sizes squared")
+
+    def __str__(self) -> str:
+        return "\n".join(described(self))
+
+
+@dataclass(frozen=True)
+class SuperpixelSizes:
+    """Static sizes of `superpixels`; equal ones share a compiled program, whatever the params.
+
+    Attributes:
+        capacity: of superpixels.
+        margin: how far surfaces that the centre view does not show may lie beyond its frame, px.
+        rounds: of clustering.
+        attempts: at the wanted number of superpixels.
+    """
+
+    capacity: int
+    margin: int
+    rounds: int = 10
+    attempts: int = 4
+
+    def __post_init__(self) -> None:
+        for name, least in (("capacity", 1), ("margin", 0), ("rounds", 1), ("attempts", 1)):
+            value = getattr(self, name)
+            if value < least:
+                raise ValueError(f"`{name}` must be at least {least}, got {value}.")
+        if self.capacity > _MOST:
+            raise ValueError(f"`capacity` must be at most {_MOST}, got {self.capacity}.")
+
+    @staticmethod
+    def for_depths(depths: ViewDepths, **choices) -> "SuperpixelSizes":
+        """Chooses sizes on the host for light fields with such depths.
+
+        Args:
+            depths: of all views, from `depth_of_views`.
+            **choices: any field of `SuperpixelSizes` to set by hand.
+
+        Returns:
+            Sizes for `superpixels`, with room for superpixels of 8 px and more.
+
+        Raises:
+            ValueError: a choice is out of range.
+
+        Example:
+            >>> flat = jnp.ones((3, 3, 32, 32))
+            >>> depths = ViewDepths(flat, flat, flat.astype(jnp.int8), jnp.asarray(0))
+            >>> SuperpixelSizes.for_depths(depths).margin
+            2
+        """
+        rows, columns, height, width = depths.disparity.shape
+        most = float(np.nanmax(np.abs(np.asarray(depths.disparity)), initial=0.0))
+        defaults = {
+            "capacity": min(max(64, height * width // 32), _MOST),
+            "margin": math.ceil(most * (max(rows, columns) // 2)) + 1,
+        }
+        return SuperpixelSizes(**{**defaults, **choices})
+
+
+def grid_of(
+    size: Float[Array, ""], shape: tuple[int, int], capacity: int
+) -> tuple[Float[Array, ""], Float[Array, ""]]:
+    """How many rows and columns of square cells of about a size cover an image, as numbers.
+
+    At most `capacity` cells, and at least one.
+    """
+    height, width = shape
+    size = jnp.maximum(size, jnp.sqrt(jnp.asarray(height * width / capacity, size.dtype)))
+    rows = jnp.maximum(jnp.round(height / size), 1)
+    # Not of the width alone: rows and columns that are rounded alike leave wide gaps of number.
+    columns = jnp.maximum(jnp.round(height * width / (size**2 * rows)), 1)
+    fit = rows * columns <= capacity
+    return jnp.where(fit, rows, jnp.maximum(rows - 1, 1)), jnp.where(
+        fit, columns, jnp.maximum(jnp.floor(capacity / jnp.maximum(rows - 1, 1)), 1)
+    )

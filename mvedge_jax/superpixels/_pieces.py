@@ -1,0 +1,122 @@
+"""Connected pieces of one surface, the small ones joined to what they belong to."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Bool, Float, Int
+
+from mvedge_jax.image import components
+
+from ._clusters import Surface, shifted
+from ._parameters import SuperpixelParams
+
+# How often small pieces may join others, which may be small in turn.
+_JOINS = 6
+
+
+class Pieces(NamedTuple):
+    """Connected pieces of the centre view.
+
+    Attributes:
+        sums: of ones, colours and disparities over the pixels of each piece.
+        root: of every pixel, the number of its piece, which is below the number of pixels.
+    """
+
+    sums: Float[Array, "n 5"]
+    root: Int[Array, "y x"]
+
+
+def joined(
+    surface: Surface, labels: Int[Array, "y x"], size: Float[Array, ""], params: SuperpixelParams
+) -> Pieces:
+    """Cuts labels into connected pieces of one surface, and joins small pieces to neighbours.
+
+    Args:
+        surface: the pixels.
+        labels: of clusters.
+        size: px; pieces with less than `params.smallest` of its square are small.
+        params: of superpixels.
+
+    Returns:
+        Pieces, each connected; those of different surfaces are apart unless one is a speck.
+    """
+    right, down = surface.links[0], surface.links[1]
+    root = components(
+        right & (labels == shifted(labels, 0, 1, -1)), down & (labels == shifted(labels, 1, 0, -1))
+    )
+    count = labels.size
+    colour = surface.lab / params.colour
+    depth = jnp.clip(surface.disparity / params.depth, -1e4, 1e4)
+    features = jnp.concatenate([jnp.ones_like(depth)[..., None], colour, depth[..., None]], -1)
+    sums = jnp.zeros((count, 5), depth.dtype)
+    sums = sums.at[root.ravel()].add(features.reshape(-1, 5), mode="promise_in_bounds")
+    least = params.smallest * size**2
+    pieces, every = Pieces(sums, root), jnp.ones_like(right)
+    for along, below, limit in ((right, down, least), (every, every, params.speck)):
+
+        def join(_, pieces: Pieces, along=along, below=below, limit=limit) -> Pieces:
+            return _join(pieces, along, below, limit)
+
+        pieces = lax.fori_loop(0, _JOINS, join, pieces)
+    return pieces
+
+
+def fewer(pieces: Pieces, surface: Surface, wanted: Float[Array, ""]) -> Pieces:
+    """Joins the smallest pieces to neighbours on their surface until about so many are left."""
+    right, down = surface.links[0], surface.links[1]
+
+    def join(_, pieces: Pieces) -> Pieces:
+        root, area = pieces.root, pieces.sums[:, 0]
+        beside = jnp.zeros(area.size, bool)
+        for links, offset in ((right, (0, 1)), (down, (1, 0))):
+            other = shifted(root, *offset, -1)
+            apart = (links & (other >= 0) & (other != root)).ravel()
+            for end in (root, other):
+                beside = beside.at[jnp.where(apart, end.ravel(), area.size)].set(True, mode="drop")
+        excess = jnp.sum(area > 0, dtype=jnp.int32) - jnp.round(wanted).astype(jnp.int32)
+        order = jnp.sort(jnp.where(beside, area, jnp.inf))
+        least = jnp.where(excess > 0, order[jnp.maximum(excess - 1, 0)] + 0.5, 0)
+        return _join(pieces, right, down, least)
+
+    return lax.fori_loop(0, _JOINS, join, pieces)
+
+
+def _join(
+    pieces: Pieces,
+    right: Bool[Array, "y x"],
+    down: Bool[Array, "y x"],
+    least: Float[Array, ""],
+) -> Pieces:
+    """Joins each piece of less than some pixels to the most similar larger neighbour."""
+    sums, root = pieces
+    count, area = sums.shape[0], sums[:, 0]
+    mean = sums[:, 1:] / jnp.maximum(area, 1)[:, None]
+    pairs = []
+    for links, (dy, dx) in ((right, (0, 1)), (down, (1, 0))):
+        other = shifted(root, dy, dx, -1)
+        apart = links & (other >= 0) & (other != root)
+        one, two = jnp.where(apart, root, 0).ravel(), jnp.where(apart, other, 0).ravel()
+        pairs += [(one, two, apart.ravel()), (two, one, apart.ravel())]
+    small, large, apart = (jnp.concatenate(parts) for parts in zip(*pairs, strict=True))
+    # Into larger ones only, equals by their number: no circles.
+    grows = (area[large] > area[small]) | ((area[large] == area[small]) & (large < small))
+    allowed = apart & (area[small] < least) & grows
+    cost = jnp.where(allowed, jnp.sum((mean[small] - mean[large]) ** 2, axis=1), jnp.inf)
+    place = jnp.where(allowed, small, count)
+    best = jnp.full(count + 1, jnp.inf, cost.dtype).at[place].min(cost)
+    chosen = jnp.where(allowed & (cost == best[place]), large, count)
+    own = jnp.arange(count, dtype=jnp.int32)
+    target = jnp.full(count + 1, count, jnp.int32).at[place].min(chosen)[:-1]
+    target = jnp.where(target < count, target, own)
+    # Chains end after doublings: a chain is shorter than 2**16 as areas grow along it.
+    target = lax.fori_loop(0, 16, lambda _, t: t[t], target)
+    return Pieces(jnp.zeros_like(sums).at[target].add(sums), target[root])
+
+
+def numbered(root: Int[Array, "y x"], capacity: int) -> tuple[Int[Array, "y x"], Int[Array, ""]]:
+    """Numbers pieces from 1 in the order of their first pixels, 0 beyond the capacity; how many."""
+    there = jnp.zeros(root.size, jnp.int32).at[root.ravel()].set(1)
+    rank = jnp.cumsum(there, dtype=jnp.int32)
+    label = rank[root]
+    return jnp.where(label <= capacity, label, 0), rank[-1]

@@ -1,0 +1,157 @@
+"""Superpixels that pixels belong to by shares: with gradients (superpixel sampling networks)."""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Float, Int
+
+from mvedge_jax._fence import recomputed
+from mvedge_jax._params import cast
+from mvedge_jax.angular import ViewDepths
+from mvedge_jax.color import srgb_to_lab
+from mvedge_jax.lightfield import LightField
+
+from ._clusters import (
+    Clusters,
+    Grid,
+    Surface,
+    cell_of,
+    cell_offsets,
+    distance,
+    grid_over,
+    means,
+    seeded,
+    surface_of,
+    updated,
+)
+from ._parameters import SuperpixelParams, SuperpixelSizes
+from ._superpixels import check_depths
+
+
+class SoftSuperpixels(NamedTuple):
+    """What share of each pixel of the centre view belongs to which superpixel.
+
+    Attributes:
+        shares: of the superpixels of the nine cells around a pixel; they sum to 1.
+        names: which superpixels these are, from 0 on; 0 with a share of 0 beyond the frame.
+        xy: mean place of each superpixel, px; of those in use.
+        lab: mean colour, CIE Lab.
+        plane: disparity at `xy`, px per view step, and its change per px along x and y.
+        number: of superpixels; rows from there on are not in use.
+    """
+
+    shares: Float[Array, "9 y x"]
+    names: Int[Array, "9 y x"]
+    xy: Float[Array, "k 2"]
+    lab: Float[Array, "k 3"]
+    plane: Float[Array, "k 3"]
+    number: Int[Array, ""]
+
+
+@eqx.filter_jit
+def soft_superpixels(
+    light_field: LightField,
+    depths: ViewDepths,
+    params: SuperpixelParams,
+    sizes: SuperpixelSizes,
+) -> SoftSuperpixels:
+    r"""Assigns pixels of the centre view to the clusters of `superpixels` by shares.
+
+    A pixel p belongs to cluster k of the nine cells around it with the share
+    $\exp(-D_k(p) / T) / \sum_j \exp(-D_j(p) / T)$, D the distance that `superpixels` measures and T
+    the temperature; clusters are means with these shares, `sizes.rounds` times. There are no
+    contours, no connected pieces and no search for a number: cells have `params.size`.
+
+    Args:
+        light_field: the centre view is read.
+        depths: the centre view's disparity is read.
+        params: see `SuperpixelParams`; gradients reach `colour`, `depth`, `limit`, `slope` and
+            `temperature`.
+        sizes: capacity and rounds are read.
+
+    Returns:
+        Shares, clusters. Differentiable in the views, the disparity and the params; which cells
+        there are is not. Reverse mode keeps the clusters of every round only.
+
+    Raises:
+        ValueError: if the depths are not those of the views' grid and size.
+
+    Source: superpixel sampling networks (Jampani et al.), with planes.
+
+    Example:
+        >>> flat = jnp.zeros((1, 3, 20, 20))
+        >>> depths = ViewDepths(flat, flat, flat.astype(jnp.int8), jnp.asarray(0))
+        >>> params, sizes = SuperpixelParams(size=10.0), SuperpixelSizes.for_depths(depths)
+        >>> light_field = LightField(jnp.full((1, 3, 20, 20, 3), 0.5))
+        >>> found = soft_superpixels(light_field, depths, params, sizes)
+        >>> int(found.number), found.shares.sum(0).max().round(4).item()
+        (4, 1.0)
+    """
+    check_depths(light_field, depths)
+    dtype = light_field.views.dtype
+    params = cast(params, dtype)
+    disparity = depths.disparity[light_field.centre].astype(dtype)
+    surface = surface_of(srgb_to_lab(light_field.centre_view), disparity, params.step)
+    shape = light_field.views.shape[2], light_field.views.shape[3]
+    grid = grid_over(shape, lax.stop_gradient(params.size), sizes.capacity)
+
+    def one(clusters: Clusters, _) -> tuple[Clusters, None]:
+        shares, names = _shares(surface, grid, clusters, params)
+
+        def add(sums: Array, item: tuple[Array, Array]) -> tuple[Array, None]:
+            return sums + updated(surface, clusters, *item, params), None
+
+        nothing = jnp.zeros((sizes.capacity, 15), dtype)
+        sums, _ = lax.scan(recomputed(add), nothing, (shares, names))
+        return means(clusters, sums, params), None
+
+    start = seeded(surface, grid, sizes.capacity)
+    clusters, _ = lax.scan(recomputed(one), start, length=sizes.rounds)
+    return SoftSuperpixels(
+        *_shares(surface, grid, clusters, params), *clusters, grid.rows * grid.columns
+    )
+
+
+def _shares(
+    surface: Surface, grid: Grid, clusters: Clusters, params: SuperpixelParams
+) -> tuple[Array, Array]:
+    def cost(offset: Array) -> tuple[Array, Array]:
+        which, inside = cell_of(grid, offset)
+        found = distance(surface, clusters, which, grid.size, params)
+        return jnp.where(inside, -found / params.temperature, -jnp.inf), which
+
+    scores, names = lax.map(recomputed(cost), cell_offsets())
+    return jax.nn.softmax(scores, axis=0), names
+
+
+@eqx.filter_jit
+def through_superpixels(
+    soft: SoftSuperpixels, image: Float[Array, "y x c"]
+) -> Float[Array, "y x c"]:
+    """An image through the bottleneck of superpixels: their means, and back to pixels.
+
+    Args:
+        soft: of the centre view.
+        image: of its size, anything that has a mean.
+
+    Returns:
+        The image, each pixel the mean of its superpixels' means. Differentiable in both: the
+        difference from the image is a loss that teaches superpixels what to keep together.
+
+    Example:
+        >>> shares, names = jnp.full((9, 1, 2), 1 / 9), jnp.zeros((9, 1, 2), int)
+        >>> one = jnp.ones((1, 3))
+        >>> soft = SoftSuperpixels(shares, names, one[:, :2], one, one, jnp.array(1))
+        >>> through_superpixels(soft, jnp.array([[[1.0], [3.0]]])).tolist()
+        [[[2.0], [2.0]]]
+    """
+    ones = jnp.ones_like(image[..., :1])
+    values = jnp.concatenate([image, ones], axis=-1)
+    sums = jnp.zeros((soft.xy.shape[0], values.shape[-1]), values.dtype)
+    sums = sums.at[soft.names].add(soft.shares[..., None] * values[None])
+    mass = sums[:, -1:]
+    mean = sums[:, :-1] / jnp.where(mass > 0, mass, 1)
+    return jnp.sum(soft.shares[..., None] * mean[soft.names], axis=0)

@@ -1,0 +1,163 @@
+"""Superpixels of a light field: one label per surface patch in every view (Thesis Ch. 5)."""
+
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Bool, Float, Int
+
+from mvedge_jax._params import cast
+from mvedge_jax.angular import ViewDepths
+from mvedge_jax.color import srgb_to_lab
+from mvedge_jax.lightfield import LightField
+
+from ._clusters import Surface, clustered, grid_over, surface_of
+from ._parameters import SuperpixelParams, SuperpixelSizes
+from ._pieces import Pieces, fewer, joined, numbered
+from ._tables import tables_of
+from ._views import canvas_of, continued, labelled
+
+# How many more pieces than wanted are aimed at, relatively: the smallest then join others.
+_MORE = 0.03
+
+
+class Superpixels(NamedTuple):
+    """Superpixels; row k of a table is that of label k + 1.
+
+    Attributes:
+        labels: of every pixel of every view, `[v, u, y, x]`, from 1 on; 0 for none.
+        valid: rows of the tables in use.
+        xy: mean place in the centre view, px; of labels that it does not show, where they would be.
+        plane: disparity at `xy`, px per view step, and its change per px along x and y.
+        colour: mean colour, sRGB.
+        area: pixels of the centre view.
+        parents: the least label among those that are connected without a depth step.
+        neighbours: pairs of labels that touch in the centre view, the smaller one first; 0 where
+            unused.
+        linked: pairs that touch without a depth step.
+        number: of superpixels; what exceeds the capacity has no label.
+    """
+
+    labels: Int[Array, "v u y x"]
+    valid: Bool[Array, " k"]
+    xy: Float[Array, "k 2"]
+    plane: Float[Array, "k 3"]
+    colour: Float[Array, "k 3"]
+    area: Int[Array, " k"]
+    parents: Int[Array, " k"]
+    neighbours: Int[Array, "m 2"]
+    linked: Bool[Array, " m"]
+    number: Int[Array, ""]
+
+
+@eqx.filter_jit
+def superpixels(
+    light_field: LightField,
+    depths: ViewDepths,
+    params: SuperpixelParams,
+    sizes: SuperpixelSizes,
+) -> Superpixels:
+    """Cuts a light field into small patches of surface, each with one label in every view.
+
+    1. The pixels of the centre view are clustered by place, colour and a slanted plane per cluster,
+       with short contours; cells are enlarged or shrunk until the number of superpixels is right.
+    2. Clusters are cut into connected pieces, and at every depth step. Small pieces join the most
+       similar neighbour on their own surface; thin things stay for themselves.
+    3. Surfaces that only other views show continue the superpixels of the same surface around
+       them, by disparity; where there are none, they are superpixels of their own.
+    4. Every pixel of every view gets the label of the surface that it shows, by its disparity:
+       views agree by construction, and outlines are where the centre view has them. Fragments of a
+       few pixels join what is around them. A superpixel that something hides the middle of is in
+       two pieces in that view.
+
+    Args:
+        light_field: the views; ground truth is not read.
+        depths: disparity of all views, from `depth_of_views`.
+        params: see `SuperpixelParams`.
+        sizes: see `SuperpixelSizes.for_depths`.
+
+    Returns:
+        Labels of all views, of missing ones as well, and tables. The same for the same input. Not
+        differentiable: `soft_superpixels` is.
+
+    Raises:
+        ValueError: if the depths are not those of the views' grid and size.
+
+    Source: Thesis Ch. 5, which clusters EPI segments instead: see `baselines`.
+
+    Example:
+        >>> flat = jnp.zeros((1, 3, 20, 20))
+        >>> depths = ViewDepths(flat, flat, flat.astype(jnp.int8), jnp.asarray(0))
+        >>> params, sizes = SuperpixelParams(size=10.0), SuperpixelSizes.for_depths(depths)
+        >>> light_field = LightField(jnp.full((1, 3, 20, 20, 3), 0.5))
+        >>> found = superpixels(light_field, depths, params, sizes)
+        >>> int(found.number), found.labels[0, 0, 0, ::10].tolist()
+        (4, [1, 2])
+    """
+    check_depths(light_field, depths)
+    params = cast(params, light_field.views.dtype)
+    disparities = depths.disparity.astype(light_field.views.dtype)
+    vc, uc = light_field.centre
+    surface = surface_of(srgb_to_lab(light_field.centre_view), disparities[vc, uc], params.step)
+    centre, count = _counted(surface, params, sizes)
+    canvas = canvas_of(disparities, centre, params.step, margin=sizes.margin)
+    canvas, count = continued(canvas, count, params.step, params.speck, capacity=sizes.capacity)
+    labels = labelled(
+        disparities,
+        centre,
+        canvas,
+        params.step,
+        params.fragment,
+        margin=sizes.margin,
+        capacity=sizes.capacity,
+    )
+    tables = tables_of(
+        light_field, labels, surface, canvas, params, margin=sizes.margin, capacity=sizes.capacity
+    )
+    valid = jnp.arange(sizes.capacity, dtype=jnp.int32) < count
+    return Superpixels(labels, valid, *tables, count)
+
+
+def check_depths(light_field: LightField, depths: ViewDepths) -> None:
+    """Raises a ValueError where depths are not those of a light field."""
+    shape = light_field.views.shape[:4]
+    if depths.disparity.shape != shape:
+        raise ValueError(
+            f"`depths` must have the shape of the views, {shape}, got {depths.disparity.shape}."
+        )
+
+
+def _counted(
+    surface: Surface, params: SuperpixelParams, sizes: SuperpixelSizes
+) -> tuple[Array, Array]:
+    """Labels of the centre view, about as many as the size asks for, and their number."""
+    shape = surface.disparity.shape[0], surface.disparity.shape[1]
+    pixels = jnp.asarray(shape[0] * shape[1], surface.disparity.dtype)
+    wanted = pixels / params.size**2
+
+    def attempt(state: tuple[Any, ...], _) -> tuple[tuple[Any, ...], None]:
+        size, slope, before, best, gap = state
+        grid = grid_over(shape, jnp.exp(size), sizes.capacity)
+        labels, _ = clustered(surface, grid, params, capacity=sizes.capacity, rounds=sizes.rounds)
+        pieces = joined(surface, labels, params.size, params)
+        off = jnp.log(numbered(pieces.root, sizes.capacity)[1].astype(wanted.dtype) / wanted)
+        # Too many are made fewer afterwards; too few stay.
+        badness = jnp.where(off < 0, -4 * off, off)
+        better = badness < gap
+        best = jax.tree.map(lambda new, old: jnp.where(better, new, old), pieces, best)
+        # The number falls with the square of the size of cells; less, where pieces make it up.
+        moved = size - before[0]
+        measured = (off - before[1]) / jnp.where(moved == 0, 1, moved)
+        slope = jnp.where(moved == 0, slope, jnp.clip(measured, -2.0, -0.7))
+        following = size - jnp.clip((off - _MORE) / slope, -1.0, 1.0)
+        gap = jnp.minimum(gap, badness)
+        return (following, slope, jnp.stack([size, off]), best, gap), None
+
+    size = jnp.log(params.size)
+    nothing = Pieces(jnp.zeros((shape[0] * shape[1], 5), wanted.dtype), jnp.zeros(shape, jnp.int32))
+    first = jnp.stack([size, jnp.zeros_like(size)])
+    start = size, jnp.full_like(size, -1.5), first, nothing, jnp.full_like(size, jnp.inf)
+    (*_, best, _), _ = lax.scan(attempt, start, length=sizes.attempts)
+    return numbered(fewer(best, surface, wanted).root, sizes.capacity)

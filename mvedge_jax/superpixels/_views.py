@@ -1,0 +1,240 @@
+"""From the centre view into all others: where a surface is labelled once, views agree."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Float, Int
+
+from mvedge_jax.image import components
+from mvedge_jax.warping import forward_warp, holes
+
+from ._clusters import shifted
+
+_AROUND = tuple((dy, dx) for dy in (-1, 0, 1) for dx in (-1, 0, 1) if dy or dx)
+# Pixels of a view that match nothing take what is around them this often.
+_FILLS = 3
+
+
+class Canvas(NamedTuple):
+    """Surfaces in the coordinates of the centre view, with a margin around its frame.
+
+    Attributes:
+        front: disparity of what the centre view sees, NaN beyond its frame.
+        back: of what only other views see, the nearest of it; NaN where there is nothing.
+        front_labels: 0 for none.
+        back_labels: 0 for none.
+    """
+
+    front: Float[Array, "h w"]
+    back: Float[Array, "h w"]
+    front_labels: Int[Array, "h w"]
+    back_labels: Int[Array, "h w"]
+
+
+def canvas_of(
+    disparities: Float[Array, "v u y x"],
+    labels: Int[Array, "y x"],
+    step: Float[Array, ""],
+    *,
+    margin: int,
+) -> Canvas:
+    """Gathers what the views show beyond the centre view's map, not labelled yet.
+
+    Args:
+        disparities: of all views, px per view step.
+        labels: of the centre view, from 1 on.
+        step: two surfaces differ by more than this, px per view step.
+        margin: around the frame, px.
+
+    Returns:
+        The canvas.
+    """
+    rows, columns = disparities.shape[:2]
+    wide = ((margin, margin), (margin, margin))
+    centre = disparities[rows // 2, columns // 2]
+    front = jnp.pad(centre, wide, constant_values=jnp.nan)
+
+    def add(back: Array, item: tuple[Array, Array]) -> tuple[Array, None]:
+        disparity, view = item
+        place = _place(disparity, view, front.shape, margin)
+        other = ~(jnp.abs(front.ravel()[place] - disparity) <= step)
+        value = jnp.where(other & jnp.isfinite(disparity), disparity, -jnp.inf)
+        return back.at[place].max(value, mode="promise_in_bounds"), None
+
+    start = jnp.full(front.size, -jnp.inf, centre.dtype)
+    back, _ = lax.scan(add, start, _items(disparities))
+    back = jnp.where(jnp.isfinite(back), back, jnp.nan).reshape(front.shape)
+    front_labels = jnp.pad(labels, wide)
+    return Canvas(front, back, front_labels, jnp.zeros_like(front_labels))
+
+
+def _items(disparities: Array) -> tuple[Array, Array]:
+    """Maps and steps `(u_c - u, v_c - v)` of all views, one after the other."""
+    rows, columns, height, width = disparities.shape
+    v, u = jnp.indices((rows, columns))
+    steps = jnp.stack([columns // 2 - u, rows // 2 - v], axis=-1).reshape(-1, 2)
+    return disparities.reshape(-1, height, width), steps.astype(disparities.dtype)
+
+
+def _place(disparity: Array, view: Array, shape: tuple[int, ...], margin: int) -> Array:
+    """Flat index in the canvas of the surface that each pixel of a view shows."""
+    height, width = disparity.shape
+    dtype = disparity.dtype
+    shift = jnp.where(jnp.isfinite(disparity), disparity, 0)
+    x = jnp.floor(jnp.arange(width, dtype=dtype)[None] - view[0] * shift + 0.5)
+    y = jnp.floor(jnp.arange(height, dtype=dtype)[:, None] - view[1] * shift + 0.5)
+    column = jnp.clip(x.astype(jnp.int32) + margin, 0, shape[1] - 1)
+    row = jnp.clip(y.astype(jnp.int32) + margin, 0, shape[0] - 1)
+    return row * shape[1] + column
+
+
+def continued(
+    canvas: Canvas,
+    count: Int[Array, ""],
+    step: Float[Array, ""],
+    least: Float[Array, ""],
+    *,
+    capacity: int,
+) -> tuple[Canvas, Int[Array, ""]]:
+    """Labels what the centre view does not see: as the same surface around it, or anew.
+
+    Args:
+        canvas: with labels of the front.
+        count: of labels so far.
+        step: two surfaces differ by more than this, px per view step.
+        least: pixels that a surface without any label needs for one of its own.
+        capacity: of labels.
+
+    Returns:
+        The canvas with labels of the back, and the new count, which may exceed the capacity.
+    """
+    back = canvas.back
+    there = jnp.isfinite(back)
+
+    def grow(state: tuple[Array, Array]) -> tuple[Array, Array]:
+        labels, _ = state
+        found, gap = jnp.zeros_like(labels), jnp.full_like(back, jnp.inf)
+        for depth, known in ((canvas.front, canvas.front_labels), (back, labels)):
+            for offset in _AROUND:
+                difference = jnp.abs(shifted(depth, *offset, jnp.nan) - back)
+                label = shifted(known, *offset, 0)
+                take = (label > 0) & (difference <= step) & (difference < gap)
+                gap = jnp.where(take, difference, gap)
+                found = jnp.where(take, label, found)
+        found = jnp.where((labels == 0) & there, found, labels)
+        return found, jnp.any(found != labels)
+
+    labels, _ = lax.while_loop(lambda s: s[1], grow, (canvas.back_labels, jnp.asarray(True)))
+    left = there & (labels == 0)
+
+    def linked(dy: int, dx: int) -> Array:
+        same = jnp.abs(shifted(back, dy, dx, jnp.nan) - back) <= step
+        return same & left & shifted(left, dy, dx, False)
+
+    root = components(linked(0, 1), linked(1, 0))
+    size = jnp.zeros(root.size, jnp.int32).at[root.ravel()].add(left.ravel().astype(jnp.int32))
+    first = size.astype(least.dtype) >= jnp.maximum(least, 1)
+    rank = jnp.cumsum(first, dtype=jnp.int32) + count
+    new = jnp.where(left & first[root], rank[root], 0)
+    new = jnp.where(new <= capacity, new, 0)
+    return canvas._replace(back_labels=jnp.where(left, new, labels)), rank[-1]
+
+
+def labelled(
+    disparities: Float[Array, "v u y x"],
+    labels: Int[Array, "y x"],
+    canvas: Canvas,
+    step: Float[Array, ""],
+    fragment: Float[Array, ""],
+    *,
+    margin: int,
+    capacity: int,
+) -> Int[Array, "v u y x"]:
+    """Labels of all views: those of the surfaces that their pixels show.
+
+    Args:
+        disparities: of all views, px per view step.
+        labels: of the centre view, from 1 on.
+        canvas: with labels.
+        step: two surfaces differ by more than this, px per view step.
+        fragment: pieces with fewer pixels than this, apart from the rest of their label, join what
+            is around them, px.
+        margin: of the canvas, px.
+        capacity: of labels.
+    """
+    front, back, front_labels, back_labels = (a.ravel() for a in canvas)
+    centre = disparities[disparities.shape[0] // 2, disparities.shape[1] // 2]
+
+    def one(item: tuple[Array, Array]) -> Array:
+        disparity, view = item
+        place = _place(disparity, view, canvas.front.shape, margin)
+        in_front = jnp.abs(front[place] - disparity) <= step
+        behind = jnp.abs(back[place] - disparity) <= step
+        label = jnp.where(in_front, front_labels[place], jnp.where(behind, back_labels[place], 0))
+        label = _filled(label, disparity)
+        # An outline that is wider in this view than in the centre view ends where that one does.
+        moved = forward_warp(labels[..., None].astype(disparity.dtype), centre, view)
+        wide = moved.hit & ~in_front & (moved.disparity < disparity - step)
+        label = jnp.where(wide, moved.image[..., 0].astype(jnp.int32), label)
+        return whole(label, disparity, fragment, capacity + 1)
+
+    maps = lax.map(one, _items(disparities)).reshape(disparities.shape)
+    # Which it is itself, but for what has no label.
+    return maps.at[disparities.shape[0] // 2, disparities.shape[1] // 2].set(labels)
+
+
+def _filled(labels: Int[Array, "y x"], disparity: Float[Array, "y x"]) -> Int[Array, "y x"]:
+    """Gives pixels without a label that of the neighbour with the most similar disparity."""
+    finite = jnp.isfinite(disparity)
+
+    def fill(_, labels: Array) -> Array:
+        found, gap = jnp.zeros_like(labels), jnp.full_like(disparity, jnp.inf)
+        for offset in _AROUND:
+            difference = jnp.abs(shifted(disparity, *offset, jnp.nan) - disparity)
+            label = shifted(labels, *offset, 0)
+            take = (label > 0) & (difference < gap)
+            gap = jnp.where(take, difference, gap)
+            found = jnp.where(take, label, found)
+        return jnp.where((labels == 0) & finite, found, labels)
+
+    labels = lax.fori_loop(0, _FILLS, fill, labels)
+    behind = holes(disparity, labels > 0).behind
+    return jnp.where(finite, labels.ravel()[behind], 0)
+
+
+def whole(
+    labels: Int[Array, "y x"],
+    disparity: Float[Array, "y x"],
+    fragment: Float[Array, ""],
+    count: int,
+) -> Int[Array, "y x"]:
+    """Gives fragments of labels to the neighbour that is closest in disparity.
+
+    Args:
+        labels: of a view.
+        disparity: of it, px per view step.
+        fragment: pixels that a piece apart from the largest one of its label needs to stay.
+        count: of labels, 0 included.
+    """
+    root = components(*(labels == shifted(labels, *offset, -1) for offset in ((0, 1), (1, 0))))
+    root, name = root.ravel(), labels.ravel()
+    area = jnp.zeros(root.size, jnp.int32).at[root].add(1)[root]
+    most = jnp.zeros(count, jnp.int32).at[name].max(area)[name]
+    apart = (area < most) & (area.astype(fragment.dtype) < fragment)
+    apart = apart.reshape(labels.shape)
+    # The neighbour that the fragment as a whole is closest to, so that it is not cut again.
+    gap = jnp.full(root.size, jnp.inf, disparity.dtype)
+    options = []
+    for offset in ((0, 1), (0, -1), (1, 0), (-1, 0)):
+        difference = jnp.abs(shifted(disparity, *offset, jnp.nan) - disparity)
+        label = jnp.where(shifted(apart, *offset, True), 0, shifted(labels, *offset, 0))
+        difference = jnp.where(apart & (label > 0), difference, jnp.inf).ravel()
+        options.append((difference, label.ravel()))
+        gap = gap.at[root].min(difference)
+    best = jnp.full(root.size, count, jnp.int32)
+    for difference, label in options:
+        chosen = jnp.isfinite(difference) & (difference == gap[root])
+        best = best.at[root].min(jnp.where(chosen, label, count))
+    found = best[root].reshape(labels.shape)
+    return jnp.where(apart & (found < count), found, labels)

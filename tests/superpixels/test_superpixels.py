@@ -1,0 +1,178 @@
+"""Superpixels: connected, on one surface, the same in all views; any grid of views."""
+
+import inspect
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from helpers import count_traces, with_values
+from skimage import measure
+
+from mvedge_jax.angular import ViewDepths
+from mvedge_jax.lightfield import LightField
+from mvedge_jax.metrics.superpixels import superpixel_scores
+from mvedge_jax.superpixels import SuperpixelParams, SuperpixelSizes, superpixels
+
+_NEAR, _FAR = 1.0, -1.0
+_LABEL: Any = measure.label
+
+
+def _cards(shape=(3, 3, 36, 44), dtype: Any = np.float32, pole=False):
+    """A card, or a pole, before a wall, at whole disparities: true depth, colours, ids."""
+    rows, columns, height, width = shape
+    y, x = np.mgrid[:height, :width]
+    disparity = np.zeros(shape)
+    for v, u in np.ndindex(rows, columns):
+        a, b = columns // 2 - u, rows // 2 - v
+        row, column = y - b * _NEAR, x - a * _NEAR
+        on = (np.abs(row - height // 2) < height // 4) & (np.abs(column - width // 2) < width // 4)
+        if pole:
+            on = np.abs(column - width // 2) < 2
+        disparity[v, u] = np.where(on, _NEAR, _FAR)
+    near = disparity > 0
+    views = np.where(near[..., None], [0.5, 0.3, 0.2], [0.3, 0.4, 0.6])
+    field = LightField(jnp.asarray(views, dtype))
+    maps = jnp.asarray(disparity, dtype)
+    depths = ViewDepths(maps, 0 * maps, jnp.zeros(shape, jnp.int8), jnp.asarray(0))
+    return field, depths, near.astype(int)
+
+
+def _found(field, depths, size=8.0, **choices):
+    sizes = SuperpixelSizes.for_depths(depths, **{"rounds": 3, "attempts": 2, **choices})
+    return superpixels(field, depths, with_values(SuperpixelParams, size=size), sizes)
+
+
+@pytest.mark.parametrize("shape", [(3, 3, 36, 44), (1, 5, 30, 33)])
+def test_superpixels_keep_to_surfaces_and_agree_in_all_views(shape):
+    field, depths, ids = _cards(shape)
+    found = _found(field, depths)
+    scores = superpixel_scores(found.labels, jnp.asarray(ids), depths.disparity)
+    assert float(scores.accuracy) == 1
+    assert float(scores.unlabelled) == 0
+    assert float(scores.inconsistent) < 0.002
+    wanted = shape[2] * shape[3] / 64
+    assert abs(int(found.number) / wanted - 1) < 0.4
+    for view in np.asarray(found.labels).reshape(-1, *shape[2:]):
+        assert _LABEL(view, connectivity=1).max() == len(np.unique(view))
+
+
+def test_a_pole_is_apart_from_the_wall_and_cuts_it():
+    field, depths, ids = _cards(pole=True)
+    found = _found(field, depths)
+    centre = np.asarray(found.labels[1, 1])
+    pole, wall = (set(np.unique(centre[ids[1, 1] == k])) for k in (1, 0))
+    assert not pole & wall
+    left, right = centre[:, :20], centre[:, 25:]
+    assert not set(np.unique(left)) & set(np.unique(right))
+
+
+def test_tables_tell_what_the_labels_show():
+    field, depths, _ = _cards()
+    found = _found(field, depths)
+    centre = np.asarray(found.labels[1, 1])
+    count = int(found.number)
+    y, x = np.mgrid[: centre.shape[0], : centre.shape[1]]
+    assert int(found.valid.sum()) == count
+    for k in range(count):
+        here = centre == k + 1
+        assert here.sum() == int(found.area[k])
+        if not here.any():
+            continue
+        np.testing.assert_allclose(found.xy[k], [x[here].mean(), y[here].mean()], rtol=1e-5)
+        depth = np.asarray(depths.disparity[1, 1])[here]
+        np.testing.assert_allclose(found.plane[k], [depth.mean(), 0, 0], atol=1e-4)
+        picture = np.asarray(field.centre_view)[here]
+        np.testing.assert_allclose(found.colour[k], picture.mean(0), rtol=1e-5)
+    pairs = {
+        (min(p, q), max(p, q))
+        for one, two in ((centre[:, 1:], centre[:, :-1]), (centre[1:], centre[:-1]))
+        for p, q in zip(one.ravel(), two.ravel(), strict=True)
+        if p != q
+    }
+    rows = np.asarray(found.neighbours)
+    assert {tuple(r) for r in rows[rows[:, 0] > 0].tolist()} == pairs
+    # Card and wall: two parents, in the centre view.
+    depth = np.asarray(depths.disparity[1, 1])
+    parents = np.asarray(found.parents)[centre - 1]
+    assert len(np.unique(parents)) == 2
+    assert len(np.unique(parents[depth > 0])) == 1
+
+
+def test_slanted_planes_are_found():
+    y, x = np.mgrid[:24, :24]
+    plane = jnp.asarray(0.03 * x - 0.02 * y, jnp.float32)[None, None]
+    depths = ViewDepths(plane, 0 * plane, jnp.zeros(plane.shape, jnp.int8), jnp.asarray(0))
+    field = LightField(jnp.full((1, 1, 24, 24, 3), 0.5, jnp.float32))
+    found = _found(field, depths)
+    count = int(found.number)
+    large = np.asarray(found.area)[:count] > 40
+    slopes = np.asarray(found.plane)[:count, 1:][large]
+    # The prior holds slopes back a little.
+    np.testing.assert_allclose(slopes, np.broadcast_to([0.03, -0.02], slopes.shape), rtol=0.1)
+    assert len(np.unique(np.asarray(found.parents)[:count])) == 1
+
+
+def test_the_size_sets_the_number():
+    field, depths, _ = _cards((1, 1, 64, 64))
+    rng = np.random.default_rng(0)
+    noisy = np.clip(np.asarray(field.views) + 0.05 * rng.normal(size=field.views.shape), 0, 1)
+    field = LightField(jnp.asarray(noisy, jnp.float32))
+    for size in (8.0, 12.0):
+        found = _found(field, depths, size, attempts=4, capacity=256)
+        assert abs(int(found.number) * size**2 / 64**2 - 1) < 0.15
+
+
+def test_the_same_twice_and_one_program_for_all_sizes():
+    field, depths, _ = _cards()
+    sizes = SuperpixelSizes.for_depths(depths, rounds=2, attempts=1)
+    function, traces = count_traces(inspect.unwrap(superpixels))
+    first, second, _ = (
+        function(field, depths, with_values(SuperpixelParams, size=size), sizes)
+        for size in (8.0, 8.0, 11.0)
+    )
+    assert traces() == 1
+    same = jax.tree.map(lambda a, b: bool(jnp.array_equal(a, b)), first, second)
+    assert all(same)
+
+
+def test_missing_views_have_labels_and_change_none():
+    field, depths, _ = _cards()
+    available = jnp.ones((3, 3), bool).at[0, 0].set(False)
+    views = field.views.at[0, 0].set(0.0)
+    part = _found(LightField(views, available=available), depths)
+    np.testing.assert_array_equal(part.labels, _found(field, depths).labels)
+
+
+def test_overflow_is_counted_and_has_no_label():
+    field, depths, _ = _cards((1, 3, 36, 44), pole=True)
+    found = _found(field, depths, 8.0, capacity=5)
+    assert int(found.number) > 5
+    assert int(found.valid.sum()) == 5
+    assert int(found.labels.max()) <= 5
+
+
+def test_float64_labels_are_those_of_float32():
+    one, two = (
+        _found(*_cards((1, 3, 36, 44), dtype=dtype)[:2]) for dtype in (np.float32, np.float64)
+    )
+    assert float(jnp.mean(one.labels == two.labels)) > 0.95
+
+
+def test_bad_input_is_named():
+    field, depths, _ = _cards()
+    other = depths._replace(disparity=depths.disparity[:, :, :5])
+    sizes = SuperpixelSizes.for_depths(depths)
+    with pytest.raises(ValueError, match="`depths` must have the shape of the views"):
+        inspect.unwrap(superpixels)(field, other, SuperpixelParams(), sizes)
+    with pytest.raises(ValueError, match="`capacity` must be at least 1, got 0"):
+        SuperpixelSizes(capacity=0, margin=1)
+    with pytest.raises(ValueError, match="`capacity` must be at most"):
+        SuperpixelSizes(capacity=100_000, margin=1)
+
+
+def test_params_describe_themselves():
+    assert "size = 20 px" in str(SuperpixelParams())
+    assert eqx.is_array(SuperpixelParams().size)
