@@ -161,7 +161,7 @@ _FLOORS = (
     ("edges", "losses", "metrics"),
     ("centre",),
     ("model", "baselines", "angular"),
-    ("edit",),
+    ("edit", "posed"),
     ("datasets", "plotting"),
     ("cli",),
     ("__init__", "__main__"),

@@ -20,3 +20,9 @@ from ._smoothness import (
     SmoothnessParams as SmoothnessParams,
     edge_smoothness as edge_smoothness,
 )
+from ._solves import (
+    Labels as Labels,
+    Map as Map,
+    dense_map as dense_map,
+    standard_error as standard_error,
+)

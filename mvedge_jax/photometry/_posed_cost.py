@@ -1,0 +1,147 @@
+"""Hypotheses from posed photographs: per pixel, the disparity at which the better half agrees."""
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Bool, Float
+
+from mvedge_jax._params import cast
+
+from ._cost import (
+    COLOUR_OF_JUMPS,
+    POOLING,
+    SAME_COLOUR,
+    VolumeParams,
+    cheapest,
+    noise_variance,
+    shared_drift,
+    truncated,
+)
+from ._noise import Noise
+from ._paths import aggregate
+from ._places import Projection
+from ._pooling import pooled
+from ._window import colour_weights, weighted_sum
+
+
+@partial(jax.jit, static_argnames=("window", "paths"))
+def posed_hypotheses(
+    images: Float[Array, "s c y x"],
+    places: Projection,
+    available: Bool[Array, " s"],
+    lab: Float[Array, "c y x"],
+    disparities: Float[Array, " d"],
+    params: VolumeParams,
+    *,
+    noise: Noise,
+    window: int,
+    paths: bool = True,
+) -> Float[Array, "y x"]:
+    r"""Per pixel of the first photograph, the disparity at which the others agree best.
+
+    What hides a pixel hides it from one side, as a rule, so that of all photographs only the better
+    half counts: its mean of truncated squared colour differences over a colour-weighted window. Of
+    each, a change of the window's mean colour within limits is taken out first, away from outlines:
+    gloss, shading, and exposures that are not quite alike. A photograph in whose frame a pixel is
+    not, or behind whose camera, confirms nothing.
+
+    Args:
+        images: low-passed, gains taken out; the reference first.
+        places: where each of them shows the reference's pixels.
+        available: those that are to be read.
+        lab: the reference in CIELAB, denoised, `[c, y, x]`.
+        disparities: what to try, increasing, evenly spaced.
+        params: see `VolumeParams`.
+        noise: of the images before any low-pass.
+        window: half the width of the window, px.
+        paths: sum costs along paths through the image, see `hypotheses`; without, every pixel has
+            the hypothesis that is cheapest for it.
+
+    Returns:
+        Disparity per pixel, between the hypotheses by a parabola. Differentiable as `hypotheses`.
+    """
+    params = cast(params, lab.dtype)
+    height, width = lab.shape[1:]
+    reference, count = images[0], images.shape[0] - 1
+    truncation = params.truncation * images.shape[1] * noise_variance(noise)
+    share = shared_drift(noise, lab)
+    alike = jnp.asarray(SAME_COLOUR, lab.dtype)
+    support = colour_weights(lab, alike, reach=window)
+    wide = colour_weights(lab, alike, reach=window, spacing=2)
+    apart = jnp.sqrt(jnp.sum(places.epipole[1:] ** 2, axis=1))
+    limits = params.drift * apart / jnp.max(apart)
+    others = (
+        jnp.moveaxis(images[1:], 1, -1),
+        Projection(places.homography[1:], places.epipole[1:]),
+        available[1:],
+        limits,
+    )
+
+    @jax.checkpoint
+    def cost(disparity: Array) -> Array:
+        everywhere = jnp.full((height, width), disparity)
+
+        def one(view: tuple[Array, Projection, Array, Array]) -> Array:
+            image, place, there, limit = view
+            x, y = place.positions(everywhere)
+            inside = (x >= 0) & (x <= width - 1) & (y >= 0) & (y <= height - 1) & there
+            change = [v - r for v, r in zip(_linear(image, x, y), reference, strict=True)]
+            gray = sum(change[1:], change[0]) / len(change)
+            # What is far beyond any drift is another surface, and says nothing about this one.
+            gray = jnp.where(inside, jnp.clip(gray, -3 * limit, 3 * limit), 0)
+            drift = weighted_sum(gray[None], wide, spacing=2)[0]
+            drift = share * jnp.clip(drift, -limit, limit)
+            far = truncated([colour - drift for colour in change], truncation)
+            return jnp.where(inside, far, 1)
+
+        return 2 * _better_half(weighted_sum(lax.map(one, others), support), count)
+
+    total = lax.map(cost, disparities)
+    if paths:
+        cheaper = 1 - 0.75 * noise.alpha
+        total = aggregate(
+            pooled(total, lab, noise, jnp.asarray(POOLING, lab.dtype)),
+            lab,
+            slant=cheaper * params.slant,
+            jump=cheaper * params.jump,
+            colour=jnp.asarray(COLOUR_OF_JUMPS, lab.dtype),
+        )
+    return cheapest(total, disparities)
+
+
+def _better_half(costs: Float[Array, "s y x"], count: int) -> Float[Array, "y x"]:
+    """Mean of the smaller half of the costs, by exchanges: XLA on CPU does not vectorise sorting."""
+    planes = [costs[i] for i in range(count)]
+    kept = (count + 1) // 2
+    for first in range(kept):
+        for other in range(first + 1, count):
+            low = jnp.minimum(planes[first], planes[other])
+            planes[other] = jnp.maximum(planes[first], planes[other])
+            planes[first] = low
+    return sum(planes[1:kept], planes[0]) / kept
+
+
+def _linear(image: Float[Array, "y x c"], x: Array, y: Array) -> list[Array]:
+    """Colours between pixels, by linear interpolation; the border is repeated."""
+    height, width, channels = image.shape
+    x, y = jnp.clip(x, 0, width - 1), jnp.clip(y, 0, height - 1)
+    column = jnp.minimum(jnp.floor(x), width - 2).astype(jnp.int32)
+    row = jnp.minimum(jnp.floor(y), height - 2).astype(jnp.int32)
+    right, down = x - column.astype(x.dtype), y - row.astype(y.dtype)
+    first = (row * width + column) * channels
+    # Both pixels of a row and their channels lie side by side: one gather for all of them.
+    slices = lax.GatherDimensionNumbers(
+        offset_dims=(2,), collapsed_slice_dims=(), start_index_map=(0,)
+    )
+    flat, result = image.reshape(-1), []
+    upper, lower = (
+        lax.gather(flat, start[..., None], slices, (2 * channels,), mode="promise_in_bounds")
+        for start in (first, first + width * channels)
+    )
+    for c in range(channels):
+        above = upper[..., c] + right * (upper[..., c + channels] - upper[..., c])
+        below = lower[..., c] + right * (lower[..., c + channels] - lower[..., c])
+        result.append(above + down * (below - above))
+    return result
