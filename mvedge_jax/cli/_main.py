@@ -18,6 +18,7 @@ _COMMANDS = {
     "edges": ("._edges", "edges"),
     "depth": ("._depth", "depth"),
     "views": ("._views", "views"),
+    "stereo": ("._stereo", "stereo"),
     "edit": ("._edit", "edit"),
     "optimize": ("._optimize", "optimize"),
     "demo": ("._demo", "demo"),

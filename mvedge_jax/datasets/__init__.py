@@ -2,11 +2,17 @@
 
 from . import synthetic as synthetic
 from ._convention import ConventionCheck as ConventionCheck, check_convention as check_convention
+from ._export import write_colmap as write_colmap, write_nerfstudio as write_nerfstudio
 from ._load import (
     load_ground_truth as load_ground_truth,
     load_light_field as load_light_field,
     open_source as open_source,
 )
 from ._pfm import read_pfm as read_pfm, write_pfm as write_pfm
+from ._photographs import (
+    load_photographs as load_photographs,
+    open_photographs as open_photographs,
+)
+from ._ply import read_ply as read_ply, write_ply as write_ply
 from ._stanford import CameraSpacing as CameraSpacing, camera_spacing as camera_spacing
 from ._write_hci import write_hci as write_hci

@@ -172,7 +172,8 @@ def look_around(
         w = weight[None]
         new = _Totals(
             weight, weight * x, weight * y, weight * x * x, weight * x * y, weight * y * y,
-            w * relative, (weight * x)[None] * relative, (weight * y)[None] * relative, w * relative**2,
+            w * relative, (weight * x)[None] * relative, (weight * y)[None] * relative,
+            w * relative**2,
         )  # fmt: skip
         return jax.tree.map(jnp.add, total, new), None
 

@@ -8,6 +8,7 @@ from jax import lax
 from jaxtyping import Array, Bool, Float
 
 from mvedge_jax._params import cast
+from mvedge_jax._root import root
 
 from ._cost import (
     COLOUR_OF_JUMPS,
@@ -70,7 +71,7 @@ def posed_hypotheses(
     alike = jnp.asarray(SAME_COLOUR, lab.dtype)
     support = colour_weights(lab, alike, reach=window)
     wide = colour_weights(lab, alike, reach=window, spacing=2)
-    apart = jnp.sqrt(jnp.sum(places.epipole[1:] ** 2, axis=1))
+    apart = root(jnp.sum(places.epipole[1:] ** 2, axis=1))
     limits = params.drift * apart / jnp.max(apart)
     others = (
         jnp.moveaxis(images[1:], 1, -1),
@@ -112,7 +113,7 @@ def posed_hypotheses(
 
 
 def _better_half(costs: Float[Array, "s y x"], count: int) -> Float[Array, "y x"]:
-    """Mean of the smaller half of the costs, by exchanges: XLA on CPU does not vectorise sorting."""
+    """Mean of the smaller half of the costs, by exchanges: XLA on CPU vectorises these, no sort."""
     planes = [costs[i] for i in range(count)]
     kept = (count + 1) // 2
     for first in range(kept):

@@ -1,5 +1,10 @@
 """Depth from a few posed photographs (Thesis 7.2.2), by the light field's own measurement."""
 
+from ._cloud import (
+    Surface as Surface,
+    photographs_of as photographs_of,
+    surface_of as surface_of,
+)
 from ._parameters import (
     Reference as Reference,
     StereoParams as StereoParams,
@@ -7,6 +12,11 @@ from ._parameters import (
     reference_of as reference_of,
 )
 from ._photographs import Photographs as Photographs, projections as projections
+from ._scores import (
+    DepthErrors as DepthErrors,
+    depth_errors as depth_errors,
+    scale_to as scale_to,
+)
 from ._stereo import (
     PosedSweep as PosedSweep,
     StereoResult as StereoResult,

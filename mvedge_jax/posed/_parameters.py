@@ -27,8 +27,7 @@ _ROUND = 16
 
 
 class StereoParams(eqx.Module):
-    """The continuous parameters of `stereo`: those of `edge_to_depth` that have nothing to do with
-    edge points.
+    """The continuous parameters of `stereo`: those of `edge_to_depth` without its edges.
 
     Attributes:
         volume: of the hypotheses that the first map starts from.
