@@ -21,6 +21,7 @@ _COMMANDS = {
     "stereo": ("._stereo", "stereo"),
     "edit": ("._edit", "edit"),
     "optimize": ("._optimize", "optimize"),
+    "export": ("._export", "export"),
     "demo": ("._demo", "demo"),
 }
 _DESCRIPTION = (

@@ -62,6 +62,7 @@ def views(
             _write(folder, found)
             report = {"scene": light_field.name, "seconds": seconds, **_report(found)}
             report["scores"] = _score(folder, light_field, found)
+            report["source"] = {"path": str(scene.resolve()), "views": views}
             write_json(folder / "report.json", report)
     if int(found.overflow):
         warn(f"{int(found.overflow)} hidden samples found no slot and were left out.")

@@ -91,7 +91,7 @@ class Photographs(eqx.Module):
             raise ValueError("`images` must hold at least two photographs, got one.")
         if min(height, width) < 8:
             raise ValueError(f"`images` must be at least 8 px a side, got {height}x{width}.")
-        wanted = {"poses": (n, 4, 4), "intrinsics": (n, 3, 3)}
+        wanted: dict[str, tuple[int, ...]] = {"poses": (n, 4, 4), "intrinsics": (n, 3, 3)}
         if self.depth is not None:
             wanted["depth"] = (n, height, width)
         if self.points is not None:
