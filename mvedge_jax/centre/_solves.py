@@ -1,7 +1,7 @@
 """The solves of the centre view: labels, measured anew around every map, and their diffusion."""
 
 from collections.abc import Callable
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
@@ -69,6 +69,7 @@ class Labels(NamedTuple):
     value: Array
 
 
+@runtime_checkable
 class SolveParams(Protocol):
     """The parameters that the solves read."""
 
@@ -76,6 +77,7 @@ class SolveParams(Protocol):
     centre: CentreParams
 
 
+@runtime_checkable
 class SolveSizes(Protocol):
     """The sizes that the solves read; see `Sizes`."""
 

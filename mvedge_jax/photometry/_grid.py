@@ -92,7 +92,11 @@ def posed_grid(
     Returns:
         The grid. Differentiable.
     """
-    return PosedGrid(_splines(views), places, available)
+    # Rounding must not move the reference's own border out of its frame.
+    own = Projection(
+        places.homography.at[0].set(jnp.eye(3, dtype=views.dtype)), places.epipole.at[0].set(0)
+    )
+    return PosedGrid(_splines(views), own, available)
 
 
 def _splines(views: Float[Array, "s c y x"]) -> Float[Array, "s h w"]:

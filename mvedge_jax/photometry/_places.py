@@ -134,7 +134,8 @@ class Projection(NamedTuple):
         _, (along_x, along_y) = self._jacobian(disparity)
         length = jnp.maximum(jnp.abs(along_x), jnp.abs(along_y))
         slack = 0.5 / (length + 0.5) + _SLANT
-        return inside & ~((shown - near) * depth > slack)
+        # From the same place, everything is seen.
+        return inside & ~(((shown - near) * depth > slack) & (length > 0))
 
     def _homogeneous(self, disparity: Array) -> tuple[tuple[Array, Array], Array]:
         height, width = disparity.shape
