@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from mvedge_jax._params import described
+from mvedge_jax._params import as_number, described
 from mvedge_jax.centre import CentreParams, MedianParams, Sharpening, SmoothnessParams
 from mvedge_jax.photometry import PhotometricParams, VolumeParams
 
@@ -22,8 +22,20 @@ _STEPS = 4.0
 _NEAREST = 2.0
 # How far beyond the points' range surfaces are looked for: share of the range of inverse depths.
 _MARGIN = 0.15
+# Hypotheses per px of movement in the farthest photograph.
+_PER_PX = 4.0
 # Hypotheses come in multiples of this: photographs of about the same range share a program.
 _ROUND = 16
+
+
+def _volume() -> VolumeParams:
+    """Few photographs, far apart: less is known of a pixel, and more must come along the paths."""
+    return VolumeParams(truncation=as_number(16.0), slant=as_number(0.4), jump=as_number(2.0))
+
+
+def _centre() -> CentreParams:
+    """Labels of few photographs are known to some hundredths of a pixel, not to thousandths."""
+    return CentreParams(precision=as_number(0.02))
 
 
 class StereoParams(eqx.Module):
@@ -37,10 +49,10 @@ class StereoParams(eqx.Module):
         median: of the sharpening.
     """
 
-    volume: VolumeParams = eqx.field(default_factory=VolumeParams)
+    volume: VolumeParams = eqx.field(default_factory=_volume)
     photometric: PhotometricParams = eqx.field(default_factory=PhotometricParams)
     smoothness: SmoothnessParams = eqx.field(default_factory=SmoothnessParams)
-    centre: CentreParams = eqx.field(default_factory=CentreParams)
+    centre: CentreParams = eqx.field(default_factory=_centre)
     median: MedianParams = eqx.field(default_factory=MedianParams)
 
     def __str__(self) -> str:
@@ -207,7 +219,7 @@ class StereoSizes:
 
         Args:
             reference: its range of disparities, and that the farthest photograph is four steps
-                away, say how many hypotheses are half a pixel apart there.
+                away, say how many hypotheses are a quarter of a pixel apart there.
             **choices: any field of `StereoSizes` to set by hand.
 
         Returns:
@@ -217,6 +229,6 @@ class StereoSizes:
             ValueError: a choice is out of range.
         """
         low, high = np.asarray(reference.disparity_range, np.float64)
-        wanted = 2 * _STEPS * (high - low) + 1
+        wanted = _PER_PX * _STEPS * (high - low) + 1
         count = _ROUND * max(1, math.ceil(wanted / _ROUND))
         return StereoSizes(**{"hypotheses": count, **choices})

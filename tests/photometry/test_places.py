@@ -132,13 +132,13 @@ def test_far_never_occludes_near():
     place = of_pose(pose)
     x = np.arange(SIZE[1])[None] + 0 * np.arange(SIZE[0])[:, None]
     disparity = 2.0 / jnp.where(jnp.asarray(x < 24), 1.0, 3.0)
-    u, _ = (np.asarray(p) for p in place.positions(disparity))
+    u, v = (np.asarray(p) for p in place.positions(disparity))
     seen = np.asarray(place.seen(disparity, 1))
     # In the other camera the card at 3 is at depth 1, that at 1 at depth 3, and where both land...
     far, near = x < 24, x >= 24
     both = far & np.isin(np.round(u), np.round(u[near & seen]))
     # ... the one that is near to that camera is never hidden by the other.
-    inside = (u >= 0) & (u <= SIZE[1] - 1)
+    inside = (u >= 0) & (u <= SIZE[1] - 1) & (v >= 0) & (v <= SIZE[0] - 1)
     assert seen[near & inside].all()
     assert not seen[both & inside].any()
 
