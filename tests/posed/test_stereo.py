@@ -44,9 +44,12 @@ def test_finds_the_wall_from_every_photograph_with_one_program(small):
     for index in range(4):
         found = run(photographs().without_truth(), reference_of(photographs(), index,
                                                                 depth_range=RANGE))  # fmt: skip
-        errors = depth_errors(found.depth, jnp.asarray(DEPTHS[index]))
-        assert float(errors.median) < 0.4
-        assert float(errors.above) < 12
+        # In the farthest photograph, four baselines away: a fiftieth of a pixel.
+        wanted = reference_of(photographs(), index, depth_range=RANGE)
+        truth = float(wanted.scale(photographs())) / DEPTHS[index]
+        off = 4 * np.abs(np.asarray(found.disparity) - truth)
+        assert np.median(off) < 0.02
+        assert np.quantile(off, 0.9) < 0.15
         assert bool(jnp.isfinite(found.error).all())
         np.testing.assert_allclose(found.stats.gain, 1, atol=0.02)
     assert traces() == 1
@@ -92,6 +95,7 @@ def test_a_photograph_that_looks_elsewhere_is_ignored(small):
     assert float(depth_errors(found.depth, jnp.asarray(DEPTHS[0])).median) < 0.6
 
 
+@pytest.mark.slow
 def test_single_precision(small):
     run, _ = small
     double, single = (
@@ -123,7 +127,7 @@ def test_the_sweep_is_a_rough_map():
     view = photographs(depth=None)
     wanted = reference_of(view, 0, depth_range=RANGE)
     found = posed_sweep(view, wanted, StereoParams(), StereoSizes.of(wanted))
-    assert float(depth_errors(found.depth, jnp.asarray(DEPTHS[0])).median) < 3
+    assert float(depth_errors(found.depth, jnp.asarray(DEPTHS[0])).median) < 4
 
 
 def test_scale_is_that_of_least_squares():
