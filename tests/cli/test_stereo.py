@@ -72,7 +72,7 @@ def light_field():
 
 @pytest.fixture
 def scene(light_field, tmp_path):
-    write_scene(tmp_path / "scene", light_field)
+    write_scene(light_field, tmp_path / "scene")
     return tmp_path / "scene"
 
 
