@@ -16,7 +16,7 @@ from ._look import Look
 from ._measuring import Measuring, PhotometricParams
 from ._noise import Noise, measure_noise
 from ._places import Projection
-from ._posed_cost import posed_hypotheses
+from ._posed_cost import posed_hypotheses, posed_variance
 from ._scene import measuring_in
 
 
@@ -91,7 +91,8 @@ def prepare_photographs(
         return planes * (scale / gain)[:, None, None, None]
 
     own = exposed(gain)
-    noise = measure_noise(own[0], scale)
+    between = posed_variance(own, places, available, disparities)
+    noise = measure_noise(own[0], scale, between=between)
     guide = denoised(own[0], noise)
     lab = jnp.moveaxis(srgb_to_lab(jnp.moveaxis(guide, 0, -1)), -1, 0)
 
