@@ -223,7 +223,7 @@ _MOST = {
     "angular": 4,
     "baselines": 12,
     "centre": 16,
-    "datasets": 17,
+    "datasets": 18,
     "diffusion": 13,
     "edges": 19,
     "epi": 9,

@@ -12,6 +12,7 @@ from ._pfm import read_pfm as read_pfm, write_pfm as write_pfm
 from ._photographs import (
     load_photographs as load_photographs,
     open_photographs as open_photographs,
+    with_points as with_points,
 )
 from ._ply import read_ply as read_ply, write_ply as write_ply
 from ._stanford import CameraSpacing as CameraSpacing, camera_spacing as camera_spacing

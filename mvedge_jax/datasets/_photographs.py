@@ -146,6 +146,31 @@ def load_photographs(
     )
 
 
+def with_points(photographs: Photographs) -> Photographs:
+    """Photographs with sparse points made on the spot.
+
+    Args:
+        photographs: with known poses.
+
+    Returns:
+        The same with points: SIFT features, matched and triangulated with the poses.
+    """
+    poses, matrices = (
+        np.asarray(values, np.float64) for values in (photographs.poses, photographs.intrinsics)
+    )
+    points, observed = triangulated(np.asarray(photographs.images), poses, matrices)
+    return Photographs(
+        photographs.images,
+        photographs.poses,
+        photographs.intrinsics,
+        points=points,
+        observed=observed,
+        depth=photographs.depth,
+        names=photographs.names,
+        name=photographs.name,
+    )
+
+
 def nearby(source: PosedSource, around: str, most: int | None) -> list[str]:
     """The photographs that know most about the depth of one of them.
 
