@@ -119,8 +119,9 @@ def semiglobal(photographs: Photographs, reference: Reference) -> np.ndarray:
     known = np.isfinite(inverse)
     if not known.any():
         return np.full(inverse.shape, np.inf)
-    nearest = ndimage.distance_transform_edt(~known, return_distances=False, return_indices=True)
-    return 1 / inverse[tuple(nearest)]
+    y, x = np.mgrid[: inverse.shape[0], : inverse.shape[1]]
+    filled = interpolate.NearestNDInterpolator(np.stack([x[known], y[known]], 1), inverse[known])
+    return 1 / np.where(known, inverse, filled(x, y))
 
 
 def _pair(photographs: Photographs, reference: Reference, other: int) -> np.ndarray:

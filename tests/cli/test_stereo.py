@@ -49,6 +49,7 @@ def test_stereo_and_its_export(model, tmp_path):
     np.testing.assert_allclose(local[:, 2], depth.ravel(), rtol=1e-5)
     assert _main.main(["export", str(out), str(tmp_path / "nerf"), "--to", "nerfstudio"]) == 0
     again = load_photographs(tmp_path / "nerf")
+    assert again.depth is not None
     np.testing.assert_allclose(again.depth[1], depth, atol=1e-4)
 
 
@@ -122,6 +123,8 @@ def test_a_light_field_in_nerfstudio(result, light_field, tmp_path):
     out = tmp_path / "nerf"
     assert _main.main(["export", str(result), str(out), "--to", "nerfstudio"]) == 0
     found, wanted = load_photographs(out), photographs_of(light_field)
+    assert found.depth is not None
+    assert wanted.depth is not None
     np.testing.assert_allclose(found.poses, wanted.poses, atol=1e-6)
     np.testing.assert_allclose(found.intrinsics, wanted.intrinsics, atol=1e-4)
     np.testing.assert_allclose(found.images, wanted.images, atol=0.51 / 255)

@@ -2,6 +2,7 @@
 
 import json
 import struct
+from typing import Any
 
 import cv2
 import jax.numpy as jnp
@@ -28,6 +29,12 @@ BYTES = np.round(255 * IMAGES) / 255
 CORNERS = np.array([[-0.5, -0.3, 2.0], [0.5, -0.3, 1.9], [0.1, 0.2, 2.0], [-0.2, 0.25, 2.1]])
 OBSERVED = np.ones((4, 4), bool)
 OBSERVED[3, 0] = False
+
+
+def given(value: Any) -> np.ndarray:
+    """What may be None, and is not."""
+    assert value is not None
+    return np.asarray(value)
 
 
 def photographs(**changes):
@@ -89,7 +96,7 @@ def binary(folder):
 def test_colmap_text_and_binary_say_the_same(model):
     text = load_photographs(model)
     same(text, photographs())
-    np.testing.assert_allclose(text.points, CORNERS, atol=1e-6)
+    np.testing.assert_allclose(given(text.points), CORNERS, atol=1e-6)
     np.testing.assert_array_equal(text.observed, OBSERVED)
     again = load_photographs(binary(model))
     same(again, text)
@@ -119,7 +126,9 @@ def test_pycolmap_reads_what_we_write_and_we_what_it_writes(model, tmp_path):
         getattr(stored, f"write_{form}")(str(folder / "sparse"))
         again = load_photographs(folder, images=model / "images")
         same(again, photographs())
-        np.testing.assert_array_equal(np.sort(again.observed.sum(0)), np.sort(OBSERVED.sum(0)))
+        np.testing.assert_array_equal(
+            np.sort(given(again.observed).sum(0)), np.sort(OBSERVED.sum(0))
+        )
 
 
 def test_nerfstudio_comes_back(tmp_path):
@@ -127,10 +136,10 @@ def test_nerfstudio_comes_back(tmp_path):
     write_nerfstudio(tmp_path, photographs(), depth=depth)
     found = load_photographs(tmp_path)
     same(found, photographs())
-    np.testing.assert_allclose(found.points, CORNERS, atol=1e-6)
-    np.testing.assert_allclose(found.depth[1], DEPTHS[1], atol=2e-5)
-    assert float(found.depth[0].max()) == 0
-    mask = cv2.imread(str(tmp_path / "masks" / "b.png"), cv2.IMREAD_UNCHANGED)
+    np.testing.assert_allclose(given(found.points), CORNERS, atol=1e-6)
+    np.testing.assert_allclose(given(found.depth)[1], DEPTHS[1], atol=2e-5)
+    assert float(given(found.depth)[0].max()) == 0
+    mask = given(cv2.imread(str(tmp_path / "masks" / "b.png"), cv2.IMREAD_UNCHANGED))
     assert mask.min() == 255
     # OpenGL's camera looks along its negative z axis.
     frame = json.loads((tmp_path / "transforms.json").read_text())["frames"][2]
@@ -356,7 +365,7 @@ def test_neighbours_share_points(model):
     assert nearby(source, "b", 3) == ["a.png", "b.png", "c.png"]
     found = load_photographs(model, around="d.png", most=2)
     assert found.names == ("a.png", "d.png")
-    assert found.points.shape == (4, 3)
+    assert given(found.points).shape == (4, 3)
     with pytest.raises(ValueError, match="has no photograph called 'e'; there are a.png"):
         load_photographs(model, around="e", most=2)
 
@@ -383,9 +392,9 @@ def test_living_room():
         shared_data("mvs", "livingroom5"), intrinsics=(525.0, 525.0, 319.5, 239.5)
     )
     assert found.images.shape == (5, 480, 640, 3)
-    assert found.points.shape[0] > 300
+    assert given(found.points).shape[0] > 300
     for i in range(5):
         inside = found.point_depths(i)
-        low, high = np.quantile(np.asarray(found.depth[i])[np.asarray(found.depth[i]) > 0], (0, 1))
+        low, high = np.quantile(given(found.depth)[i][given(found.depth)[i] > 0], (0, 1))
         assert np.mean((inside > 0.97 * low) & (inside < 1.03 * high)) > 0.97
     assert jnp.isfinite(found.images).all()

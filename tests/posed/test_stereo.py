@@ -150,6 +150,8 @@ def test_a_light_field_is_a_set_of_photographs():
     scene = synthetic.scene("slanted")
     field = synthetic.render(scene, shape=(3, 3, 32, 40), samples=1, key=jax.random.key(0))
     views = photographs_of(field)
+    assert views.depth is not None
+    assert field.truth is not None
     assert views.names[4] == "input_Cam004.png"
     depth = np.asarray(views.depth[4])
     surface = surface_of(views.depth[4], views.poses[4], views.intrinsics[4])
@@ -217,6 +219,7 @@ def test_living_room():
     view = load_photographs(
         shared_data("mvs", "livingroom5"), intrinsics=(525.0, 525.0, 319.5, 239.5)
     )
+    assert view.depth is not None
     wanted = reference_of(view, 2)
     sizes = StereoSizes.of(wanted)
     found = stereo(view.without_truth(), wanted, StereoParams(), sizes)
