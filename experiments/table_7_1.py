@@ -5,7 +5,8 @@ python experiments/table_7_1.py --out results/table_7_1
 
 import argparse
 import time
-from collections.abc import Callable, Iterator
+import warnings
+from collections.abc import Iterator
 from pathlib import Path
 
 import cv2
@@ -42,26 +43,27 @@ PUBLISHED = (
     ("Piano-MVS", "thesis: ours", 0.81, 2.15),
     ("Piano-MVS", "thesis: ours-C", 0.69, 1.37),
 )
+# Depth by the name of the method.
+Maps = dict[str, np.ndarray]
 LIVING_ROOM = (525.0, 525.0, 319.5, 239.5)
 
 
-def ours(photographs: Photographs, reference: Reference) -> np.ndarray:
-    """Dense measurement and diffusion."""
-    sizes = StereoSizes.of(reference)
-    return np.asarray(stereo(photographs, reference, StereoParams(), sizes).depth)
-
-
-def first(photographs: Photographs, reference: Reference) -> np.ndarray:
-    """The hypotheses along paths that the measurement starts from."""
+def ours(photographs: Photographs, reference: Reference) -> Maps:
+    """Dense measurement and diffusion, and the hypotheses along paths that it starts from."""
     sizes = StereoSizes.of(reference)
     found = stereo(photographs, reference, StereoParams(), sizes)
-    return float(reference.scale(photographs)) / np.asarray(found.first)
+    scale = float(reference.scale(photographs))
+    return {
+        "ours": np.asarray(found.depth),
+        "hypotheses along paths": scale / np.maximum(np.asarray(found.first), 1e-9),
+    }
 
 
-def sweep(photographs: Photographs, reference: Reference) -> np.ndarray:
+def sweep(photographs: Photographs, reference: Reference) -> Maps:
     """A posed plane sweep."""
     sizes = StereoSizes.of(reference)
-    return np.asarray(posed_sweep(photographs, reference, StereoParams(), sizes).depth)
+    found = posed_sweep(photographs, reference, StereoParams(), sizes)
+    return {"posed plane sweep": np.asarray(found.depth)}
 
 
 def pixels_of_points(photographs: Photographs, reference: Reference) -> tuple[np.ndarray, ...]:
@@ -79,17 +81,17 @@ def pixels_of_points(photographs: Photographs, reference: Reference) -> tuple[np
     return xy[inside], local[inside, 2]
 
 
-def linear(photographs: Photographs, reference: Reference) -> np.ndarray:
+def linear(photographs: Photographs, reference: Reference) -> Maps:
     """Inverse depths of the points, interpolated linearly; beyond their hull, the nearest."""
     xy, depth = pixels_of_points(photographs, reference)
     height, width = photographs.images.shape[1:3]
     y, x = np.mgrid[:height, :width]
     inner = interpolate.LinearNDInterpolator(xy, 1 / depth)(x, y)
     outer = interpolate.NearestNDInterpolator(xy, 1 / depth)(x, y)
-    return 1 / np.where(np.isfinite(inner), inner, outer)
+    return {"points, linear": 1 / np.where(np.isfinite(inner), inner, outer)}
 
 
-def diffusion(photographs: Photographs, reference: Reference) -> np.ndarray:
+def diffusion(photographs: Photographs, reference: Reference) -> Maps:
     """Inverse depths of the points, diffused between the image's edges (7.2), not optimised."""
     xy, depth = pixels_of_points(photographs, reference)
     image = photographs.images[int(reference.index)]
@@ -107,21 +109,22 @@ def diffusion(photographs: Photographs, reference: Reference) -> np.ndarray:
         jnp.asarray(total / np.maximum(count, 1), image.dtype),
         *edge_weights(smoothness),
     )
-    return 1 / np.asarray(diffuse(system).value)
+    return {"points, diffused": 1 / np.asarray(diffuse(system).value)}
 
 
-def semiglobal(photographs: Photographs, reference: Reference) -> np.ndarray:
+def semiglobal(photographs: Photographs, reference: Reference) -> Maps:
     """OpenCV's SGBM on rectified pairs: the median over the pairs, holes filled by the nearest."""
     index, count = int(reference.index), len(photographs.names)
     maps = [_pair(photographs, reference, i) for i in range(count) if i != index]
-    with np.errstate(all="ignore"):
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of pixels that no pair knows
         inverse = np.nanmedian(np.stack(maps), axis=0)
     known = np.isfinite(inverse)
     if not known.any():
-        return np.full(inverse.shape, np.inf)
+        return {"SGBM": np.full(inverse.shape, np.inf)}
     y, x = np.mgrid[: inverse.shape[0], : inverse.shape[1]]
     filled = interpolate.NearestNDInterpolator(np.stack([x[known], y[known]], 1), inverse[known])
-    return 1 / np.where(known, inverse, filled(x, y))
+    return {"SGBM": 1 / np.where(known, inverse, filled(x, y))}
 
 
 def _pair(photographs: Photographs, reference: Reference, other: int) -> np.ndarray:
@@ -171,14 +174,7 @@ def _pair(photographs: Photographs, reference: Reference, other: int) -> np.ndar
     return np.where(inverse > 0, inverse, np.nan)
 
 
-METHODS: dict[str, Callable[[Photographs, Reference], np.ndarray]] = {
-    "ours": ours,
-    "hypotheses along paths": first,
-    "posed plane sweep": sweep,
-    "SGBM": semiglobal,
-    "points, linear": linear,
-    "points, diffused": diffusion,
-}
+METHODS = (ours, sweep, semiglobal, linear, diffusion)
 
 
 def scenes(
@@ -197,6 +193,39 @@ def scenes(
         yield f"{name}, five views", with_points(five), [0]
 
 
+def scored(scene: str, photographs: Photographs, index: int) -> list[dict]:
+    """A row per method; seconds include compilation where the program is new."""
+    if photographs.depth is None:
+        raise ValueError(f"scene {scene} has no true depth to score against.")
+    blind, truth = photographs.without_truth(), photographs.depth[index]
+    reference = reference_of(blind, index)
+    rows = []
+    for method in METHODS:
+        start = time.perf_counter()
+        maps = method(blind, reference)
+        seconds = time.perf_counter() - start
+        for name, depth in maps.items():
+            depth = jnp.asarray(depth, truth.dtype)
+            found = depth_errors(depth, truth)
+            factor = scale_to(depth, truth, key=jax.random.key(index))
+            scaled = depth_errors(factor * depth, truth)
+            rows.append(
+                {
+                    "scene": scene,
+                    "reference": index,
+                    "method": name,
+                    "median %": float(found.median),
+                    "above 2 %": float(found.above),
+                    "MSE*100": float(found.mse),
+                    "Q25*100": float(found.q25),
+                    "scaled MSE*100": float(scaled.mse),
+                    "scaled Q25*100": float(scaled.q25),
+                    "seconds": seconds,
+                }
+            )
+    return rows
+
+
 def main() -> None:
     """Runs every method on every scene."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -205,34 +234,15 @@ def main() -> None:
     parser.add_argument("--scenes", nargs="*", default=[])
     parser.add_argument("--size", type=int, default=512, help="side of the rendered scenes, px")
     arguments = parser.parse_args()
-    rows = []
+    rows: list[dict] = []
     for scene, photographs, indices in scenes(arguments.data, arguments.size, arguments.scenes):
-        blind = photographs.without_truth()
         for index in indices:
-            truth = photographs.depth[index] if photographs.depth is not None else None
-            if truth is None:
-                raise ValueError(f"scene {scene} has no true depth to score against.")
-            reference = reference_of(blind, index)
-            for name, method in METHODS.items():
-                method(blind, reference)  # compiles
-                start = time.perf_counter()
-                depth = jnp.asarray(method(blind, reference), truth.dtype)
-                seconds = time.perf_counter() - start
-                found = depth_errors(depth, truth)
-                factor = scale_to(depth, truth, key=jax.random.key(index))
-                scaled = depth_errors(factor * depth, truth)
-                rows.append(
-                    {
-                        "scene": scene, "reference": index, "method": name,
-                        "median %": float(found.median), "above 2 %": float(found.above),
-                        "MSE*100": float(found.mse), "Q25*100": float(found.q25),
-                        "scaled MSE*100": float(scaled.mse), "scaled Q25*100": float(scaled.q25),
-                        "seconds": seconds,
-                    }
-                )  # fmt: skip
+            rows += scored(scene, photographs, index)
+            write_csv(arguments.out / "table_7_1.csv", rows)
+            write_json(arguments.out / "table_7_1.json", rows)
         mine = [row for row in rows if row["scene"] == scene]
-        means = []
-        for name in METHODS:
+        means: list[dict] = []
+        for name in dict.fromkeys(row["method"] for row in mine):
             chosen = [row for row in mine if row["method"] == name]
             numbers = {k: float(np.mean([row[k] for row in chosen])) for k in list(mine[0])[3:]}
             means.append({"method": name, **numbers})
@@ -240,8 +250,6 @@ def main() -> None:
         print_table(means, title=f"{scene}: mean over {len(indices)} references")
     keys = ("scene", "method", "MSE", "Q25")
     print_table([dict(zip(keys, row, strict=True)) for row in PUBLISHED], title="published")
-    write_csv(arguments.out / "table_7_1.csv", rows)
-    write_json(arguments.out / "table_7_1.json", rows)
 
 
 if __name__ == "__main__":
