@@ -19,13 +19,15 @@ from ._photographs import Photographs
 # parameters' px per view step then mean the same.
 _STEPS = 4.0
 # Without points or a range, no surface is nearer than this many times the largest baseline.
-_NEAREST = 2.0
+_NEAREST = 8.0
 # How far beyond the points' range surfaces are looked for: share of the range of inverse depths.
 _MARGIN = 0.15
 # Hypotheses per px of movement in the farthest photograph.
 _PER_PX = 4.0
 # Hypotheses come in multiples of this: photographs of about the same range share a program.
 _ROUND = 16
+# More of them at once would take gigabytes.
+_MOST = 768
 
 
 def _volume() -> VolumeParams:
@@ -98,8 +100,8 @@ def reference_of(
         photographs: two or more.
         index: of the photograph, or its name.
         depth_range: nearest and farthest depth to look for, in the unit of the poses; without, that
-            of the sparse points with a margin, and without points from twice the largest baseline
-            to infinity.
+            of the sparse points with a margin, and without points from eight times the largest
+            baseline to infinity.
 
     Returns:
         A baseline of a fourth of the distance to the farthest camera, and the range.
@@ -226,9 +228,16 @@ class StereoSizes:
             Sizes for `stereo`.
 
         Raises:
-            ValueError: a choice is out of range.
+            ValueError: a choice is out of range, or the range of depths asks for too many
+                hypotheses.
         """
         low, high = np.asarray(reference.disparity_range, np.float64)
         wanted = _PER_PX * _STEPS * (high - low) + 1
         count = _ROUND * max(1, math.ceil(wanted / _ROUND))
+        if count > _MOST and "hypotheses" not in choices:
+            raise ValueError(
+                f"`reference` has disparities from {low:.4g} to {high:.4g} px, which ask for "
+                f"{count} hypotheses, expected at most {_MOST}; narrow the range of depths, shrink "
+                "the photographs, or leave out those that are farthest away."
+            )
         return StereoSizes(**{"hypotheses": count, **choices})

@@ -206,6 +206,10 @@ def test_a_light_field_is_a_set_of_photographs():
             lambda: reference_of(photographs(points=np.zeros((1, 3)) - 9), 0),
             "have 0 points in the frame of 0, expected at least 2",
         ),
+        (
+            lambda: StereoSizes.of(reference_of(photographs(), 0, depth_range=(0.001, 9.0))),
+            "hypotheses, expected at most 768; narrow the range of depths",
+        ),
         (lambda: StereoSizes(hypotheses=1), "`hypotheses` must be at least 2, got 1"),
     ],
 )
