@@ -234,3 +234,23 @@ def test_living_room():
     assert float(errors.median) < 0.6
     assert float(errors.mse) < float(sweep.mse)
     assert float(errors.above) < float(sweep.above)
+
+
+def test_five_rendered_photographs_agree_with_their_depths():
+    five = synthetic.five_views(
+        synthetic.scene("slanted"), size=(40, 48), samples=1, key=jax.random.key(0)
+    )
+    assert five.depth is not None
+    apart = np.linalg.norm(np.asarray(five.centres[1:] - five.centres[0]), axis=1)
+    np.testing.assert_allclose(apart, 0.25, rtol=0.1)
+    points = surface_of(five.depth[0], five.poses[0], five.intrinsics[0]).points
+    for k in range(1, 5):
+        pose = np.asarray(five.poses[k])
+        local = (np.asarray(points) - pose[:3, 3]) @ pose[:3, :3]
+        place = local @ np.asarray(five.intrinsics[k]).T
+        x, y = (np.round(place[..., i] / place[..., 2]).astype(int) for i in (0, 1))
+        inside = (x >= 0) & (x < 48) & (y >= 0) & (y < 40)
+        there = np.asarray(five.depth[k])[y[inside], x[inside]]
+        # The same surface, but where something is in front of it.
+        assert inside.mean() > 0.6
+        assert (np.abs(there / local[inside][:, 2] - 1) < 0.05).mean() > 0.85
