@@ -161,7 +161,7 @@ _FLOORS = (
     ("edges", "losses", "metrics"),
     ("centre",),
     ("model", "baselines", "angular"),
-    ("edit", "superpixels"),
+    ("edit", "posed", "superpixels"),
     ("datasets", "plotting"),
     ("sweep",),
     ("cli",),

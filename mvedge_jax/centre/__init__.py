@@ -1,4 +1,7 @@
-"""Dense depth of the centre view from multi-view edges (Thesis 6.1)."""
+"""Dense depth of the centre view from multi-view edges (Thesis 6.1).
+
+Room: `solves` (labels, diffused).
+"""
 
 from ._edge_to_depth import (
     DepthResult as DepthResult,

@@ -24,7 +24,7 @@ from mvedge_jax.photometry import Exposure, Noise, first_labels, prepare, sight
 
 from ._parameters import Parameters, Sizes
 from ._sharpen import sharpen
-from ._solves import AGREEMENT, Labels, dense_map, precision_weight, standard_error
+from .solves import AGREEMENT, Labels, dense_map, precision_weight, standard_error
 
 
 class DepthStats(NamedTuple):

@@ -96,6 +96,13 @@ def depth(
             write_depth(folder, light_field, result)
             scores = score_depth(folder, light_field, result)
             report["scores"] = scores
+            report["source"] = {
+                "path": str(scene.resolve()),
+                "views": views,
+                "scale": scale,
+                "flip_u": flip_u,
+                "flip_v": flip_v,
+            }
             write_json(folder / "report.json", report)
     if not bool(result.stats.converged):
         warn("a diffusion stopped before its tolerance; report.json has the iterations.")

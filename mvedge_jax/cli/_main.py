@@ -18,11 +18,13 @@ _COMMANDS = {
     "edges": ("._edges", "edges"),
     "depth": ("._depth", "depth"),
     "views": ("._views", "views"),
+    "stereo": ("._stereo", "stereo"),
     "edit": ("._edit", "edit"),
     "superpixels": ("._superpixels", "superpixels"),
     "optimize": ("._optimize", "optimize"),
     "batch": ("._batch", "batch"),
     "sweep": ("._sweep", "sweep"),
+    "export": ("._export", "export"),
     "demo": ("._demo", "demo"),
 }
 _DESCRIPTION = (

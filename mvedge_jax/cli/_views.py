@@ -49,6 +49,7 @@ def views(
             _write(folder, found)
             report = {"scene": light_field.name, "seconds": round(seconds, 3), **_report(found)}
             report["scores"] = _score(folder, light_field, found)
+            report["source"] = {"path": str(scene.resolve()), "views": views}
             write_json(folder / "report.json", report)
     for name, value in report["scores"].items():
         note(f"{name} {value:.4g}")

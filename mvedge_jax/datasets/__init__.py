@@ -1,4 +1,7 @@
-"""Light fields from files and from formulas."""
+"""Light fields from files and from formulas.
+
+Rooms: `synthetic` (rendered scenes), `photographs` (posed photographs), `exchange` (other tools).
+"""
 
 from . import synthetic as synthetic
 from ._convention import ConventionCheck as ConventionCheck, check_convention as check_convention

@@ -18,7 +18,7 @@ from .brightness._exposure import Exposure, exposed_arms, exposure_along, rough_
 from .brightness._noise import Noise, measure_noise
 from .matching._cost import VolumeParams, hypotheses
 from .measuring._grid import Grid, grid_of
-from .measuring._look import look
+from .measuring._look import Look, look
 from .measuring._measure import PhotometricLabels, labels, shared
 from .measuring._measuring import Measuring, PhotometricParams
 
@@ -62,6 +62,10 @@ class Sight(NamedTuple):
     splines: tuple[Arm, Arm]
     params: Measuring
     grid: Grid | None = None
+
+    def look(self, disparity: Float[Array, "y x"], *, radius: int) -> Look:
+        """Reads the views of the crosshair around a map, see `look`."""
+        return look(*self.splines, disparity, self.params, radius=radius)
 
 
 def hypothesis_count(span: float, steps: int) -> int:
@@ -149,11 +153,37 @@ def sight(scene: Scene, params: PhotometricParams, *, every: LightField | None =
     Returns:
         Views and parameters for `look` and `labels`. Differentiable.
     """
-    noise, clear = scene.noise, 1 - scene.noise.alpha
-    sigma = jnp.minimum(30 * noise.deviation, 1)
-    arms, kept, grain = low_pass(scene.arms, noise, sigma)
-    plain = cast(Measuring(), scene.lab.dtype)
-    measuring = Measuring(
+    sigma = jnp.minimum(30 * scene.noise.deviation, 1)
+    arms, kept, grain = low_pass(scene.arms, scene.noise, sigma)
+    measuring = measuring_in(scene.noise, scene.exposure.scale, kept, grain, params)
+    horizontal, vertical = (
+        arm._replace(planes=spline_coefficients(arm.planes, axis=-1)) for arm in arms
+    )
+    grid = None if every is None else _whole_grid(scene, every, sigma)
+    return Sight(arms, (horizontal, vertical), measuring, grid)
+
+
+def measuring_in(
+    noise: Noise,
+    scale: Float[Array, ""],
+    kept: Float[Array, ""],
+    grain: Float[Array, ""],
+    params: PhotometricParams,
+) -> Measuring:
+    """What a measurement takes for granted in views that `soften` has blurred.
+
+    Args:
+        noise: of the views, before.
+        scale: what they were brightened by.
+        kept: of the noise, see `passed`.
+        grain: of the noise, see `passed`.
+        params: of the measurement in views without noise.
+
+    Returns:
+        Parameters for `look` and `labels`. Differentiable.
+    """
+    plain, clear = cast(Measuring(), scale.dtype), 1 - noise.alpha
+    return Measuring(
         # Drift cannot be told from noise, nor surfaces by their colours.
         drift=params.drift,
         stiffness=plain.stiffness / clear**2,
@@ -162,16 +192,11 @@ def sight(scene: Scene, params: PhotometricParams, *, every: LightField | None =
         outlier=params.outlier,
         error_floor=params.error_floor,
         noise=jnp.maximum(jnp.sqrt(kept) * noise.deviation, plain.noise),
-        rounding=scene.exposure.scale * noise.rounding,
+        rounding=scale * noise.rounding,
         # What noise is left in the mean gradients of all views is less than the residual says.
         gradient_noise=plain.gradient_noise * grain * (1 - 0.6 * noise.alpha**4),
         largest_step=plain.largest_step,
     )
-    horizontal, vertical = (
-        arm._replace(planes=spline_coefficients(arm.planes, axis=-1)) for arm in arms
-    )
-    grid = None if every is None else _whole_grid(scene, every, sigma)
-    return Sight(arms, (horizontal, vertical), measuring, grid)
 
 
 def _whole_grid(scene: Scene, every: LightField, sigma: Float[Array, ""]) -> Grid:
@@ -248,6 +273,6 @@ def first_labels(scene: Scene, seen: Sight, *, radius: int, passes: int) -> Phot
     first, lab = scene.first, scene.lab
     if first is None:
         raise ValueError("`scene` has no first map; prepare it with `search=True`.")
-    found = look(*seen.splines, first, seen.params, radius=radius)
+    found = seen.look(first, radius=radius)
     measured = labels(found, lab, first, seen.params, passes=passes)
     return shared(measured, lab, seen.params, passes=passes)

@@ -5,6 +5,7 @@ and rendered as a light field (`render`) or as posed photographs (`render_posed`
 in JAX. Room: `world` (what a scene consists of).
 """
 
+from ._five import five_views as five_views
 from ._make import make_scene as make_scene, make_world as make_world
 from ._render import (
     PosedViews as PosedViews,

@@ -82,14 +82,18 @@ def low_pass(arms: tuple[Arm, Arm], noise: Noise, sigma: Float[Array, ""]) -> Sm
         The arms, the same ones where `noise.alpha` is 0, and what they keep of the noise.
         Differentiable.
     """
-    alpha = noise.alpha
     planes = tuple(soften(arm.planes, noise, sigma) for arm in arms)
-    taps = gaussian_taps(sigma, 3)
+    horizontal, vertical = (arm._replace(planes=p) for arm, p in zip(arms, planes, strict=True))
+    return Smoothed((horizontal, vertical), *passed(noise, sigma))
+
+
+def passed(noise: Noise, sigma: Float[Array, ""]) -> tuple[Float[Array, ""], Float[Array, ""]]:
+    """What `soften` leaves of the noise: `Smoothed.kept` and `Smoothed.grain`."""
+    alpha, taps = noise.alpha, gaussian_taps(sigma, 3)
     middle, energy = taps[3] ** 2, jnp.sum(taps**2) ** 2
     kept = (1 - alpha) ** 2 + 2 * alpha * (1 - alpha) * middle + alpha**2 * energy
-    horizontal, vertical = (arm._replace(planes=p) for arm, p in zip(arms, planes, strict=True))
     white = _derivative_energy(taps, jnp.zeros_like(alpha))
-    return Smoothed((horizontal, vertical), kept, _derivative_energy(taps, alpha) / white)
+    return kept, _derivative_energy(taps, alpha) / white
 
 
 def soften(

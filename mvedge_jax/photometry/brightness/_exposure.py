@@ -6,11 +6,13 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from mvedge_jax._crosshair import Arm
 from mvedge_jax.image import gaussian_taps
 from mvedge_jax.lightfield import LightField
+
+from .._places import Projection, Shift
 
 # Where the 99th percentile of a bright, matt scene lies; floors are meant for such scenes.
 _BRIGHT = 0.56
@@ -117,35 +119,73 @@ def rough_exposure(light_field: LightField) -> Exposure:
         [1.1, 0.9]
     """
     views = light_field.views
-    centre = light_field.centre_view
+    scale = _brightening(light_field.centre_view)
+    vc, uc = light_field.centre
+    across = _ratios(light_field.horizontal_arm, light_field.available[vc], uc)
+    down = _ratios(light_field.vertical_arm, light_field.available[:, uc], vc)
+    return Exposure(scale, _gains(across, down, views))
+
+
+def rough_gains(
+    images: Float[Array, "s y x c"], available: Bool[Array, " s"]
+) -> tuple[Float[Array, ""], Float[Array, " s"]]:
+    """`rough_exposure` for photographs, the first of which is the reference.
+
+    Args:
+        images: sRGB, as they came.
+        available: which of them are to be read.
+
+    Returns:
+        What all views are multiplied by, see `Exposure.scale`, and the gain of each. Differentiable
+        in the images.
+    """
+    return _brightening(images[0]), _earned(_ratios(images, available, 0))
+
+
+def gains_along(
+    images: Float[Array, "s y x c"],
+    places: Projection,
+    available: Bool[Array, " s"],
+    disparity: Float[Array, "y x"],
+) -> Float[Array, " s"]:
+    """`exposure_along` for photographs, the first of which is the reference.
+
+    Args:
+        images: sRGB, as they came.
+        places: where each shows the pixels of the first one.
+        available: which of them are to be read.
+        disparity: of the first one, `[y, x]`.
+
+    Returns:
+        The gain of each. Differentiable.
+    """
+    return _earned(_regressed(images, places, available, 0, disparity))
+
+
+def _brightening(centre: Float[Array, "y x c"]) -> Float[Array, ""]:
+    """What brings the bright parts of an image to a fixed level."""
     bright = jnp.sort(centre[::4, ::4].reshape(-1))
     level = bright[int(0.99 * (bright.shape[0] - 1))]
-    scale = jnp.clip(_BRIGHT / jnp.maximum(level, _BRIGHT / _BRIGHTEST), 1, _BRIGHTEST)
-    block = min(8, max(1, min(views.shape[2:4]) // 16))
+    return jnp.clip(_BRIGHT / jnp.maximum(level, _BRIGHT / _BRIGHTEST), 1, _BRIGHTEST)
 
-    def blocks(images: Float[Array, "s y x c"]) -> Float[Array, "s n"]:
-        rows, columns = images.shape[1] // block, images.shape[2] // block
-        images = images[:, : rows * block, : columns * block]
-        shape = (images.shape[0], rows, block, columns, block * images.shape[3])
-        return images.reshape(shape).mean((2, 4)).reshape(images.shape[0], -1)
 
-    def ratios(images: Array, there: Array) -> _Ratio:
-        values = blocks(images)
-        own = values[images.shape[0] // 2][None]
-        shown = (own > 0.1 * jnp.median(own)) & (own < 0.95) & (own > 0)
-        ratio = jnp.where(values > 0, values, own) / jnp.where(shown, own, 1)
-        known = shown & there[:, None]
-        gain = _median(ratio, known)
-        # Of the median of so many values.
-        scatter = 1.25 * 1.48 * _median(jnp.abs(ratio - gain[:, None]), known)
-        count = jnp.sum(known, axis=1).astype(gain.dtype)
-        variance = _ALIKE * scatter**2 / jnp.maximum(count, 1)
-        return _Ratio(gain, jnp.where(count > 0, variance, 0))
-
-    vc, uc = light_field.centre
-    across = ratios(light_field.horizontal_arm, light_field.available[vc])
-    down = ratios(light_field.vertical_arm, light_field.available[:, uc])
-    return Exposure(scale, _gains(across, down, views))
+def _ratios(images: Float[Array, "s y x c"], there: Bool[Array, " s"], own: int) -> _Ratio:
+    """Median ratio of every image to one of them, block by block."""
+    block = min(8, max(1, min(images.shape[1:3]) // 16))
+    rows, columns = images.shape[1] // block, images.shape[2] // block
+    whole = images[:, : rows * block, : columns * block]
+    shape = (images.shape[0], rows, block, columns, block * images.shape[3])
+    values = whole.reshape(shape).mean((2, 4)).reshape(images.shape[0], -1)
+    of_own = values[own][None]
+    shown = (of_own > 0.1 * jnp.median(of_own)) & (of_own < 0.95) & (of_own > 0)
+    ratio = jnp.where(values > 0, values, of_own) / jnp.where(shown, of_own, 1)
+    known = shown & there[:, None]
+    gain = _median(ratio, known)
+    # Of the median of so many values.
+    scatter = 1.25 * 1.48 * _median(jnp.abs(ratio - gain[:, None]), known)
+    count = jnp.sum(known, axis=1).astype(gain.dtype)
+    variance = _ALIKE * scatter**2 / jnp.maximum(count, 1)
+    return _Ratio(gain, jnp.where(count > 0, variance, 0))
 
 
 def exposure_along(
@@ -186,7 +226,7 @@ def exposure_along(
     v, u = (np.asarray(axis) for axis in zip(*places, strict=True))
     found = _regressed(
         views[v, u],
-        light_field.steps[v, u].astype(views.dtype),
+        Shift(light_field.steps[v, u].astype(views.dtype)),
         light_field.available[v, u],
         places.index(own),
         disparity,
@@ -221,7 +261,7 @@ def _median(values: Float[Array, "s n"], known: Array) -> Float[Array, " s"]:
 
 def _regressed(
     views: Float[Array, "s y x c"],
-    steps: Float[Array, "s 2"],
+    places: Shift | Projection,
     available: Array,
     centre: int,
     disparity: Float[Array, "y x"],
@@ -229,17 +269,14 @@ def _regressed(
     """Gain of every view."""
     height, width = disparity.shape
     stride = min(16, max(1, min(height, width) // 24))
-    coarse = disparity[::stride, ::stride]
-    rows = jnp.arange(0, height, stride, dtype=coarse.dtype)[:, None]
-    columns = jnp.arange(0, width, stride, dtype=coarse.dtype)[None]
 
-    def look(item: tuple[Array, Array, Array]) -> tuple[Array, Array]:
-        view, (right, down), there = item
-        x, y = columns + right * coarse, rows + down * coarse
+    def look(item: tuple[Array, Shift | Projection, Array]) -> tuple[Array, Array]:
+        view, place, there = item
+        x, y = (position[::stride, ::stride] for position in place.positions(disparity))
         inside = (x >= 0) & (x <= width - 1) & (y >= 0) & (y <= height - 1)
         return _blurred_at(view, x, y), inside & there
 
-    seen, known = lax.map(look, (views, steps, available))
+    seen, known = lax.map(look, (views, places, available))
     own = seen[centre]
     shown = (own > 0.1 * jnp.median(own)) & (own > 0) & (own < 0.97)
     known = known[..., None] & shown[None] & (seen < 0.97)

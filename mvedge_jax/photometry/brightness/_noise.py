@@ -66,6 +66,7 @@ def measure_noise(
     *,
     arms: tuple[Arm, Arm] | None = None,
     disparities: Float[Array, " d"] | None = None,
+    between: Float[Array, ""] | None = None,
 ) -> Noise:
     """Measures the noise of a scene.
 
@@ -79,6 +80,7 @@ def measure_noise(
         exposure: see `Exposure.scale`.
         arms: the arms of the crosshair in the same units; None leaves the second measurement out.
         disparities: those to try, px per view step; None likewise.
+        between: the second measurement, where it was made already (`posed_variance`).
 
     Returns:
         The noise. Differentiable; which steps the views have is a choice, and views of 8 bits
@@ -93,8 +95,9 @@ def measure_noise(
     variance = _SINGLE**2 * single_view_variance(centre, exposure)
     if arms is not None and disparities is not None:
         longer = max(arms, key=lambda arm: arm.planes.shape[0])
-        between = _BETWEEN**2 * between_views_variance(longer, disparities)
-        variance = jnp.minimum(variance, between)
+        between = between_views_variance(longer, disparities)
+    if between is not None:
+        variance = jnp.minimum(variance, _BETWEEN**2 * between)
     rounding = _rounding(centre / exposure)
     return Noise.of(jnp.sqrt(jnp.maximum(variance, (exposure * rounding) ** 2)), rounding)
 

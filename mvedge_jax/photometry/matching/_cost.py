@@ -30,11 +30,11 @@ _OUTLINED = 2.0
 # Least noise assumed, standard deviation in sRGB.
 _LEAST_NOISE = 1 / 255
 # Neighbours whose CIELAB colour differs by much more than this take no part in a window.
-_SAME_COLOUR = 4.0
+SAME_COLOUR = 4.0
 # Step of CIELAB colour that halves the price of a jump.
-_JUMP_COLOUR = 4.0
+COLOUR_OF_JUMPS = 4.0
 # How far costs are averaged along a surface where noise rules, px.
-_POOLING = 20.0
+POOLING = 20.0
 
 
 class VolumeParams(eqx.Module):
@@ -119,13 +119,13 @@ def hypotheses(
     cost = _matching_cost(horizontal, vertical, lab, params, noise, window)
     cheaper = 1 - 0.75 * noise.alpha
     total = aggregate(
-        pooled(lax.map(cost, disparities), lab, noise, jnp.asarray(_POOLING, lab.dtype)),
+        pooled(lax.map(cost, disparities), lab, noise, jnp.asarray(POOLING, lab.dtype)),
         lab,
         slant=cheaper * params.slant,
         jump=cheaper * params.jump,
-        colour=jnp.asarray(_JUMP_COLOUR, lab.dtype),
+        colour=jnp.asarray(COLOUR_OF_JUMPS, lab.dtype),
     )
-    return _cheapest(total, disparities)
+    return cheapest(total, disparities)
 
 
 @partial(jax.jit, static_argnames="window")
@@ -157,7 +157,7 @@ def best_match(
     params = cast(params, lab.dtype)
     noise = Noise.of(jnp.zeros((), lab.dtype)) if noise is None else noise
     total = lax.map(_matching_cost(horizontal, vertical, lab, params, noise, window), disparities)
-    return _cheapest(total, disparities), jnp.min(total, axis=0)
+    return cheapest(total, disparities), jnp.min(total, axis=0)
 
 
 def _matching_cost(
@@ -165,11 +165,8 @@ def _matching_cost(
 ) -> Callable[[Array], Array]:
     """The cost of a disparity at every pixel, `[y, x]`, over both arms."""
     alpha = noise.alpha
-    # Of views without noise, two thirds of what was measured: texture is in it.
-    deviation = noise.deviation * (alpha + (1 - alpha) / 1.45)
-    variance = jnp.maximum(deviation, _LEAST_NOISE) ** 2
-    truncation = params.truncation * horizontal.planes.shape[1] * variance
-    share = (1 - alpha) / (1 + (contrast(lab, radius=_OUTLINE) / _OUTLINED) ** 4)
+    truncation = params.truncation * horizontal.planes.shape[1] * noise_variance(noise)
+    share = shared_drift(noise, lab)
     across = _swept(horizontal, lab, share, window)
     down = _swept(vertical, jnp.swapaxes(lab, 1, 2), share.T, window)
 
@@ -185,8 +182,20 @@ def _matching_cost(
     return cost
 
 
+def noise_variance(noise: Noise) -> Float[Array, ""]:
+    """What truncated differences are measured by."""
+    # Of views without noise, two thirds of what was measured: texture is in it.
+    deviation = noise.deviation * (noise.alpha + (1 - noise.alpha) / 1.45)
+    return jnp.maximum(deviation, _LEAST_NOISE) ** 2
+
+
+def shared_drift(noise: Noise, lab: Float[Array, "c y x"]) -> Float[Array, "y x"]:
+    """How much of a window's drift is granted at every pixel, 0..1."""
+    return (1 - noise.alpha) / (1 + (contrast(lab, radius=_OUTLINE) / _OUTLINED) ** 4)
+
+
 def _swept(arm: Arm, lab: Array, share: Array, window: int) -> _Swept:
-    alike = jnp.asarray(_SAME_COLOUR, lab.dtype)
+    alike = jnp.asarray(SAME_COLOUR, lab.dtype)
     # Drift is looked for in a window twice as wide as that of the cost, through as many pixels.
     return _Swept(
         arm.planes[arm.centre],
@@ -209,7 +218,7 @@ def _arm_cost(
         total = jnp.zeros_like(drift)
         for change, step, there in zip(changes, half.steps, half.there, strict=True):
             rest = [colour - step * drift for colour in change]
-            total = total + there * _truncated(rest, truncation)
+            total = total + there * truncated(rest, truncation)
         count = jnp.sum(half.there)
         # A half without views confirms nothing.
         return jnp.where(count > 0, total / jnp.maximum(count, 1), 1)
@@ -251,7 +260,7 @@ def _drift(
     return jnp.clip(change, -limit, limit) / jnp.stack(ends)[:, None, None]
 
 
-def _truncated(change: list[Array], truncation: Array) -> Array:
+def truncated(change: list[Array], truncation: Array) -> Array:
     # Colours are summed by hand: XLA on CPU does not vectorise a sum over a leading axis.
     square = change[0] ** 2
     for colour in change[1:]:
@@ -294,7 +303,7 @@ def _changes(half: _Half, centre: Array, disparity: Array) -> list[list[Array]]:
     return result
 
 
-def _cheapest(total: Float[Array, "d y x"], disparities: Float[Array, " d"]) -> Array:
+def cheapest(total: Float[Array, "d y x"], disparities: Float[Array, " d"]) -> Array:
     """The disparity of least cost, refined by a parabola through it and its neighbours."""
     count = disparities.shape[0]
     winner = jnp.argmin(total, axis=0)[None]

@@ -1,6 +1,11 @@
 """The measurement: disparity and standard error of a pixel around a map, in the views it shows."""
 
-from ._grid import Grid as Grid, grid_of as grid_of, look_around as look_around
+from ._grid import (
+    Grid as Grid,
+    PosedGrid as PosedGrid,
+    grid_of as grid_of,
+    look_around as look_around,
+)
 from ._look import Look as Look, look as look, view_weights as view_weights
 from ._measure import (
     PhotometricLabels as PhotometricLabels,

@@ -1,4 +1,4 @@
-"""Reading all views of a light field around a map, not those of the crosshair alone."""
+"""Reading all views around a map: those of a light field, or posed photographs."""
 
 from functools import partial
 from typing import NamedTuple
@@ -13,6 +13,7 @@ from mvedge_jax.image import box_mean, cubic_taps, spline_coefficients
 
 from ._look import Look
 from ._measuring import Measuring
+from .._places import Projection, Shift
 
 # What the taps of a spline reach beyond the pixel before a position.
 _BEFORE, _AFTER = 1, 2
@@ -32,6 +33,35 @@ class Grid(NamedTuple):
     steps: Float[Array, "s 2"]
     available: Bool[Array, " s"]
 
+    @property
+    def places(self) -> Shift:
+        """Where the views show a pixel."""
+        return Shift(self.steps)
+
+    @property
+    def reference(self) -> Array:
+        """Index of the view whose pixels are looked for in the others."""
+        return jnp.argmin(jnp.sum(jnp.abs(self.steps), axis=1))
+
+
+class PosedGrid(NamedTuple):
+    """Posed photographs of one size, made ready for being read between their pixels.
+
+    Attributes:
+        splines: see `Grid`.
+        places: where each photograph shows the pixels of the first one.
+        available: photographs that are to be read, `[s]`.
+    """
+
+    splines: Float[Array, "s h w"]
+    places: Projection
+    available: Bool[Array, " s"]
+
+    @property
+    def reference(self) -> int:
+        """Index of the view whose pixels are looked for in the others: the first one."""
+        return 0
+
 
 def grid_of(
     views: Float[Array, "s c y x"], steps: Float[Array, "s 2"], available: Bool[Array, " s"]
@@ -46,7 +76,30 @@ def grid_of(
     Returns:
         The grid. Differentiable.
     """
+    return Grid(_splines(views), steps.astype(views.dtype), available)
 
+
+def posed_grid(
+    views: Float[Array, "s c y x"], places: Projection, available: Bool[Array, " s"]
+) -> PosedGrid:
+    """Makes posed photographs ready for `look_around`.
+
+    Args:
+        views: the reference view first, gains taken out.
+        places: where each of them shows the pixels of the first one.
+        available: those that are to be read.
+
+    Returns:
+        The grid. Differentiable.
+    """
+    # Rounding must not move the reference's own border out of its frame.
+    own = Projection(
+        places.homography.at[0].set(jnp.eye(3, dtype=views.dtype)), places.epipole.at[0].set(0)
+    )
+    return PosedGrid(_splines(views), own, available)
+
+
+def _splines(views: Float[Array, "s c y x"]) -> Float[Array, "s h w"]:
     def one(view: Array) -> Array:
         both = spline_coefficients(spline_coefficients(view, axis=-1), axis=-2)
         last = jnp.moveaxis(both, 0, -1)
@@ -54,7 +107,7 @@ def grid_of(
         padded = jnp.pad(last, (margin, margin, (0, 0)), mode="edge")
         return padded.reshape(padded.shape[0], -1)
 
-    return Grid(lax.map(one, views), steps.astype(views.dtype), available)
+    return lax.map(one, views)
 
 
 class _Totals(NamedTuple):
@@ -74,12 +127,15 @@ class _Totals(NamedTuple):
 
 @partial(jax.jit, static_argnames="radius")
 def look_around(
-    grid: Grid, disparity: Float[Array, "y x"], params: Measuring, *, radius: int
+    grid: Grid | PosedGrid, disparity: Float[Array, "y x"], params: Measuring, *, radius: int
 ) -> Look:
     """Reads colours and gradients of all views around a map: `look`, for a grid of views.
 
+    Of photographs, steps are those of the pixel itself that would move it as a change of disparity
+    does, and differ from pixel to pixel.
+
     Args:
-        grid: of all views, see `grid_of`.
+        grid: of all views, see `grid_of` and `posed_grid`.
         disparity: px per view step, `[y, x]`.
         params: see `Measuring`.
         radius: how far occluders are looked for, px.
@@ -88,42 +144,45 @@ def look_around(
         What `labels` and `mismatch` read. Differentiable.
     """
     params = cast(params, disparity.dtype)
-    own = grid._replace(splines=grid.splines[_centre(grid)])
-    reference, *_ = _sample(own.splines, disparity, jnp.zeros(2, disparity.dtype))
+    still = Shift(jnp.zeros(2, disparity.dtype))
+    reference, *_ = _sample(grid.splines[grid.reference], *still.positions(disparity))
 
     @jax.checkpoint
-    def read(total: tuple[Array, ...], view: tuple[Array, Array, Array]):
-        spline, step, there = view
-        seen = _seen(disparity, step, radius) & there
+    def read(total: tuple[Array, ...], view: tuple[Array, Shift | Projection, Array]):
+        spline, place, there = view
+        seen = place.seen(disparity, radius) & there
         weight = seen.astype(disparity.dtype)
-        value, slope_x, slope_y = _sample(spline, disparity, step)
+        value, *slopes = _sample(spline, *place.positions(disparity))
+        slope_x, slope_y = place.pulled(disparity, (slopes[0], slopes[1]))
         relative = value - reference
         w = weight[None]
         terms = (weight, w * relative, w * relative**2, w * slope_x, w * slope_y)
         return tuple(t + new for t, new in zip(total, terms, strict=True)), (weight, relative)
 
     zero, zeros = jnp.zeros_like(disparity), jnp.zeros_like(reference)
-    (count, colour, square, gx, gy), seen = lax.scan(read, (zero, *[zeros] * 4), grid)
+    views = (grid.splines, grid.places, grid.available)
+    (count, colour, square, gx, gy), seen = lax.scan(read, (zero, *[zeros] * 4), views)
     mean, gx, gy = (part / count[None] for part in (colour, gx, gy))
     spread = _total(square / count[None] - mean**2)
     floor = reference.shape[0] * params.noise**2
     scale = params.outlier * jnp.maximum(box_mean(spread, 1), floor)
 
     @jax.checkpoint
-    def add(total: _Totals, view: tuple[Array, Array, Array]) -> tuple[_Totals, None]:
-        weight, relative, step = view
+    def add(total: _Totals, view: tuple[Array, Array, Shift | Projection]) -> tuple[_Totals, None]:
+        weight, relative, place = view
         relative = relative - mean
         weight = weight / (1 + box_mean(_total(relative**2), 1) / scale)
-        x, y = step
+        x, y = place.steps(disparity)
         w = weight[None]
         new = _Totals(
             weight, weight * x, weight * y, weight * x * x, weight * x * y, weight * y * y,
-            w * relative, w * x * relative, w * y * relative, w * relative**2,
+            w * relative, (weight * x)[None] * relative, (weight * y)[None] * relative,
+            w * relative**2,
         )  # fmt: skip
         return jax.tree.map(jnp.add, total, new), None
 
     start = _Totals(*[zero] * 6, *[zeros] * 4)
-    total, _ = lax.scan(add, start, (*seen, grid.steps))
+    total, _ = lax.scan(add, start, (*seen, grid.places))
     return _look(total, gx, gy, jnp.sum(grid.available.astype(disparity.dtype)))
 
 
@@ -145,10 +204,6 @@ def _look(total: _Totals, gx: Array, gy: Array, views: Array) -> Look:
     )
 
 
-def _centre(grid: Grid) -> Array:
-    return jnp.argmin(jnp.sum(jnp.abs(grid.steps), axis=1))
-
-
 def _total(planes: Float[Array, "c y x"]) -> Float[Array, "y x"]:
     """Sum over channels, by hand: XLA on CPU does not vectorise one over a leading axis."""
     total = planes[0]
@@ -157,49 +212,13 @@ def _total(planes: Float[Array, "c y x"]) -> Float[Array, "y x"]:
     return total
 
 
-def _seen(
-    disparity: Float[Array, "y x"], step: Float[Array, "2"], radius: int
-) -> Bool[Array, "y x"]:
-    """Pixels that a view shows: within its frame, and not behind anything nearer.
-
-    What lies `j` px away against the direction of the view's step hides a pixel if it is nearer by
-    `j` over the length of the step; half a pixel and half a step are the pixels' own size.
-    """
-    disparity = lax.stop_gradient(disparity)
-    height, width = disparity.shape
-    length = jnp.max(jnp.abs(step))
-    direction = step / jnp.maximum(length, 1)
-    padded = jnp.pad(disparity, radius, constant_values=-jnp.inf)
-
-    def nearer(hidden: Array, distance: Array) -> tuple[Array, None]:
-        apart = distance.astype(disparity.dtype)
-        x, y = (jnp.round(apart * d).astype(jnp.int32) for d in direction)
-        other = lax.dynamic_slice(padded, (radius - y, radius - x), (height, width))
-        return hidden | ((other - disparity) * (length + 0.5) > apart - 0.5), None
-
-    nothing = jnp.zeros(disparity.shape, bool)
-    hidden, _ = lax.scan(nearer, nothing, jnp.arange(1, radius + 1))
-    hidden = hidden & (length > 0)
-    x, y = _positions(disparity, step)
-    inside = (x >= 0) & (x <= width - 1) & (y >= 0) & (y <= height - 1)
-    return inside & ~hidden
-
-
-def _positions(disparity: Array, step: Array) -> tuple[Array, Array]:
-    height, width = disparity.shape
-    x = jnp.arange(width, dtype=disparity.dtype)[None] + step[0] * disparity
-    y = jnp.arange(height, dtype=disparity.dtype)[:, None] + step[1] * disparity
-    return x, y
-
-
 def _sample(
-    spline: Float[Array, "h w"], disparity: Float[Array, "y x"], step: Float[Array, "2"]
+    spline: Float[Array, "h w"], x: Float[Array, "y x"], y: Float[Array, "y x"]
 ) -> tuple[Float[Array, "c y x"], Float[Array, "c y x"], Float[Array, "c y x"]]:
     """A view where it shows the pixels, and its derivatives along x and y."""
-    height, width = disparity.shape
+    height, width = x.shape
     row_length = spline.shape[1]
     channels = row_length // (width + _BEFORE + _AFTER)
-    x, y = _positions(disparity, step)
     x, y = jnp.clip(x, 0, width - 1), jnp.clip(y, 0, height - 1)
     column, row = jnp.floor(x), jnp.floor(y)
     (wx, dx), (wy, dy) = cubic_taps((x - column)[..., None]), cubic_taps((y - row)[..., None])

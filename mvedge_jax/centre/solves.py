@@ -1,7 +1,7 @@
 """The solves of the centre view: labels, measured anew around every map, and their diffusion."""
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
@@ -18,14 +18,15 @@ from mvedge_jax.photometry.measuring import (
     Measuring,
     PhotometricLabels,
     labels,
-    look,
     look_around,
     mismatch,
 )
+from mvedge_jax.photometry.photographs import PosedSight
 
-from ._parameters import CentreParams, Parameters, Sizes
+from ._parameters import CentreParams
+from ._sharpen import Sharpening
 from ._slant import rises, slope_labels
-from ._smoothness import edge_smoothness
+from ._smoothness import SmoothnessParams, edge_smoothness
 
 # A point whose disparity differs by this from the map, px, has a quarter of its weight.
 AGREEMENT = 0.15
@@ -57,14 +58,65 @@ _MAP, _ERROR = 2, 3
 
 
 class Labels(NamedTuple):
-    """Labels and data weights per pixel."""
+    """Labels and data weights per pixel.
+
+    Attributes:
+        weight: against a perfect label, `[y, x]`.
+        value: disparity, `[y, x]`.
+    """
 
     weight: Array
     value: Array
 
 
+@runtime_checkable
+class SolveParams(Protocol):
+    """The parameters that the solves read."""
+
+    smoothness: SmoothnessParams
+    centre: CentreParams
+
+
+@runtime_checkable
+class SolveSizes(Protocol):
+    """The sizes that the solves read; see `Sizes`."""
+
+    @property
+    def radius(self) -> int:
+        """How far occluders are looked for, px."""
+        ...
+
+    @property
+    def passes(self) -> int:
+        """Over the neighbours whose measurements are shared."""
+        ...
+
+    @property
+    def solves(self) -> int:
+        """Diffusions before the sharpening, and again after it."""
+        ...
+
+    @property
+    def sharpening(self) -> Sharpening:
+        """See `sharpen`."""
+        ...
+
+    @property
+    def tolerance(self) -> float:
+        """At which the diffusion stops."""
+        ...
+
+
 class Map(NamedTuple):
-    """A map, the standard error of its labels, and how the diffusions went."""
+    """A map, the standard error of its labels, and how the diffusions went.
+
+    Attributes:
+        disparity: `[y, x]`.
+        error: of the labels that every pixel is made from; 0 without labels. `standard_error` makes
+            it that of the map.
+        iterations: of every diffusion of the map.
+        converged: whether all diffusions reached their tolerance.
+    """
 
     disparity: Array
     error: Array
@@ -74,19 +126,33 @@ class Map(NamedTuple):
 
 def dense_map(
     from_points: Labels,
-    views: Sight,
-    lab: Array,
-    first: Array,
+    views: Sight | PosedSight,
+    lab: Float[Array, "c y x"],
+    first: Float[Array, "y x"],
     sharper: Callable[[Array], Array],
-    params: Parameters,
-    sizes: Sizes,
+    params: SolveParams,
+    sizes: SolveSizes,
 ) -> Map:
-    """Repeated measurement in the views and diffusion, with slopes from the second solve on."""
+    """Repeated measurement in the views and diffusion, with slopes from the second solve on.
+
+    Args:
+        from_points: labels from elsewhere, of weight 0 where there is none.
+        views: of a light field or of posed photographs, made ready.
+        lab: the reference view in CIELAB, denoised.
+        first: where to start, `[y, x]`.
+        sharper: moves blurred steps of a map, see `sharpen`.
+        params: `smoothness` and `centre` are read.
+        sizes: see `SolveSizes`.
+
+    Returns:
+        The map. Differentiable.
+    """
+    every = views.grid if isinstance(views, Sight) else None
 
     def seen(disparity: Array) -> tuple[Look, Array]:
-        found = look(*views.splines, disparity, views.params, radius=sizes.radius)
+        found = views.look(disparity, radius=sizes.radius)
         residual = mismatch(found, lab, disparity, views.params, passes=sizes.passes)
-        if views.grid is not None:
+        if every is not None:
             found = found._replace(cross=jnp.zeros_like(disparity))
         return found, residual
 
@@ -103,15 +169,15 @@ def dense_map(
         return kept, shown._replace(views=found.views[0])
 
     def around(disparity: Array, turn: Array) -> tuple[Array, Look]:
-        assert views.grid is not None
-        return disparity, look_around(views.grid, disparity, views.params, radius=sizes.radius)
+        assert every is not None
+        return disparity, look_around(every, disparity, views.params, radius=sizes.radius)
 
     # Sharpening inside of the loop, at its turn, keeps the program small: one solver, not two.
     if sizes.sharpening == "none":
         ways, order = [plain], [0] * sizes.solves
     else:
         ways, order = [plain, sharpened], [1, *[0] * (sizes.solves - 1)] * 2
-    if views.grid is not None:
+    if every is not None:
         order += [len(ways)] * _AROUND
         ways.append(around)
     turns, chosen = len(order), jnp.asarray(order)
@@ -121,10 +187,10 @@ def dense_map(
         disparity, found = lax.switch(chosen[turn], ways, disparity, turn)
         measured = labels(found, lab, disparity, views.params, passes=sizes.passes)
         sparse = from_points
-        if views.grid is not None:
+        if every is not None:
             # Points were measured in the crosshair, and have no say against all views.
-            every = chosen[turn] == len(ways) - 1
-            sparse = sparse._replace(weight=jnp.where(every, 0, sparse.weight))
+            last = chosen[turn] == len(ways) - 1
+            sparse = sparse._replace(weight=jnp.where(last, 0, sparse.weight))
         both = _with_dense(sparse, measured, disparity, params.centre, views.params)
         smooth = _smooth(disparity)
         edges = edge_smoothness(lab, smooth, params.smoothness)
@@ -140,7 +206,15 @@ def dense_map(
 def standard_error(
     of_labels: Float[Array, "y x"], disparity: Float[Array, "y x"]
 ) -> Float[Array, "y x"]:
-    """That of the labels, and of the place of the map's steps; infinite without labels."""
+    """That of the labels, and of the place of the map's steps; infinite without labels.
+
+    Args:
+        of_labels: `Map.error`.
+        disparity: the map.
+
+    Returns:
+        Standard error of the map. Differentiable.
+    """
     across, down = jnp.abs(jnp.diff(disparity, axis=1)), jnp.abs(jnp.diff(disparity, axis=0))
     steepest = jnp.zeros_like(disparity)
     for side in ((0, 1), (1, 0)):
@@ -168,7 +242,7 @@ def _solved(
     edges: tuple[Array, Array],
     start: Array,
     params: CentreParams,
-    sizes: Sizes,
+    sizes: SolveSizes,
     *,
     sloped: Array,
     last: Array,
@@ -238,6 +312,15 @@ def _with_dense(
 
 
 def precision_weight(variance: Array, params: CentreParams) -> Array:
+    """Weight of a label against that of a perfect one.
+
+    Args:
+        variance: of the label, px².
+        params: `precision` is the standard error that halves the weight.
+
+    Returns:
+        The weight, at most 1. Differentiable.
+    """
     precision = params.precision**2
     return precision / (precision + variance)
 

@@ -1,0 +1,116 @@
+"""`mvedge export`: views, cameras, points and depth for other tools."""
+
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import jax.numpy as jnp
+import numpy as np
+import tyro
+
+from mvedge_jax.datasets.exchange import write_colmap, write_nerfstudio, write_ply
+from mvedge_jax.posed import Photographs
+from mvedge_jax.posed.cloud import surface_of
+
+from ._common import note, stage
+from ._gathered import Gathered, gather
+from ._output import output_folder, write_json
+
+
+def export(
+    source: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="SCENE|RESULT")],
+    out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT")],
+    /,
+    *,
+    to: Literal["ply", "colmap", "nerfstudio"],
+    points: Literal["dense", "edges"] = "dense",
+    camera: tuple[float, float, float] | None = None,
+    overwrite: bool = False,
+) -> None:
+    """Writes views, cameras, points and depth in the forms that other tools read.
+
+    OUT gets, for ply: NAME.ply for every view with depth, coloured points with normals and standard
+    errors; for colmap: images and sparse/0, a model in text form, with the edge points; for
+    nerfstudio: images, transforms.json, depth maps and masks. The unit is that of the cameras,
+    metres for light fields; the world is the centre view's camera.
+
+    Args:
+        source: a light field (cameras and views only), or what mvedge depth, views or stereo wrote
+            (with its depth).
+        out: folder to make.
+        to: the form.
+        points: of ply: every pixel, or the edge points of mvedge depth.
+        camera: focal length in px, baseline and focus distance, for a light field that does not
+            know them.
+        overwrite: replace OUT if it is an earlier result of mvedge, with nothing else in it.
+    """
+    with stage(f"reading {source}"):
+        found = gather(source, camera)
+    if to == "ply" and points == "dense" and not found.depth:
+        raise ValueError(
+            f"{source} has no depth to make points of; run mvedge depth, views or stereo, and "
+            "export what it wrote."
+        )
+    report: dict[str, Any] = {"source": str(source.resolve()), "form": to}
+    with output_folder(out, inputs=[source], overwrite=overwrite) as folder, stage("writing"):
+        if to == "colmap":
+            write_colmap(folder, found.photographs)
+        elif to == "nerfstudio":
+            write_nerfstudio(folder, found.photographs, depth=found.depth)
+        elif points == "edges":
+            report["points"] = _edges(folder, found, source)
+        else:
+            report["points"] = _dense(folder, found)
+        write_json(folder / "report.json", report)
+    note(f"{len(found.photographs.names)} views; written to {out}")
+
+
+def _dense(folder: Path, found: Gathered) -> dict[str, int]:
+    """A cloud of every view with depth; how many points each has."""
+    counts, views = {}, found.photographs
+    for index, depth in found.depth.items():
+        pose, matrix = views.poses[index], views.intrinsics[index]
+        surface = surface_of(jnp.asarray(depth, pose.dtype), pose, matrix)
+        keep = np.isfinite(depth) & (depth > 0)
+        colours = np.round(255 * np.asarray(views.images[index])).astype(np.uint8)
+        stem = "_".join(Path(views.names[index]).with_suffix("").parts)
+        write_ply(
+            folder / f"{stem}.ply",
+            np.asarray(surface.points)[keep],
+            colours=colours[keep],
+            normals=np.asarray(surface.normals)[keep],
+            error=found.error[index][keep],
+        )
+        counts[stem] = int(keep.sum())
+    return counts
+
+
+def _edges(folder: Path, found: Gathered, source: Path) -> dict[str, int]:
+    """The edge points, with the colours and normals of the view that they were found in."""
+    views = found.photographs
+    if views.points is None or not len(views.points) or not found.depth:
+        raise ValueError(
+            f"{source} has no edge points; run mvedge depth, and export what it wrote."
+        )
+    index, depth = next(iter(found.depth.items()))
+    row, column = _pixels(views, index)
+    pose, matrix = views.poses[index], views.intrinsics[index]
+    surface = surface_of(jnp.asarray(depth, pose.dtype), pose, matrix)
+    colours = np.round(255 * np.asarray(views.images[index])).astype(np.uint8)
+    write_ply(
+        folder / "edges.ply",
+        np.asarray(views.points),
+        colours=colours[row, column],
+        normals=np.asarray(surface.normals)[row, column],
+        error=found.point_error,
+    )
+    return {"edges": len(views.points)}
+
+
+def _pixels(views: Photographs, index: int) -> tuple[np.ndarray, np.ndarray]:
+    """The pixels of a photograph that its points are in."""
+    pose, matrix = np.asarray(views.poses[index]), np.asarray(views.intrinsics[index])
+    place = ((np.asarray(views.points) - pose[:3, 3]) @ pose[:3, :3]) @ matrix.T
+    height, width = views.images.shape[1:3]
+    column = np.clip(np.round(place[:, 0] / place[:, 2]).astype(int), 0, width - 1)
+    row = np.clip(np.round(place[:, 1] / place[:, 2]).astype(int), 0, height - 1)
+    return row, column

@@ -1,0 +1,206 @@
+"""Photographs, cameras, points and depth in the forms that other tools read."""
+
+import json
+import os
+from collections.abc import Mapping
+from pathlib import Path
+
+import cv2
+import numpy as np
+from jaxtyping import Float
+
+from mvedge_jax.posed import Photographs
+
+from ._ply import write_ply
+
+# COLMAP and nerfstudio have their pixel centres at .5.
+_HALF = 0.5
+# OpenGL's camera looks along -z with y up, ours along z with y down.
+_TURN = np.diag([1.0, -1.0, -1.0, 1.0])
+# Depth is stored as 16 bit; nerfstudio reads this unit from the file.
+_LEVELS = 65000
+
+
+def write_colmap(folder: str | os.PathLike, photographs: Photographs) -> None:
+    """Writes photographs, cameras and sparse points as a COLMAP model.
+
+    Args:
+        folder: gets `images/` and `sparse/0/` with `cameras.txt`, `images.txt` and
+            `points3D.txt`. Cameras are PINHOLE; a light field's sensor shift is its principal
+            point. Points come with the photographs that observed them.
+        photographs: see `Photographs`.
+    """
+    folder = Path(folder)
+    model = folder / "sparse" / "0"
+    model.mkdir(parents=True, exist_ok=True)
+    _write_images(folder / "images", photographs)
+    poses = np.asarray(photographs.poses, np.float64)
+    matrices = np.asarray(photographs.intrinsics, np.float64)
+    height, width = photographs.images.shape[1:3]
+    points = np.zeros((0, 3))
+    if photographs.points is not None:
+        points = np.asarray(photographs.points, np.float64)
+    observed = np.zeros((len(poses), len(points)), bool)
+    if photographs.observed is not None:
+        observed = np.asarray(photographs.observed)
+    cameras, images = ["# CAMERA_ID MODEL WIDTH HEIGHT fx fy cx cy"], []
+    tracks: list[list[str]] = [[] for _ in points]
+    colours, errors = _looked_up(photographs, points, observed)
+    for i, (name, pose, matrix) in enumerate(
+        zip(photographs.names, poses, matrices, strict=True), start=1
+    ):
+        fx, fy, cx, cy = matrix[0, 0], matrix[1, 1], matrix[0, 2] + _HALF, matrix[1, 2] + _HALF
+        cameras.append(f"{i} PINHOLE {width} {height} {fx:.17g} {fy:.17g} {cx:.17g} {cy:.17g}")
+        inverse = np.linalg.inv(pose)
+        numbers = " ".join(f"{v:.17g}" for v in (*quaternion_of(inverse[:3, :3]), *inverse[:3, 3]))
+        images.append(f"{i} {numbers} {i} {name}")
+        seen = np.flatnonzero(observed[i - 1])
+        places = _projected(points[seen], pose, matrix) + _HALF
+        words = []
+        for feature, (k, (x, y)) in enumerate(zip(seen, places, strict=True)):
+            words.append(f"{x:.6f} {y:.6f} {k + 1}")
+            tracks[k].append(f"{i} {feature}")
+        images.append(" ".join(words))
+    rows = [
+        f"{k + 1} {' '.join(f'{v:.17g}' for v in point)} {' '.join(map(str, colours[k]))} "
+        f"{errors[k]:.6g} {' '.join(tracks[k])}"
+        for k, point in enumerate(points)
+    ]
+    (model / "cameras.txt").write_text("\n".join(cameras) + "\n", encoding="utf-8")
+    head = "# IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME / X Y POINT3D_ID ..."
+    (model / "images.txt").write_text("\n".join([head, *images]) + "\n", encoding="utf-8")
+    head = "# POINT3D_ID X Y Z R G B ERROR IMAGE_ID POINT2D_IDX ..."
+    (model / "points3D.txt").write_text("\n".join([head, *rows]) + "\n", encoding="utf-8")
+
+
+def write_nerfstudio(
+    folder: str | os.PathLike,
+    photographs: Photographs,
+    *,
+    depth: Mapping[int, Float[np.ndarray, "y x"]] | None = None,
+) -> None:
+    """Writes photographs and cameras as nerfstudio's `transforms.json`.
+
+    Args:
+        folder: gets `images/`, `transforms.json` and, where depth is given, `depths/` (16 bit, in
+            the unit that `depth_unit_scale_factor` says, 0 where unknown) and `masks/` (where depth
+            is known). Sparse points become `sparse_pc.ply`.
+        photographs: see `Photographs`.
+        depth: of some photographs by their index; not finite or 0 where unknown. nerfstudio wants
+            all frames to have depth or none: the masks and depths of the others are all 0.
+    """
+    folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    _write_images(folder / "images", photographs)
+    height, width = photographs.images.shape[1:3]
+    maps = {
+        i: np.where(np.isfinite(values) & (values > 0), values, 0.0)
+        for i, values in (depth or {}).items()
+    }
+    largest = max((float(values.max()) for values in maps.values()), default=0.0)
+    unit = largest / _LEVELS if largest > 0 else 1e-3
+    frames = []
+    for i, (name, pose, matrix) in enumerate(
+        zip(
+            photographs.names,
+            np.asarray(photographs.poses, np.float64),
+            np.asarray(photographs.intrinsics, np.float64),
+            strict=True,
+        )
+    ):
+        frame = {
+            "file_path": f"images/{name}",
+            "fl_x": float(matrix[0, 0]),
+            "fl_y": float(matrix[1, 1]),
+            "cx": float(matrix[0, 2]) + _HALF,
+            "cy": float(matrix[1, 2]) + _HALF,
+            "w": width,
+            "h": height,
+            "transform_matrix": (pose @ _TURN).tolist(),
+        }
+        if maps:
+            values = maps.get(i, np.zeros((height, width)))
+            stem = Path(name).stem
+            _image(folder / "depths" / f"{stem}.png", np.round(values / unit).astype(np.uint16))
+            _image(folder / "masks" / f"{stem}.png", np.where(values > 0, 255, 0).astype(np.uint8))
+            frame |= {"depth_file_path": f"depths/{stem}.png", "mask_path": f"masks/{stem}.png"}
+        frames.append(frame)
+    top: dict = {"camera_model": "OPENCV", "frames": frames}
+    if maps:
+        top["depth_unit_scale_factor"] = unit
+    if photographs.points is not None and len(photographs.points):
+        points = np.asarray(photographs.points)
+        observed = photographs.observed
+        seen = np.zeros((len(frames), len(points)), bool) if observed is None else observed
+        colours, _ = _looked_up(photographs, points, np.asarray(seen))
+        write_ply(folder / "sparse_pc.ply", points, colours=colours)
+        top["ply_file_path"] = "sparse_pc.ply"
+    (folder / "transforms.json").write_text(json.dumps(top, indent=1), encoding="utf-8")
+
+
+def quaternion_of(turn: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "4"]:
+    """The unit quaternion `(w, x, y, z)` of a rotation, `w` not negative.
+
+    Args:
+        turn: a rotation matrix.
+
+    Returns:
+        The quaternion.
+    """
+    # The eigenvector of the largest eigenvalue is precise for every angle (Bar-Itzhack, 2000).
+    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = turn
+    table = np.asarray(
+        [
+            [xx + yy + zz, zy - yz, xz - zx, yx - xy],
+            [zy - yz, xx - yy - zz, xy + yx, xz + zx],
+            [xz - zx, xy + yx, yy - xx - zz, yz + zy],
+            [yx - xy, xz + zx, yz + zy, zz - xx - yy],
+        ]
+    )
+    _, vectors = np.linalg.eigh(table)
+    found = vectors[:, -1]
+    return -found if found[0] < 0 else found
+
+
+def _projected(points: np.ndarray, pose: np.ndarray, matrix: np.ndarray) -> np.ndarray:
+    place = ((points - pose[:3, 3]) @ pose[:3, :3]) @ matrix.T
+    return place[:, :2] / place[:, 2:]
+
+
+def _looked_up(
+    photographs: Photographs, points: np.ndarray, observed: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Colours of points in the first photograph that observed them; their errors are not known."""
+    colours = np.full((len(points), 3), 128, np.uint8)
+    height, width = photographs.images.shape[1:3]
+    done = np.zeros(len(points), bool)
+    for i, seen in enumerate(observed):
+        new = np.flatnonzero(seen & ~done)
+        if not new.size:
+            continue
+        place = _projected(
+            points[new], np.asarray(photographs.poses[i]), np.asarray(photographs.intrinsics[i])
+        )
+        column = np.clip(np.round(place[:, 0]).astype(int), 0, width - 1)
+        row = np.clip(np.round(place[:, 1]).astype(int), 0, height - 1)
+        colours[new] = _bytes(np.asarray(photographs.images[i]))[row, column]
+        done[new] = True
+    return colours, np.zeros(len(points))
+
+
+def _bytes(image: np.ndarray) -> np.ndarray:
+    return np.round(255 * np.clip(image, 0, 1)).astype(np.uint8)
+
+
+def _write_images(folder: Path, photographs: Photographs) -> None:
+    for name, image in zip(photographs.names, np.asarray(photographs.images), strict=True):
+        # Names come from files of others.
+        if not (folder / name).resolve().is_relative_to(folder.resolve()):
+            raise ValueError(f"`photographs` have the name {name!r}, which leads out of {folder}.")
+        _image(folder / name, np.ascontiguousarray(_bytes(image)[..., ::-1]))
+
+
+def _image(path: Path, image: np.ndarray) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    if not cv2.imwrite(str(path), image):
+        raise OSError(f"{path} could not be written.")

@@ -1,0 +1,120 @@
+"""`transforms.json` of nerfstudio and instant-ngp: photographs and cameras for radiance fields."""
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..exchange._ply import read_ply
+from ._posed_source import Frame, Lens, PosedSource, pinhole, rigid
+
+# OpenGL's camera looks along -z with y up, ours along z with y down.
+_TURN = np.diag([1.0, -1.0, -1.0, 1.0])
+# Pixel centres are at .5, as in COLMAP, where these files come from as a rule.
+_HALF = 0.5
+_PERSPECTIVE = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "PERSPECTIVE")
+_ENDINGS = ("", ".png", ".jpg", ".jpeg")
+
+
+def open_nerfstudio(path: Path) -> PosedSource:
+    """Opens a `transforms.json`.
+
+    Args:
+        path: the file; images are found relative to its folder.
+
+    Returns:
+        Its photographs, in the order of their names.
+
+    Raises:
+        ValueError: the file is no JSON, or lacks frames, poses or intrinsics; a camera model is not
+            handled.
+        FileNotFoundError: an image or the file of the points is missing.
+    """
+    try:
+        top = json.loads(path.read_text(encoding="utf-8"))
+    except (json.JSONDecodeError, UnicodeDecodeError) as fault:
+        raise ValueError(f"{path} is not JSON ({fault}); expected nerfstudio's form.") from None
+    frames = top.get("frames") if isinstance(top, dict) else None
+    if not isinstance(frames, list) or not all(isinstance(frame, dict) for frame in frames):
+        raise ValueError(f"{path} has no list `frames`; expected nerfstudio's form.")
+    if len(frames) < 2:
+        raise ValueError(f"{path} lists {len(frames)} frames; expected at least two.")
+    found = [_frame(path, i, frame, {**top, **frame}) for i, frame in enumerate(frames)]
+    names = [frame.name for frame in found]
+    if len(set(names)) < len(names):
+        # The same name in several folders: the folders tell them apart.
+        found = [
+            Frame(str(frame["file_path"]), f.image, f.pose, f.lens, f.depth)
+            for frame, f in zip(frames, found, strict=True)
+        ]
+    points = None
+    if isinstance(top.get("ply_file_path"), str):
+        points = read_ply(path.parent / top["ply_file_path"])
+        points = points if len(points) else None
+    ordered = tuple(sorted(found, key=lambda frame: frame.name))
+    unit = float(top.get("depth_unit_scale_factor", 1e-3))
+    return PosedSource("nerfstudio transforms.json", ordered, points, depth_unit=unit)
+
+
+def _frame(path: Path, index: int, own: dict[str, Any], known: dict[str, Any]) -> Frame:
+    where = f"{path}, frame {index},"
+    if not isinstance(own.get("file_path"), str):
+        raise ValueError(f"{where} has no `file_path`; expected the name of an image.")
+    stem = path.parent / own["file_path"]
+    image = next((f for end in _ENDINGS if (f := Path(f"{stem}{end}")).is_file()), stem)
+    if not image.is_file():
+        raise FileNotFoundError(f"{stem} is missing; {where} names it as its image.")
+    try:
+        matrix = np.asarray(own["transform_matrix"], np.float64)
+    except (KeyError, TypeError, ValueError):
+        matrix = np.zeros(0)
+    if matrix.shape == (3, 4):
+        matrix = np.concatenate([matrix, [[0.0, 0.0, 0.0, 1.0]]])
+    if matrix.shape != (4, 4):
+        raise ValueError(f"{where} has no `transform_matrix` of 4x4 numbers.")
+    pose = rigid(matrix, where=where) @ _TURN
+    depth = own.get("depth_file_path")
+    depth_file = path.parent / depth if isinstance(depth, str) else None
+    if depth_file is not None and not depth_file.is_file():
+        raise FileNotFoundError(f"{depth_file} is missing; {where} names it as its depth.")
+    return Frame(image.name, image, pose, _lens(known, where), depth_file)
+
+
+def _lens(known: dict[str, Any], where: str) -> Lens:
+    def number(name: str) -> float | None:
+        value = known.get(name)
+        if value is None:
+            return None
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise ValueError(f"{where} has {name} = {value!r}; expected a number.")
+        return float(value)
+
+    model = known.get("camera_model", "OPENCV")
+    fisheye = model == "OPENCV_FISHEYE"
+    if not fisheye and model not in _PERSPECTIVE:
+        raise ValueError(
+            f"{where} has the camera model {model!r}, which is not handled; expected one of "
+            f"{', '.join((*_PERSPECTIVE, 'OPENCV_FISHEYE'))}."
+        )
+    width, height = number("w"), number("h")
+    size = None if width is None or height is None else (int(height), int(width))
+    fx, fy = number("fl_x"), number("fl_y")
+    angle = number("camera_angle_x")
+    if fx is None and angle is not None and width is not None:
+        fx = 0.5 * width / math.tan(0.5 * angle)
+    if fx is None:
+        raise ValueError(
+            f"{where} has no intrinsics; expected fl_x (and fl_y, cx, cy), or camera_angle_x and w."
+        )
+    cx, cy = number("cx"), number("cy")
+    if size is not None:
+        cx = 0.5 * size[1] if cx is None else cx
+        cy = 0.5 * size[0] if cy is None else cy
+    if cx is None or cy is None:
+        raise ValueError(f"{where} has neither cx and cy nor w and h; expected either.")
+    matrix = pinhole(fx, fx if fy is None else fy, cx - _HALF, cy - _HALF, where=where, size=size)
+    names = ("k1", "k2", "k3", "k4") if fisheye else ("k1", "k2", "p1", "p2", "k3")
+    bent = tuple(number(name) or 0.0 for name in names)
+    return Lens(size, matrix, bent if any(bent) or fisheye else None, fisheye)

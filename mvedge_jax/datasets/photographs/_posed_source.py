@@ -1,0 +1,155 @@
+"""What every description of posed photographs comes down to: files, cameras, points."""
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+
+@dataclasses.dataclass(frozen=True)
+class Lens:
+    """A camera as files describe it, pixel centres at integers.
+
+    Attributes:
+        size: `(height, width)`, px; None if the file does not say.
+        matrix: intrinsics, px.
+        distortion: OpenCV's coefficients; None for none.
+        fisheye: whether they are those of OpenCV's fisheye model.
+    """
+
+    size: tuple[int, int] | None
+    matrix: Float[np.ndarray, "3 3"]
+    distortion: tuple[float, ...] | None = None
+    fisheye: bool = False
+
+
+@dataclasses.dataclass(frozen=True)
+class Frame:
+    """A photograph that is not read yet.
+
+    Attributes:
+        name: what to call it.
+        image: its file.
+        pose: camera to world; x right, y down, z forward.
+        lens: its camera.
+        depth: file of its true depth, if there is one.
+    """
+
+    name: str
+    image: Path
+    pose: Float[np.ndarray, "4 4"]
+    lens: Lens
+    depth: Path | None = None
+
+
+@dataclasses.dataclass(frozen=True)
+class PosedSource:
+    """A set of posed photographs on disk, opened but not read.
+
+    Attributes:
+        layout: which layout was recognised, for people.
+        frames: the photographs.
+        points: sparse points of the world.
+        observed: which photographs saw which points.
+        depth_unit: units of the poses per unit of stored depth.
+    """
+
+    layout: str
+    frames: tuple[Frame, ...]
+    points: Float[np.ndarray, "m 3"] | None = None
+    observed: Bool[np.ndarray, "n m"] | None = None
+    depth_unit: float = 1e-3
+
+
+def pinhole(
+    fx: float, fy: float, cx: float, cy: float, *, where: str, size: tuple[int, int] | None = None
+) -> Float[np.ndarray, "3 3"]:
+    """Intrinsics, checked.
+
+    Args:
+        fx: focal length along x, px.
+        fy: focal length along y, px.
+        cx: principal point, px, centres at integers.
+        cy: likewise.
+        where: the file and camera, for the error.
+        size: `(height, width)`, if known.
+
+    Returns:
+        The matrix.
+
+    Raises:
+        ValueError: values are not finite, focal lengths not positive, or the principal point is
+            farther outside of the frame than the frame is large.
+    """
+    values = np.asarray([fx, fy, cx, cy], np.float64)
+    if not np.isfinite(values).all() or min(fx, fy) <= 0:
+        raise ValueError(
+            f"{where} has the intrinsics fx {fx:.6g}, fy {fy:.6g}, cx {cx:.6g}, cy {cy:.6g}; "
+            "expected finite numbers with positive focal lengths, in px."
+        )
+    if size is not None:
+        height, width = size
+        if not (-width < cx < 2 * width and -height < cy < 2 * height):
+            raise ValueError(
+                f"{where} has its principal point at ({cx:.6g}, {cy:.6g}), far outside of its "
+                f"{width}x{height} px; expected intrinsics of this size of image."
+            )
+    return np.asarray([[fx, 0, cx], [0, fy, cy], [0, 0, 1]], np.float64)
+
+
+def rotation_of(quaternion: Float[np.ndarray, "4"], *, where: str) -> Float[np.ndarray, "3 3"]:
+    """The rotation of a quaternion `(w, x, y, z)`.
+
+    Args:
+        quaternion: of any length but 0; files hold few digits.
+        where: the file and image, for the error.
+
+    Returns:
+        The matrix.
+
+    Raises:
+        ValueError: its length is far from 1.
+    """
+    length = float(np.linalg.norm(quaternion))
+    if not 0.9 < length < 1.1:
+        raise ValueError(
+            f"{where} has a rotation quaternion of length {length:.4g}; expected a unit quaternion."
+        )
+    w, x, y, z = quaternion / length
+    return np.asarray(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def rigid(matrix: Float[np.ndarray, "4 4"], *, where: str) -> Float[np.ndarray, "4 4"]:
+    """A pose, checked.
+
+    Args:
+        matrix: camera to world.
+        where: the file and frame, for the error.
+
+    Returns:
+        The pose with its rotation made exact.
+
+    Raises:
+        ValueError: values are not finite, or the upper left part is no rotation.
+    """
+    turn = matrix[:3, :3]
+    fault = None
+    if not np.isfinite(matrix).all():
+        fault = "values that are not finite"
+    elif np.abs(turn @ turn.T - np.eye(3)).max() > 1e-2 or np.linalg.det(turn) < 0:
+        fault = f"no rotation (determinant {np.linalg.det(turn):.4g})"
+    elif np.abs(matrix[3] - [0, 0, 0, 1]).max() > 1e-6:
+        fault = f"the last row {matrix[3].tolist()}"
+    if fault:
+        raise ValueError(f"{where} has {fault} in its pose; expected a rigid 4x4 matrix.")
+    left, _, right = np.linalg.svd(turn)
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = left @ right, matrix[:3, 3]
+    return pose

@@ -1,0 +1,171 @@
+"""Sparse points made on the spot: SIFT features, matched and triangulated with known poses."""
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float
+
+# A match is kept if the second best is this much farther away (Lowe, 2004).
+_RATIO = 0.75
+# A point is kept if it is seen within this distance of where it should be, px.
+_OFF = 1.5
+# Least angle between two lines of sight, radians, that a point is triangulated from.
+_ANGLE = 0.004
+_FEATURES = 4000
+
+
+def triangulated(
+    images: Float[np.ndarray, "n y x 3"],
+    poses: Float[np.ndarray, "n 4 4"],
+    intrinsics: Float[np.ndarray, "n 3 3"],
+) -> tuple[Float[np.ndarray, "m 3"], Bool[np.ndarray, "n m"]]:
+    """Finds points that several photographs show.
+
+    Args:
+        images: sRGB in [0, 1], without distortion.
+        poses: camera to world.
+        intrinsics: px.
+
+    Returns:
+        Points in the world, and which photographs show them; none where nothing matches.
+    """
+    features = [_features(image) for image in images]
+    count = len(images)
+    groups = _Groups([len(place) for place, _ in features])
+    cameras = [k @ np.linalg.inv(pose)[:3] for k, pose in zip(intrinsics, poses, strict=True)]
+    for i in range(count):
+        for j in range(i + 1, count):
+            line = _fundamental(poses[i], intrinsics[i], poses[j], intrinsics[j])
+            for a, b in _matches(features[i], features[j], line):
+                groups.join((i, a), (j, b))
+    points, seen = [], []
+    for members in groups.found():
+        views = [view for view, _ in members]
+        # Two features of one photograph in a group: something in it is wrong.
+        if len(set(views)) < len(views):
+            continue
+        places = np.stack([features[view][0][k] for view, k in members])
+        point = _triangulate(places, [cameras[view] for view in views])
+        if _good(point, places, views, cameras, poses):
+            points.append(point)
+            seen.append(np.isin(np.arange(count), views))
+    if not points:
+        return np.zeros((0, 3)), np.zeros((count, 0), bool)
+    return np.stack(points), np.stack(seen, axis=1)
+
+
+def _features(image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    gray = cv2.cvtColor(np.round(255 * image).astype(np.uint8), cv2.COLOR_RGB2GRAY)
+    detector = cv2.SIFT.create(nfeatures=_FEATURES, contrastThreshold=0.02)
+    found, descriptors = detector.detectAndCompute(gray, None)
+    if descriptors is None:
+        return np.zeros((0, 2)), np.zeros((0, 128), np.float32)
+    # RootSIFT (Arandjelovic and Zisserman, 2012) compares better.
+    descriptors = descriptors / np.maximum(descriptors.sum(1, keepdims=True), 1e-9)
+    return np.asarray([f.pt for f in found], np.float64), np.sqrt(descriptors).astype(np.float32)
+
+
+def _matches(
+    first: tuple[np.ndarray, np.ndarray], second: tuple[np.ndarray, np.ndarray], line: np.ndarray
+) -> list[tuple[int, int]]:
+    """Pairs of features that are each other's best, and on each other's epipolar lines."""
+    (place, own), (other_place, other) = first, second
+    if min(len(own), len(other)) < 2:
+        return []
+    matcher = cv2.BFMatcher(cv2.NORM_L2)
+
+    def best(a: np.ndarray, b: np.ndarray) -> dict[int, int]:
+        return {
+            pair[0].queryIdx: pair[0].trainIdx
+            for pair in matcher.knnMatch(a, b, k=2)
+            if len(pair) == 2 and pair[0].distance < _RATIO * pair[1].distance
+        }
+
+    forward, backward = best(own, other), best(other, own)
+    pairs = [(a, b) for a, b in forward.items() if backward.get(b) == a]
+    kept = []
+    for a, b in pairs:
+        p, q = np.append(place[a], 1), np.append(other_place[b], 1)
+        there, here = line @ p, line.T @ q
+        steep = there[0] ** 2 + there[1] ** 2 + here[0] ** 2 + here[1] ** 2
+        off = (q @ there) ** 2 / max(steep, 1e-18)
+        if off < _OFF**2:
+            kept.append((a, b))
+    return kept
+
+
+def _fundamental(
+    pose: np.ndarray, matrix: np.ndarray, other_pose: np.ndarray, other_matrix: np.ndarray
+) -> np.ndarray:
+    """The matrix that maps a pixel of the first photograph to its line in the second."""
+    moved = np.linalg.inv(other_pose) @ pose
+    x, y, z = moved[:3, 3]
+    cross = np.asarray([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    essential = cross @ moved[:3, :3]
+    return np.linalg.inv(other_matrix).T @ essential @ np.linalg.inv(matrix)
+
+
+def _triangulate(places: np.ndarray, cameras: list[np.ndarray]) -> np.ndarray:
+    """The point of least algebraic error, weighted by depth once."""
+    weight = np.ones(len(places))
+    point = np.zeros(3)
+    for _ in range(2):
+        rows = [
+            w * (place[axis] * camera[2] - camera[axis])
+            for place, camera, w in zip(places, cameras, weight, strict=True)
+            for axis in (0, 1)
+        ]
+        _, _, right = np.linalg.svd(np.stack(rows))
+        if abs(right[-1, 3]) < 1e-12:
+            return np.full(3, np.nan)
+        point = right[-1, :3] / right[-1, 3]
+        depths = np.asarray([camera[2, :3] @ point + camera[2, 3] for camera in cameras])
+        weight = 1 / np.maximum(np.abs(depths), 1e-9)
+    return point
+
+
+def _good(
+    point: np.ndarray,
+    places: np.ndarray,
+    views: list[int],
+    cameras: list[np.ndarray],
+    poses: np.ndarray,
+) -> bool:
+    """In front of its cameras, where it was seen, and seen from directions that differ."""
+    if not np.isfinite(point).all():
+        return False
+    for place, view in zip(places, views, strict=True):
+        x, y, z = cameras[view] @ np.append(point, 1)
+        if z <= 0 or np.hypot(x / z - place[0], y / z - place[1]) > _OFF:
+            return False
+    rays = np.stack([point - poses[view][:3, 3] for view in views])
+    rays = rays / np.linalg.norm(rays, axis=1, keepdims=True)
+    return bool(np.arccos(np.clip((rays @ rays.T).min(), -1, 1)) > _ANGLE)
+
+
+class _Groups:
+    """Features that are the same point, by union of matches."""
+
+    def __init__(self, counts: list[int]):
+        self.start = np.concatenate([[0], np.cumsum(counts)])
+        self.parent = list(range(int(self.start[-1])))
+
+    def _root(self, i: int) -> int:
+        while self.parent[i] != i:
+            self.parent[i] = self.parent[self.parent[i]]
+            i = self.parent[i]
+        return i
+
+    def join(self, a: tuple[int, int], b: tuple[int, int]) -> None:
+        first, second = (self._root(int(self.start[view]) + k) for view, k in (a, b))
+        self.parent[second] = first
+
+    def found(self) -> list[list[tuple[int, int]]]:
+        """Groups of two or more, as (view, feature)."""
+        groups: dict[int, list[int]] = {}
+        for i in range(len(self.parent)):
+            groups.setdefault(self._root(i), []).append(i)
+        several = [members for members in groups.values() if len(members) > 1]
+        views = np.searchsorted(self.start, np.arange(len(self.parent)), side="right") - 1
+        return [
+            [(int(views[i]), i - int(self.start[views[i]])) for i in members] for members in several
+        ]

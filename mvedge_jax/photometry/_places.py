@@ -1,0 +1,168 @@
+"""Where the other views show a pixel: by a step of a grid, or by a homography and an epipole."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Bool, Float
+
+# Views that look almost across the line of sight: what they show is not worth a division.
+_BEHIND = 1e-3
+# Differences of disparity below this, px, are slant, not occlusion.
+_SLANT = 0.05
+
+
+class Shift(NamedTuple):
+    """A view of a grid: a pixel moves there by its disparity times the step of the view.
+
+    Attributes:
+        step: `(u_c - u, v_c - v)`.
+    """
+
+    step: Float[Array, "*s 2"]
+
+    def positions(self, disparity: Float[Array, "y x"]) -> tuple[Array, Array]:
+        """Columns and rows at which the view shows the pixels, px, `[y, x]` each."""
+        height, width = disparity.shape
+        x = jnp.arange(width, dtype=disparity.dtype)[None] + self.step[0] * disparity
+        y = jnp.arange(height, dtype=disparity.dtype)[:, None] + self.step[1] * disparity
+        return x, y
+
+    def steps(self, disparity: Float[Array, "y x"]) -> tuple[Array, Array]:
+        """How far the pixel itself would have to move to move as a change of disparity does."""
+        return self.step[0], self.step[1]
+
+    def pulled(
+        self, disparity: Float[Array, "y x"], slopes: tuple[Array, Array]
+    ) -> tuple[Array, Array]:
+        """Derivatives along the view's axes as such along the reference view's."""
+        return slopes
+
+    def seen(self, disparity: Float[Array, "y x"], radius: int) -> Bool[Array, "y x"]:
+        """Pixels that the view shows: within its frame, and not behind anything nearer.
+
+        What lies `j` px away against the direction of the view's step hides a pixel if it is nearer
+        by `j` over the length of the step; half a pixel and half a step are the pixels' own size.
+        """
+        disparity, step = lax.stop_gradient(disparity), self.step
+        height, width = disparity.shape
+        length = jnp.max(jnp.abs(step))
+        direction = step / jnp.maximum(length, 1)
+        padded = jnp.pad(disparity, radius, constant_values=-jnp.inf)
+
+        def nearer(hidden: Array, distance: Array) -> tuple[Array, None]:
+            apart = distance.astype(disparity.dtype)
+            x, y = (jnp.round(apart * d).astype(jnp.int32) for d in direction)
+            other = lax.dynamic_slice(padded, (radius - y, radius - x), (height, width))
+            return hidden | ((other - disparity) * (length + 0.5) > apart - 0.5), None
+
+        nothing = jnp.zeros(disparity.shape, bool)
+        hidden, _ = lax.scan(nearer, nothing, jnp.arange(1, radius + 1))
+        return self._inside(disparity) & ~(hidden & (length > 0))
+
+    def _inside(self, disparity: Array) -> Array:
+        height, width = disparity.shape
+        x, y = self.positions(disparity)
+        return (x >= 0) & (x <= width - 1) & (y >= 0) & (y <= height - 1)
+
+
+class Projection(NamedTuple):
+    """A posed photograph: the pixel `p` at disparity `d` is at `H p + d e`, homogeneous.
+
+    The third coordinate is depth in the view over depth in the reference view, as it is with
+    `H = K R K_r^-1` and `e = K t / s`, where `d` is `s` times the inverse depth.
+
+    Attributes:
+        homography: `H`, for what is infinitely far away.
+        epipole: `e`: times the disparity, where the reference view's camera is seen.
+    """
+
+    homography: Float[Array, "*s 3 3"]
+    epipole: Float[Array, "*s 3"]
+
+    def positions(self, disparity: Float[Array, "y x"]) -> tuple[Array, Array]:
+        """Columns and rows at which the view shows the pixels, px, `[y, x]` each.
+
+        What is behind the view's camera has a place far outside of the frame.
+        """
+        (x, y), depth = self._homogeneous(disparity)
+        ahead = depth > _BEHIND
+        safe = jnp.where(ahead, depth, 1)
+        away = jnp.asarray(-1e6, disparity.dtype)
+        return jnp.where(ahead, x / safe, away), jnp.where(ahead, y / safe, away)
+
+    def steps(self, disparity: Float[Array, "y x"]) -> tuple[Array, Array]:
+        """How far the pixel itself would have to move to move as a change of disparity does.
+
+        Not the movement in the view: turned and magnified as the view is against the reference.
+        """
+        (xx, xy, yx, yy), (along_x, along_y) = self._jacobian(disparity)
+        determinant = xx * yy - xy * yx
+        # Where a view sees the pixels from behind, or edge-on, it tells nothing.
+        usable = jnp.abs(determinant) > _BEHIND
+        safe = jnp.where(usable, determinant, 1)
+        x, y = (yy * along_x - xy * along_y) / safe, (xx * along_y - yx * along_x) / safe
+        return jnp.where(usable, x, 0), jnp.where(usable, y, 0)
+
+    def pulled(
+        self, disparity: Float[Array, "y x"], slopes: tuple[Array, Array]
+    ) -> tuple[Array, Array]:
+        """Derivatives along the view's axes as such along the reference view's."""
+        (xx, xy, yx, yy), _ = self._jacobian(disparity)
+        x, y = slopes
+        return xx[None] * x + yx[None] * y, xy[None] * x + yy[None] * y
+
+    def seen(self, disparity: Float[Array, "y x"], radius: int) -> Bool[Array, "y x"]:
+        """Pixels that the view shows: ahead of it, within its frame, nothing nearer before them.
+
+        Nearer is what is nearer to the view's own camera: seen from elsewhere, larger disparities
+        may be farther away. All pixels are drawn into the view, which keeps the nearest; gaps of a
+        pixel are closed from both sides. `radius` is not needed: any pixel may hide any other.
+        """
+        disparity = lax.stop_gradient(disparity)
+        height, width = disparity.shape
+        _, depth = self._homogeneous(disparity)
+        x, y = self.positions(disparity)
+        inside = (x >= 0) & (x <= width - 1) & (y >= 0) & (y <= height - 1) & (depth > _BEHIND)
+        near = disparity / jnp.where(inside, depth, 1)
+        column, row = (jnp.floor(p + 0.5).astype(jnp.int32) for p in (x, y))
+        place = jnp.where(inside, row * width + column, height * width).reshape(-1)
+        empty = jnp.full(height * width, -jnp.inf, disparity.dtype)
+        front = empty.at[place].max(near.reshape(-1), mode="drop").reshape(height, width)
+        front = _closed(_closed(front).T).T
+        shown = front.reshape(-1)[jnp.minimum(place, height * width - 1)].reshape(height, width)
+        _, (along_x, along_y) = self._jacobian(disparity)
+        length = jnp.maximum(jnp.abs(along_x), jnp.abs(along_y))
+        slack = 0.5 / (length + 0.5) + _SLANT
+        # From the same place, everything is seen.
+        return inside & ~(((shown - near) * depth > slack) & (length > 0))
+
+    def _homogeneous(self, disparity: Array) -> tuple[tuple[Array, Array], Array]:
+        height, width = disparity.shape
+        column = jnp.arange(width, dtype=disparity.dtype)[None]
+        row = jnp.arange(height, dtype=disparity.dtype)[:, None]
+        x, y, z = (
+            self.homography[i, 0] * column
+            + self.homography[i, 1] * row
+            + (self.homography[i, 2] + self.epipole[i] * disparity)
+            for i in range(3)
+        )
+        return (x, y), z
+
+    def _jacobian(self, disparity: Array) -> tuple[tuple[Array, ...], tuple[Array, Array]]:
+        """Movement in the view with the pixel (xx, xy, yx, yy), and with its disparity."""
+        (x, y), depth = self._homogeneous(disparity)
+        ahead = depth > _BEHIND
+        over = jnp.where(ahead, 1 / jnp.where(ahead, depth, 1), 0)
+        x, y = x * over, y * over
+        h, e = self.homography, self.epipole
+        moved = tuple(
+            (h[i, j] - place * h[2, j]) * over for i, place in enumerate((x, y)) for j in (0, 1)
+        )
+        return moved, ((e[0] - x * e[2]) * over, (e[1] - y * e[2]) * over)
+
+
+def _closed(front: Float[Array, "y x"]) -> Float[Array, "y x"]:
+    """An image without gaps of one pixel along its rows: both sides of a gap are nearer."""
+    padded = jnp.pad(front, ((0, 0), (1, 1)), constant_values=-jnp.inf)
+    return jnp.maximum(front, jnp.minimum(padded[:, :-2], padded[:, 2:]))

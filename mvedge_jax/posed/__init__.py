@@ -1,0 +1,19 @@
+"""Depth from a few posed photographs (Thesis 7.2.2), by the light field's own measurement.
+
+Rooms: `cloud` (surfaces as points), `scores` (errors in depth).
+"""
+
+from ._parameters import (
+    Reference as Reference,
+    StereoParams as StereoParams,
+    StereoSizes as StereoSizes,
+    reference_of as reference_of,
+)
+from ._photographs import Photographs as Photographs, projections as projections
+from ._stereo import (
+    PosedSweep as PosedSweep,
+    StereoResult as StereoResult,
+    StereoStats as StereoStats,
+    posed_sweep as posed_sweep,
+    stereo as stereo,
+)

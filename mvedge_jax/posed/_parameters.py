@@ -1,0 +1,243 @@
+"""Parameters (traced) and sizes (static) of depth from posed photographs."""
+
+import math
+from dataclasses import dataclass
+from typing import get_args
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from mvedge_jax._params import as_number, described
+from mvedge_jax.centre import CentreParams, MedianParams, Sharpening, SmoothnessParams
+from mvedge_jax.photometry import PhotometricParams, VolumeParams
+
+from ._photographs import Photographs
+
+# The farthest photograph is this many view steps away, as in a light field of 9x9 views: the
+# parameters' px per view step then mean the same.
+_STEPS = 4.0
+# Without points or a range, no surface is nearer than this many times the largest baseline.
+_NEAREST = 8.0
+# How far beyond the points' range surfaces are looked for: share of the range of inverse depths.
+_MARGIN = 0.15
+# Hypotheses per px of movement in the farthest photograph.
+_PER_PX = 4.0
+# Hypotheses come in multiples of this: photographs of about the same range share a program.
+_ROUND = 16
+# More of them at once would take gigabytes.
+_MOST = 768
+
+
+def _volume() -> VolumeParams:
+    """Few photographs, far apart: less is known of a pixel, and more must come along the paths."""
+    return VolumeParams(truncation=as_number(16.0), slant=as_number(0.4), jump=as_number(2.0))
+
+
+def _centre() -> CentreParams:
+    """Labels of few photographs are known to some hundredths of a pixel, not to thousandths."""
+    return CentreParams(precision=as_number(0.02))
+
+
+class StereoParams(eqx.Module):
+    """The continuous parameters of `stereo`: those of `edge_to_depth` without its edges.
+
+    Attributes:
+        volume: of the hypotheses that the first map starts from.
+        photometric: of the dense measurement.
+        smoothness: of the edge weights.
+        centre: of the diffusion; its `points` is not read.
+        median: of the sharpening.
+    """
+
+    volume: VolumeParams = eqx.field(default_factory=_volume)
+    photometric: PhotometricParams = eqx.field(default_factory=PhotometricParams)
+    smoothness: SmoothnessParams = eqx.field(default_factory=SmoothnessParams)
+    centre: CentreParams = eqx.field(default_factory=_centre)
+    median: MedianParams = eqx.field(default_factory=MedianParams)
+
+    def __str__(self) -> str:
+        return "\n".join(described(self))
+
+
+class Reference(eqx.Module):
+    """The photograph whose depth is asked for, and what its disparities are counted in.
+
+    Attributes:
+        index: of the photograph.
+        baseline: the disparity of a pixel is its focal length, px, times this over its depth; in
+            the unit of the poses.
+        disparity_range: lowest and highest disparity to look for.
+    """
+
+    index: Int[Array, ""]
+    baseline: Float[Array, ""]
+    disparity_range: Float[Array, "2"]
+
+    def scale(self, photographs: Photographs) -> Float[Array, ""]:
+        """Disparity times depth.
+
+        Args:
+            photographs: whose focal length is meant.
+
+        Returns:
+            px times the unit of the poses. Differentiable.
+        """
+        matrix = photographs.intrinsics[self.index]
+        return jnp.sqrt(matrix[0, 0] * matrix[1, 1]) * self.baseline.astype(matrix.dtype)
+
+
+def reference_of(
+    photographs: Photographs,
+    index: int | str,
+    *,
+    depth_range: tuple[float, float] | None = None,
+) -> Reference:
+    """Chooses what a photograph's disparities are counted in, on the host.
+
+    Args:
+        photographs: two or more.
+        index: of the photograph, or its name.
+        depth_range: nearest and farthest depth to look for, in the unit of the poses; without, that
+            of the sparse points with a margin, and without points from eight times the largest
+            baseline to infinity.
+
+    Returns:
+        A baseline of a fourth of the distance to the farthest camera, and the range.
+
+    Raises:
+        ValueError: the photograph does not exist, all cameras are in one place, the range is empty
+            or not positive, or no point lies in the photograph's frame.
+
+    Example:
+        >>> poses = jnp.stack([jnp.eye(4), jnp.eye(4).at[0, 3].set(0.4)])
+        >>> matrix = jnp.asarray([[20.0, 0, 7.5], [0, 20.0, 5.5], [0, 0, 1]])
+        >>> pair = Photographs(jnp.zeros((2, 12, 16, 3)), poses, matrix)
+        >>> reference_of(pair, 0, depth_range=(1.0, 4.0)).disparity_range.round(3).tolist()
+        [0.5, 2.0]
+    """
+    index = photographs.index(index) if isinstance(index, str) else index
+    count = len(photographs.names)
+    if not 0 <= index < count:
+        raise ValueError(f"`index` must be between 0 and {count - 1}, got {index}.")
+    centres = np.asarray(photographs.centres, np.float64)
+    farthest = float(np.linalg.norm(centres - centres[index], axis=1).max())
+    if not farthest > 1e-9 * max(1.0, float(np.abs(centres).max())):
+        raise ValueError(
+            "`photographs` have zero baseline: all cameras are in one place, expected at least two "
+            "places to see depth from."
+        )
+    near, far = _inverse_range(photographs, index, depth_range, farthest)
+    baseline = farthest / _STEPS
+    matrix = np.asarray(photographs.intrinsics[index], np.float64)
+    scale = math.sqrt(matrix[0, 0] * matrix[1, 1]) * baseline
+    dtype = photographs.images.dtype
+    return Reference(
+        jnp.asarray(index, jnp.int32),
+        jnp.asarray(baseline, dtype),
+        jnp.asarray([far * scale, near * scale], dtype),
+    )
+
+
+def _inverse_range(
+    photographs: Photographs,
+    index: int,
+    depth_range: tuple[float, float] | None,
+    farthest: float,
+) -> tuple[float, float]:
+    """Inverse depths of what is nearest and farthest."""
+    if depth_range is not None:
+        near, far = depth_range
+        if not 0 < near < far:
+            raise ValueError(f"`depth_range` must be 0 < near < far, got ({near:.4g}, {far:.4g}).")
+        return 1 / near, 1 / far
+    if photographs.points is None:
+        return 1 / (_NEAREST * farthest), 0.0
+    inverse = 1 / photographs.point_depths(index)
+    if inverse.size < 2:
+        raise ValueError(
+            f"`photographs` have {inverse.size} points in the frame of {photographs.names[index]}, "
+            "expected at least 2 to tell its range of depths; give a `depth_range`."
+        )
+    # A few points of every reconstruction are wrong.
+    far, near = np.quantile(inverse, (0.01, 0.99))
+    margin = _MARGIN * (near - far) + 0.02 * near
+    return near + margin, max(far - margin, 0.2 * far)
+
+
+@dataclass(frozen=True)
+class StereoSizes:
+    """Static sizes and modes of `stereo`; equal ones share a compiled program.
+
+    Attributes:
+        hypotheses: disparities tried per pixel.
+        solves: diffusions before the sharpening, and again after it.
+        window: half the width of the windows in which hypotheses are compared, px.
+        passes: over the neighbours whose measurements are shared, see `photometric_labels`.
+        sharpening: see `sharpen`.
+        median_radius: radius of the weighted median, px.
+        levels: slices of the weighted median.
+        tolerance: norm of the residual over that of the right-hand side at which the diffusion
+            stops.
+    """
+
+    hypotheses: int
+    solves: int = 2
+    window: int = 2
+    passes: int = 2
+    sharpening: Sharpening = "clip"
+    median_radius: int = 7
+    levels: int = 48
+    tolerance: float = 1e-5
+
+    def __post_init__(self) -> None:
+        for name, least in (
+            ("hypotheses", 2),
+            ("solves", 1),
+            ("window", 0),
+            ("passes", 0),
+            ("median_radius", 1),
+            ("levels", 2),
+        ):
+            value = getattr(self, name)
+            if value < least:
+                raise ValueError(f"`{name}` must be at least {least}, got {value}.")
+        if not self.tolerance > 0:
+            raise ValueError(f"`tolerance` must be positive, got {self.tolerance}.")
+        if self.sharpening not in get_args(Sharpening):
+            raise ValueError(
+                f"`sharpening` must be one of {get_args(Sharpening)}, got {self.sharpening!r}."
+            )
+
+    @property
+    def radius(self) -> int:
+        """Occluders are found wherever they are: nothing is looked for within a radius."""
+        return 1
+
+    @staticmethod
+    def of(reference: Reference, **choices) -> "StereoSizes":
+        """Chooses sizes on the host.
+
+        Args:
+            reference: its range of disparities, and that the farthest photograph is four steps
+                away, say how many hypotheses are a quarter of a pixel apart there.
+            **choices: any field of `StereoSizes` to set by hand.
+
+        Returns:
+            Sizes for `stereo`.
+
+        Raises:
+            ValueError: a choice is out of range, or the range of depths asks for too many
+                hypotheses.
+        """
+        low, high = np.asarray(reference.disparity_range, np.float64)
+        wanted = _PER_PX * _STEPS * (high - low) + 1
+        count = _ROUND * max(1, math.ceil(wanted / _ROUND))
+        if count > _MOST and "hypotheses" not in choices:
+            raise ValueError(
+                f"`reference` has disparities from {low:.4g} to {high:.4g} px, which ask for "
+                f"{count} hypotheses, expected at most {_MOST}; narrow the range of depths, shrink "
+                "the photographs, or leave out those that are farthest away."
+            )
+        return StereoSizes(**{"hypotheses": count, **choices})

@@ -1,0 +1,217 @@
+"""Dense depth of a photograph from others around it: the light field's measurement, posed."""
+
+from functools import partial
+from typing import NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Bool, Float, Int
+
+from mvedge_jax._fence import staged
+from mvedge_jax._params import cast
+from mvedge_jax.centre import sharpen
+from mvedge_jax.centre.solves import Labels, dense_map, standard_error
+from mvedge_jax.color import srgb_to_lab
+from mvedge_jax.photometry import Noise
+from mvedge_jax.photometry.photographs import (
+    Projection,
+    posed_hypotheses,
+    posed_sight,
+    prepare_photographs,
+)
+
+from ._parameters import Reference, StereoParams, StereoSizes
+from ._photographs import Photographs, projections
+
+# The least disparity that depth is made of, as a share of the range's upper end.
+_FARTHEST = 1e-6
+
+
+class StereoStats(NamedTuple):
+    """How it went.
+
+    Attributes:
+        iterations: of every diffusion of the map.
+        converged: whether every diffusion reached its tolerance.
+        noise: of the photographs, in their units after they were brightened.
+        gain: brightness of each photograph relative to the reference, which was taken out; in the
+            order of `Photographs`.
+    """
+
+    iterations: Int[Array, " solves"]
+    converged: Bool[Array, ""]
+    noise: Noise
+    gain: Float[Array, " n"]
+
+
+class StereoResult(NamedTuple):
+    """Depth of a photograph.
+
+    Attributes:
+        depth: distance along the optical axis, in the unit of the poses, `[y, x]`.
+        error: its standard error, in the same unit; infinite where there is no label at all.
+        disparity: px per baseline, larger is nearer, `[y, x]`; see `Reference`.
+        disparity_error: its standard error, px.
+        first: the disparities that the measurement started from.
+        stats: counts.
+    """
+
+    depth: Float[Array, "y x"]
+    error: Float[Array, "y x"]
+    disparity: Float[Array, "y x"]
+    disparity_error: Float[Array, "y x"]
+    first: Float[Array, "y x"]
+    stats: StereoStats
+
+
+@eqx.filter_jit
+def stereo(
+    photographs: Photographs, reference: Reference, params: StereoParams, sizes: StereoSizes
+) -> StereoResult:
+    """Estimates the depth of every pixel of one of a few posed photographs.
+
+    As `edge_to_depth` without edge points, and with another way for a pixel to move into a view, a
+    homography and an epipole:
+
+    1. Gains of the photographs are measured and taken out, noise is measured.
+    2. Hypotheses: per pixel, the disparity at which the better half of the photographs agrees best,
+       along paths through the image.
+    3. Every pixel is measured in the photographs that show it, repeatedly, and the labels are
+       diffused, with smoothness that ends where a colour step and a depth step meet.
+    4. A weighted median moves blurred depth steps onto colour steps.
+
+    The sparse points only say, by `reference_of`, what range of depths there is.
+
+    Args:
+        photographs: two or more, without lens distortion; true depth is not read.
+        reference: see `reference_of`. Its index is traced: one program for all photographs.
+        params: see `StereoParams`.
+        sizes: see `StereoSizes.of`.
+
+    Returns:
+        Depth, disparity, standard errors, statistics. Differentiable, forwards and backwards, in
+        images, poses, intrinsics, baseline and every leaf of `params` at the selections made.
+
+    Source: Thesis 7.2.2 has the photographs; the measurement is ours. `thesis_stereo` is the
+        thesis' own way.
+
+    Example:
+        >>> import jax
+        >>> texture = jax.random.uniform(jax.random.key(0), (24, 40, 3))
+        >>> images = jnp.stack([texture[:, 4:36], texture[:, 6:38]])
+        >>> poses = jnp.stack([jnp.eye(4), jnp.eye(4).at[0, 3].set(0.1)])
+        >>> matrix = jnp.asarray([[20.0, 0, 15.5], [0, 20.0, 11.5], [0, 0, 1]])
+        >>> from mvedge_jax.posed import reference_of
+        >>> pair = Photographs(images, poses, matrix)
+        >>> wanted = reference_of(pair, 0, depth_range=(0.5, 4.0))
+        >>> result = stereo(pair, wanted, StereoParams(), StereoSizes.of(wanted))
+        >>> round(float(jnp.median(result.depth)), 1)
+        1.0
+    """
+    params = cast(params, photographs.images.dtype)
+    given = _set_up(photographs, reference, sizes)
+    scene = prepare_photographs(*given[:4], params.volume, window=sizes.window)
+    views = staged(posed_sight)(scene, params.photometric)
+    sharper = partial(
+        sharpen,
+        guide=scene.guide,
+        params=params.median,
+        radius=sizes.median_radius,
+        levels=sizes.levels,
+        mode=sizes.sharpening,
+    )
+    nothing = jnp.zeros_like(scene.first)
+    labels = Labels(nothing, nothing)
+    found = dense_map(labels, views, scene.lab, scene.first, sharper, params, sizes)
+    stats = StereoStats(
+        found.iterations,
+        found.converged,
+        scene.noise,
+        jnp.ones_like(scene.gain).at[given.order].set(scene.gain),
+    )
+    disparity_error = standard_error(found.error, found.disparity)
+    depth, error = _depth(found.disparity, disparity_error, given.scale, reference)
+    return StereoResult(depth, error, found.disparity, disparity_error, scene.first, stats)
+
+
+def _depth(
+    disparity: Array, error: Array, scale: Array, reference: Reference
+) -> tuple[Array, Array]:
+    """Depth and its standard error; no disparity is beyond infinity."""
+    least = _FARTHEST * jnp.max(jnp.abs(reference.disparity_range))
+    depth = scale / jnp.maximum(disparity, least.astype(disparity.dtype))
+    return depth, error * depth**2 / scale
+
+
+class _SetUp(NamedTuple):
+    """The photographs with the reference first, and what to try."""
+
+    images: Array
+    places: Projection
+    available: Array
+    disparities: Array
+    scale: Array
+    order: Array
+
+
+def _set_up(photographs: Photographs, reference: Reference, sizes: StereoSizes) -> _SetUp:
+    count, dtype = photographs.images.shape[0], photographs.images.dtype
+    scale = reference.scale(photographs)
+    order = (jnp.arange(count, dtype=jnp.int32) + reference.index) % count
+    places = projections(photographs.poses[order], photographs.intrinsics[order], 0, scale)
+    # A photograph from the reference's own place knows nothing about depth.
+    apart = jnp.sqrt(jnp.sum(lax.stop_gradient(places.epipole) ** 2, axis=1))
+    available = (apart > 1e-3 * jnp.max(apart)) | (jnp.arange(count) == 0)
+    limits = reference.disparity_range.astype(dtype)
+    shares = jnp.linspace(0, 1, sizes.hypotheses, dtype=dtype)
+    disparities = limits[0] + (limits[1] - limits[0]) * shares
+    return _SetUp(photographs.images[order], places, available, disparities, scale, order)
+
+
+class PosedSweep(NamedTuple):
+    """Depth by the cheapest hypothesis of every pixel.
+
+    Attributes:
+        depth: in the unit of the poses, `[y, x]`.
+        disparity: px per baseline, `[y, x]`.
+    """
+
+    depth: Float[Array, "y x"]
+    disparity: Float[Array, "y x"]
+
+
+@eqx.filter_jit
+def posed_sweep(
+    photographs: Photographs, reference: Reference, params: StereoParams, sizes: StereoSizes
+) -> PosedSweep:
+    """A plane sweep through posed photographs: every pixel by itself, the baseline to beat.
+
+    Args:
+        photographs: two or more.
+        reference: see `reference_of`.
+        params: its `volume` is read.
+        sizes: its `hypotheses` and `window` are read.
+
+    Returns:
+        Depth and disparity. Differentiable at the hypotheses chosen, as `plane_sweep`.
+
+    Source: not in the thesis; the plane sweep of Collins (1996) with the better half of the views.
+    """
+    given = _set_up(photographs, reference, sizes)
+    images = jnp.moveaxis(given.images, -1, 1)
+    dtype = images.dtype
+    lab = jnp.moveaxis(srgb_to_lab(jnp.moveaxis(images[0], 0, -1)), -1, 0)
+    disparity = posed_hypotheses(
+        images,
+        given.places,
+        given.available,
+        lab,
+        given.disparities,
+        cast(params.volume, dtype),
+        noise=Noise.of(jnp.zeros((), dtype)),
+        window=sizes.window,
+        paths=False,
+    )
+    depth, _ = _depth(disparity, jnp.zeros_like(disparity), given.scale, reference)
+    return PosedSweep(depth, disparity)

@@ -1,0 +1,172 @@
+"""`mvedge stereo` and `mvedge export`: files are complete, and say the same elsewhere."""
+
+import json
+
+import numpy as np
+import pytest
+from datasets.layouts import write_hci
+from posed.walls import MATRIX, POSES, wall
+
+from mvedge_jax.cli import _main
+from mvedge_jax.datasets import read_pfm, synthetic, write_hci as write_scene, write_pfm
+from mvedge_jax.datasets.exchange import read_ply, write_colmap
+from mvedge_jax.datasets.photographs import load_photographs
+from mvedge_jax.lightfield import LightField
+from mvedge_jax.posed import Photographs
+from mvedge_jax.posed.cloud import photographs_of
+
+IMAGES, DEPTHS = wall(POSES)
+
+
+@pytest.fixture(scope="module")
+def model(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("model")
+    names = tuple(f"{i}.png" for i in range(4))
+    write_colmap(folder, Photographs(IMAGES.astype(np.float32), POSES, MATRIX, names=names))
+    return folder
+
+
+@pytest.mark.slow
+def test_stereo_and_its_export(model, tmp_path):
+    out = tmp_path / "depth"
+    words = ["stereo", str(model), str(out), "--range", "1.2", "3.5", "--reference", "1"]
+    assert _main.main(words) == 0
+    depth, error = read_pfm(out / "1_depth.pfm"), read_pfm(out / "1_error.pfm")
+    assert np.median(np.abs(depth / DEPTHS[1] - 1)) < 0.01
+    assert np.isfinite(error).all()
+    for name in ("1_depth.png", "1_error.png"):
+        assert (out / name).stat().st_size > 0
+    report = json.loads((out / "report.json").read_text())
+    assert report["photographs"]["1"]["measured in"] == [f"{i}.png" for i in range(4)]
+    assert _main.main(["export", str(out), str(tmp_path / "cloud"), "--to", "ply"]) == 0
+    points = read_ply(tmp_path / "cloud" / "1.ply")
+    local = (points - POSES[1][:3, 3]) @ POSES[1][:3, :3]
+    np.testing.assert_allclose(local[:, 2], depth.ravel(), rtol=1e-5)
+    assert _main.main(["export", str(out), str(tmp_path / "nerf"), "--to", "nerfstudio"]) == 0
+    again = load_photographs(tmp_path / "nerf")
+    assert again.depth is not None
+    np.testing.assert_allclose(again.depth[1], depth, atol=1e-4)
+
+
+def test_mistakes_are_said(model, tmp_path, capsys):
+    out = str(tmp_path / "out")
+    assert _main.main(["stereo", str(model), out, "--reference", "nosuch"]) == 2
+    assert "has no photograph called 'nosuch'; there are 0.png" in capsys.readouterr().err
+    assert _main.main(["stereo", str(tmp_path), out]) == 2
+    assert "holds no posed photographs" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.fixture(scope="module")
+def light_field():
+    import jax
+
+    return synthetic.render(
+        synthetic.scene("slanted"), shape=(3, 3, 32, 40), samples=1, key=jax.random.key(0)
+    )
+
+
+@pytest.fixture
+def scene(light_field, tmp_path):
+    write_scene(light_field, tmp_path / "scene")
+    return tmp_path / "scene"
+
+
+@pytest.fixture
+def result(scene, light_field, tmp_path):
+    """What `mvedge depth` writes, the truth in the place of what it finds."""
+    folder = tmp_path / "result"
+    folder.mkdir()
+    disparity = np.asarray(light_field.truth.disparity)
+    write_pfm(folder / "disparity.pfm", disparity)
+    write_pfm(folder / "standard_error.pfm", np.full_like(disparity, 0.01))
+    rows, columns = np.mgrid[4:28:6, 4:36:8]
+    xy = np.stack([columns.ravel(), rows.ravel()], 1).astype(np.float32)
+    np.savez(
+        folder / "points.npz",
+        xy=xy,
+        disparity=disparity[rows.ravel(), columns.ravel()],
+        error=np.full(len(xy), 0.01),
+        visible=np.ones((len(xy), 6), bool),
+    )
+    source = {"path": str(scene), "views": None, "scale": 1.0, "flip_u": False, "flip_v": False}
+    (folder / "report.json").write_text(json.dumps({"source": source}))
+    (folder / ".mvedge.json").write_text("{}")
+    return folder
+
+
+def test_a_light_field_in_colmap(result, light_field, tmp_path):
+    """Cameras, sensor shift and points: read by pycolmap, seen where the disparity says."""
+    pycolmap = pytest.importorskip("pycolmap")
+    out = tmp_path / "colmap"
+    assert _main.main(["export", str(result), str(out), "--to", "colmap"]) == 0
+    model = pycolmap.Reconstruction(str(out / "sparse" / "0"))
+    assert len(model.images) == 9
+    with np.load(result / "points.npz") as stored:
+        xy, disparity = stored["xy"], stored["disparity"]
+    assert len(model.points3D) == len(xy)
+    for image in model.images.values():
+        v, u = divmod(int(image.name[9:12]), 3)
+        camera = model.cameras[image.camera_id]
+        for k, point in model.points3D.items():
+            place = camera.img_from_cam(image.cam_from_world() * point.xyz) - 0.5
+            step = np.array([1 - u, 1 - v])
+            np.testing.assert_allclose(place, xy[k - 1] + step * disparity[k - 1], atol=2e-3)
+
+
+def test_a_light_field_in_nerfstudio(result, light_field, tmp_path):
+    out = tmp_path / "nerf"
+    assert _main.main(["export", str(result), str(out), "--to", "nerfstudio"]) == 0
+    found, wanted = load_photographs(out), photographs_of(light_field)
+    assert found.depth is not None
+    assert wanted.depth is not None
+    np.testing.assert_allclose(found.poses, wanted.poses, atol=1e-6)
+    np.testing.assert_allclose(found.intrinsics, wanted.intrinsics, atol=1e-4)
+    np.testing.assert_allclose(found.images, wanted.images, atol=0.51 / 255)
+    np.testing.assert_allclose(found.depth[4], wanted.depth[4], rtol=1e-3)
+    assert (out / "masks" / "input_Cam004.png").exists()
+
+
+def test_points_land_where_the_disparity_map_says(result, light_field, tmp_path):
+    """Within .05 px of it in every view."""
+    for kind, name in (("dense", "input_Cam004.ply"), ("edges", "edges.ply")):
+        out = tmp_path / kind
+        words = ["export", str(result), str(out), "--to", "ply", "--points", kind]
+        assert _main.main(words) == 0
+        points = read_ply(out / name)
+        if kind == "dense":
+            rows, columns = np.mgrid[:32, :40]
+            disparity = np.asarray(light_field.truth.disparity)
+        else:
+            with np.load(result / "points.npz") as stored:
+                columns, rows = stored["xy"].T
+                disparity = stored["disparity"]
+        views = photographs_of(light_field)
+        for k in range(9):
+            v, u = divmod(k, 3)
+            local = (points - np.asarray(views.poses[k, :3, 3])) @ np.asarray(views.intrinsics[k]).T
+            wanted = np.stack([columns + (1 - u) * disparity, rows + (1 - v) * disparity], -1)
+            off = np.abs(local[:, :2] / local[:, 2:] - wanted.reshape(-1, 2)).max()
+            assert off < 0.05
+
+
+def test_what_cannot_be_exported(scene, result, tmp_path, capsys):
+    assert _main.main(["export", str(scene), str(tmp_path / "a"), "--to", "ply"]) == 2
+    assert "has no depth to make points of; run mvedge depth" in capsys.readouterr().err
+    (result / "report.json").write_text("{}")
+    assert _main.main(["export", str(result), str(tmp_path / "b"), "--to", "ply"]) == 2
+    assert "does not say which light field it was made from" in capsys.readouterr().err
+    views = np.zeros((3, 3, 16, 16, 3), np.uint8)
+    plain = write_hci(tmp_path / "plain", views)
+    (plain / "parameters.cfg").unlink(missing_ok=True)
+    assert _main.main(["export", str(plain), str(tmp_path / "c"), "--to", "colmap"]) == 2
+    assert "does not know its camera; give its focal length" in capsys.readouterr().err
+    words = ["export", str(plain), str(tmp_path / "c"), "--to", "colmap"]
+    assert _main.main([*words, "--camera", "100", "0.1", "2"]) == 0
+    assert isinstance(load_photographs(tmp_path / "c", points=False), Photographs)
+
+
+def test_a_camera_may_be_given_for_any_light_field():
+    field = LightField(np.zeros((3, 3, 8, 8, 3), np.float32))
+    with pytest.raises(ValueError, match="does not know its camera"):
+        photographs_of(field)

@@ -1,0 +1,255 @@
+"""Depth from posed photographs: of walls whose depth is known, and what may be wrong with them."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from helpers import check_gradient, count_traces, shared_data
+from posed.walls import MATRIX, POSES, turned, wall
+
+from mvedge_jax.datasets import synthetic
+from mvedge_jax.datasets.photographs import load_photographs
+from mvedge_jax.posed import (
+    Photographs,
+    StereoParams,
+    StereoSizes,
+    posed_sweep,
+    reference_of,
+    stereo,
+)
+from mvedge_jax.posed.cloud import photographs_of, surface_of
+from mvedge_jax.posed.scores import depth_errors, scale_to
+
+IMAGES, DEPTHS = wall(POSES)
+RANGE = (1.2, 3.5)
+
+
+def photographs(dtype=jnp.float64, **changes):
+    known = {"depth": DEPTHS, **changes}
+    return Photographs(jnp.asarray(IMAGES, dtype), POSES, MATRIX, **known)
+
+
+@pytest.fixture(scope="module")
+def small():
+    """Sizes for quick programs, and the compiled one."""
+    wanted = reference_of(photographs(), 0, depth_range=RANGE)
+    sizes = StereoSizes.of(wanted, solves=1, levels=8)
+    run, traces = count_traces(lambda p, reference: stereo(p, reference, StereoParams(), sizes))
+    return run, traces
+
+
+def test_finds_the_wall_from_every_photograph_with_one_program(small):
+    run, traces = small
+    for index in range(4):
+        found = run(photographs().without_truth(), reference_of(photographs(), index,
+                                                                depth_range=RANGE))  # fmt: skip
+        # In the farthest photograph, four baselines away, px: .022 and .136 on 25 November.
+        wanted = reference_of(photographs(), index, depth_range=RANGE)
+        truth = float(wanted.scale(photographs())) / DEPTHS[index]
+        off = 4 * np.abs(np.asarray(found.disparity) - truth)
+        assert np.median(off) < 0.024
+        assert np.quantile(off, 0.9) < 0.15
+        assert bool(jnp.isfinite(found.error).all())
+        np.testing.assert_allclose(found.stats.gain, 1, atol=0.02)
+    assert traces() == 1
+
+
+def test_units_are_those_of_the_poses(small):
+    """A scene ten times as large has ten times the depth, and the same disparity."""
+    run, _ = small
+    larger = POSES.copy()
+    larger[:, :3, 3] *= 10
+    plain = run(photographs(depth=None), reference_of(photographs(), 1, depth_range=RANGE))
+    scaled = Photographs(jnp.asarray(IMAGES), larger, MATRIX)
+    found = run(scaled, reference_of(scaled, 1, depth_range=(12.0, 35.0)))
+    np.testing.assert_allclose(found.depth, 10 * plain.depth, rtol=1e-5)
+    np.testing.assert_allclose(found.disparity, plain.disparity, rtol=1e-5)
+    np.testing.assert_allclose(found.error, 10 * plain.error, rtol=1e-4)
+
+
+def test_exposures_that_differ_do_not_matter(small):
+    run, _ = small
+    gain = np.array([1.0, 0.8, 1.15, 0.9])
+    dimmed = Photographs(
+        jnp.asarray((0.8 * gain[:, None, None, None] * IMAGES).clip(0, 1)), POSES, MATRIX
+    )
+    found = run(dimmed, reference_of(dimmed, 0, depth_range=RANGE))
+    np.testing.assert_allclose(found.stats.gain, gain, rtol=0.03)
+    assert float(depth_errors(found.depth, jnp.asarray(DEPTHS[0])).median) < 0.6
+
+
+def test_a_photograph_that_looks_elsewhere_is_ignored(small):
+    run, _ = small
+    poses, images = POSES.copy(), IMAGES.copy()
+    poses[3] = turned(yaw=180.0, at=(0.0, 0.1, 0.0))
+    images[3] = np.random.default_rng(0).uniform(size=images[3].shape)
+    view = Photographs(jnp.asarray(images), poses, MATRIX)
+    found = run(view, reference_of(view, 0, depth_range=RANGE))
+    assert float(depth_errors(found.depth, jnp.asarray(DEPTHS[0])).median) < 0.6
+    # One from the reference's own place has no parallax, and says nothing.
+    poses[3], images[3] = POSES[0], IMAGES[0]
+    view = Photographs(jnp.asarray(images), poses, MATRIX)
+    found = run(view, reference_of(view, 0, depth_range=RANGE))
+    assert bool(jnp.isfinite(found.depth).all())
+    assert float(depth_errors(found.depth, jnp.asarray(DEPTHS[0])).median) < 0.6
+
+
+@pytest.mark.slow
+def test_single_precision(small):
+    run, _ = small
+    double, single = (
+        run(p, reference_of(p, 0, depth_range=RANGE))
+        for p in (photographs(depth=None), photographs(jnp.float32, depth=None))
+    )
+    assert single.depth.dtype == jnp.float32
+    off = np.abs(np.asarray(single.disparity) - np.asarray(double.disparity))
+    assert np.quantile(off, 0.95) < 2e-3
+
+
+@pytest.mark.slow
+def test_gradients_with_respect_to_poses_and_images():
+    """Of the whole chain: against differences, at the selections made."""
+    view = photographs(depth=None)
+    wanted = reference_of(view, 0, depth_range=RANGE)
+    sizes = StereoSizes.of(wanted, solves=1, sharpening="none", tolerance=1e-12)
+
+    def mean(tree):
+        images, poses = tree
+        moved = Photographs(images, poses, MATRIX)
+        return jnp.mean(stereo(moved, wanted, StereoParams(), sizes).depth)
+
+    tree = (view.images * 0.9 + 0.05, view.poses)
+    check_gradient(mean, tree, rtol=2e-2, step=1e-7, key=jax.random.key(0))
+
+
+def test_the_sweep_is_a_rough_map():
+    view = photographs(depth=None)
+    wanted = reference_of(view, 0, depth_range=RANGE)
+    found = posed_sweep(view, wanted, StereoParams(), StereoSizes.of(wanted))
+    assert float(depth_errors(found.depth, jnp.asarray(DEPTHS[0])).median) < 4
+
+
+def test_scale_is_that_of_least_squares():
+    depth = jnp.asarray(DEPTHS[0])
+    found = scale_to(depth / 3, depth.at[:5].set(0), key=jax.random.key(0))
+    np.testing.assert_allclose(found, 3, rtol=1e-12)
+    unknown = scale_to(jnp.where(depth > 2, jnp.inf, depth), 2 * depth, key=jax.random.key(0))
+    np.testing.assert_allclose(unknown, 2, rtol=1e-12)
+
+
+def test_errors_count_what_is_missing():
+    truth = jnp.asarray([[1.0, 2.0, 0.0, 4.0]])
+    found = depth_errors(jnp.asarray([[1.0, jnp.inf, 7.0, 4.4]]), truth)
+    np.testing.assert_allclose(found.above, 200 / 3)
+    # What is not found is off by the median depth, 2.
+    np.testing.assert_allclose(found.mse, 100 * (4 + 0.16) / 3, rtol=1e-9)
+
+
+def test_a_light_field_is_a_set_of_photographs():
+    scene = synthetic.scene("slanted")
+    field = synthetic.render(scene, shape=(3, 3, 32, 40), samples=1, key=jax.random.key(0))
+    views = photographs_of(field)
+    assert views.depth is not None
+    assert field.truth is not None
+    assert views.names[4] == "input_Cam004.png"
+    depth = np.asarray(views.depth[4])
+    surface = surface_of(views.depth[4], views.poses[4], views.intrinsics[4])
+    # Its points, in another view, are where the disparity says.
+    for k in (0, 5, 7):
+        v, u = divmod(k, 3)
+        local = np.asarray(surface.points) - np.asarray(views.poses[k, :3, 3])
+        place = local @ np.asarray(views.intrinsics[k]).T
+        x, y = place[..., 0] / place[..., 2], place[..., 1] / place[..., 2]
+        rows, columns = np.mgrid[:32, :40]
+        disparity = np.asarray(field.truth.disparity)
+        np.testing.assert_allclose(x, columns + (1 - u) * disparity, atol=2e-3)
+        np.testing.assert_allclose(y, rows + (1 - v) * disparity, atol=2e-3)
+    # Normals are those of the plane through neighbours, towards the camera.
+    normals = np.asarray(surface.normals)
+    np.testing.assert_allclose(np.linalg.norm(normals, axis=-1), 1, rtol=1e-5)
+    assert (np.sum(normals * np.asarray(surface.points), -1) < 0).mean() > 0.99
+    assert depth.min() > 0
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: Photographs(jnp.zeros((1, 8, 8, 3)), np.eye(4)[None], MATRIX), "at least two"),
+        (
+            lambda: Photographs(jnp.zeros((2, 8, 8, 3)), POSES[:2] * 2, MATRIX),
+            "`poses` must be rigid",
+        ),
+        (
+            lambda: Photographs(jnp.zeros((2, 8, 8, 3)), POSES[:2], -MATRIX),
+            "`intrinsics` must be .* positive fx",
+        ),
+        (
+            lambda: Photographs(jnp.zeros((2, 8, 8, 3)), POSES[:3], MATRIX),
+            r"`poses` must have the shape \(2, 4, 4\), got \(3, 4, 4\)",
+        ),
+        (
+            lambda: Photographs(jnp.full((2, 8, 8, 3), jnp.nan), POSES[:2], MATRIX),
+            "`images` must be finite",
+        ),
+        (
+            lambda: reference_of(Photographs(jnp.zeros((2, 8, 8, 3)), POSES[[0, 0]], MATRIX), 0),
+            "zero baseline: all cameras are in one place",
+        ),
+        (lambda: reference_of(photographs(), 7), "`index` must be between 0 and 3, got 7"),
+        (lambda: reference_of(photographs(), "x"), "no photograph is called 'x'; there are 0"),
+        (
+            lambda: reference_of(photographs(), 0, depth_range=(2.0, 1.0)),
+            "`depth_range` must be 0 < near < far",
+        ),
+        (
+            lambda: reference_of(photographs(points=np.zeros((1, 3)) - 9), 0),
+            "have 0 points in the frame of 0, expected at least 2",
+        ),
+        (
+            lambda: StereoSizes.of(reference_of(photographs(), 0, depth_range=(0.001, 9.0))),
+            "hypotheses, expected at most 768; narrow the range of depths",
+        ),
+        (lambda: StereoSizes(hypotheses=1), "`hypotheses` must be at least 2, got 1"),
+    ],
+)
+def test_errors_say_what_is_wrong(make, message):
+    with pytest.raises(ValueError, match=message):
+        make()
+
+
+@pytest.mark.slow
+def test_living_room():
+    view = load_photographs(
+        shared_data("mvs", "livingroom5"), intrinsics=(525.0, 525.0, 319.5, 239.5)
+    )
+    assert view.depth is not None
+    wanted = reference_of(view, 2)
+    sizes = StereoSizes.of(wanted)
+    found = stereo(view.without_truth(), wanted, StereoParams(), sizes)
+    errors = depth_errors(found.depth, view.depth[2])
+    sweep = depth_errors(
+        posed_sweep(view.without_truth(), wanted, StereoParams(), sizes).depth, view.depth[2]
+    )
+    assert float(errors.median) < 0.6
+    assert float(errors.mse) < float(sweep.mse)
+    assert float(errors.above) < float(sweep.above)
+
+
+def test_five_rendered_photographs_agree_with_their_depths():
+    five = synthetic.five_views(
+        synthetic.scene("slanted"), size=(40, 48), samples=1, key=jax.random.key(0)
+    )
+    assert five.depth is not None
+    apart = np.linalg.norm(np.asarray(five.centres[1:] - five.centres[0]), axis=1)
+    np.testing.assert_allclose(apart, 0.25, rtol=0.1)
+    points = surface_of(five.depth[0], five.poses[0], five.intrinsics[0]).points
+    for k in range(1, 5):
+        pose = np.asarray(five.poses[k])
+        local = (np.asarray(points) - pose[:3, 3]) @ pose[:3, :3]
+        place = local @ np.asarray(five.intrinsics[k]).T
+        x, y = (np.round(place[..., i] / place[..., 2]).astype(int) for i in (0, 1))
+        inside = (x >= 0) & (x < 48) & (y >= 0) & (y < 40)
+        there = np.asarray(five.depth[k])[y[inside], x[inside]]
+        # The same surface, but where something is in front of it.
+        assert inside.mean() > 0.6
+        assert (np.abs(there / local[inside][:, 2] - 1) < 0.05).mean() > 0.85

@@ -1,0 +1,63 @@
+"""Photographs of textured planes, made without the package: where every pixel is, is known."""
+
+import numpy as np
+from scipy import ndimage
+
+SIZE = (36, 48)
+MATRIX = np.array([[40.0, 0, 23.5], [0, 40.0, 17.5], [0, 0, 1]])
+
+
+def turned(yaw=0.0, pitch=0.0, roll=0.0, at=(0.0, 0.0, 0.0)):
+    """A pose, camera to world, from angles in degrees."""
+    pose = np.eye(4)
+    for angle, (i, j) in ((yaw, (2, 0)), (pitch, (1, 2)), (roll, (0, 1))):
+        c, s = np.cos(np.deg2rad(angle)), np.sin(np.deg2rad(angle))
+        turn = np.eye(3)
+        turn[i, i] = turn[j, j] = c
+        turn[i, j], turn[j, i] = -s, s
+        pose[:3, :3] = pose[:3, :3] @ turn
+    pose[:3, 3] = at
+    return pose
+
+
+def depth_of_plane(pose, normal, offset, *, matrix=MATRIX, size=SIZE):
+    """Depth of the plane `normal . X = offset` at every pixel."""
+    y, x = np.mgrid[: size[0], : size[1]].astype(float)
+    ray = np.stack([x, y, np.ones_like(x)], -1) @ np.linalg.inv(matrix).T @ pose[:3, :3].T
+    return (offset - normal @ pose[:3, 3]) / (ray @ normal)
+
+
+def places(pose, depth, *, matrix=MATRIX):
+    """World points of a depth map."""
+    y, x = np.mgrid[: depth.shape[0], : depth.shape[1]].astype(float)
+    ray = np.stack([x, y, np.ones_like(x)], -1) @ np.linalg.inv(matrix).T
+    return (ray * depth[..., None]) @ pose[:3, :3].T + pose[:3, 3]
+
+
+def texture(points, seed=0):
+    """A smooth pattern on the plane, colours in [0, 1], by two of the points' coordinates."""
+    rng = np.random.default_rng(seed)
+    table = ndimage.gaussian_filter(rng.uniform(size=(160, 160, 3)), (1.2, 1.2, 0), mode="wrap")
+    table = np.clip((table - 0.5) * 3 + 0.5, 0.02, 0.98)
+    place = [points[..., 1] * 30 + 80, points[..., 0] * 30 + 80]
+    return np.stack(
+        [ndimage.map_coordinates(table[..., c], place, order=3, mode="wrap") for c in range(3)], -1
+    ).clip(0, 1)
+
+
+def wall(poses, *, normal=(0.15, -0.1, 1.0), offset=2.0, matrix=MATRIX, size=SIZE):
+    """Images and true depths of a slanted wall, seen from poses."""
+    normal = np.asarray(normal) / np.linalg.norm(normal)
+    depths = [depth_of_plane(p, normal, offset, matrix=matrix, size=size) for p in poses]
+    images = [texture(places(p, d, matrix=matrix)) for p, d in zip(poses, depths, strict=True)]
+    return np.stack(images), np.stack(depths)
+
+
+POSES = np.stack(
+    [
+        turned(),
+        turned(yaw=2.0, roll=4.0, at=(0.1, 0.02, 0.01)),
+        turned(yaw=-2.0, pitch=1.0, at=(-0.1, 0.03, -0.03)),
+        turned(pitch=-2.0, at=(0.02, 0.11, 0.02)),
+    ]
+)
