@@ -240,7 +240,8 @@ def test_five_rendered_photographs_agree_with_their_depths():
         synthetic.scene("slanted"), size=(40, 48), samples=1, key=jax.random.key(0)
     )
     assert five.depth is not None
-    apart = np.linalg.norm(np.asarray(five.centres[1:] - five.centres[0]), axis=1)
+    centres = np.asarray(five.centres)
+    apart = np.linalg.norm(centres[1:] - centres[0], axis=1)
     np.testing.assert_allclose(apart, 0.25, rtol=0.1)
     points = surface_of(five.depth[0], five.poses[0], five.intrinsics[0]).points
     for k in range(1, 5):
