@@ -78,6 +78,9 @@ for name, maps in (("moved", naive), ("ours", found.disparity)):
 # %% [markdown]
 # ## All maps
 #
+# What is gained is gained at the edges and behind them; where the centre view's map is off by a
+# little, as on the wall of so small a scene, all maps are.
+#
 # How much the maps of the views disagree about the same point is a score that knows no truth, and
 # a constant map would win it: read it beside the errors.
 
