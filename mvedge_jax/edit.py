@@ -116,7 +116,9 @@ def paint(
         # What the centre view does not show is painted as the same surface is beside it.
         beside = holes(depth, seen).behind
         goes_on = jnp.abs(depth.ravel()[beside] - depth) < _SAME
-        shown = _between(layers, x, y).reshape(-1, 4)[beside]
+        place, _ = _nearest(x, y)
+        whole = layers.reshape(-1, 4)[place.ravel()[beside]]
+        shown = jnp.where(seen[..., None], _between(layers, x, y), whole)
         weight = jnp.where(goes_on, shown[..., 3], 0)[..., None]
         bright = jnp.mean(view, axis=-1, keepdims=True) / mean if shaded else 1
         painted = jnp.clip(shown[..., :3] * bright, 0, 1)
@@ -130,6 +132,8 @@ def remove(
     light_field: LightField,
     disparities: Float[Array, "v u y x"],
     mask: Bool[Array, "y x"],
+    *,
+    radius: int = 0,
 ) -> LightField:
     """Removes a foreground layer of the centre view, and shows what other views saw behind it.
 
@@ -140,8 +144,8 @@ def remove(
     Args:
         light_field: the views, sRGB.
         disparities: of all views, px per view step.
-        mask: pixels of the centre view to remove, with a margin of one or two for what they blend
-            with.
+        mask: pixels of the centre view to remove.
+        radius: how far around them, in every view, pixels blend with them and go, too, px.
 
     Returns:
         The edited light field. Differentiable in the views.
@@ -155,7 +159,7 @@ def remove(
     def marked(depth: Array, step: Array) -> Array:
         x, y = _in_centre(depth, step)
         there = _between(mask[..., None].astype(dtype), x, y)[..., 0] > 0
-        return there & _shows(centre, depth, x, y)
+        return margin(there & _shows(centre, depth, x, y), radius=radius)
 
     maps = disparities.reshape(-1, height, width)
     gone = lax.map(lambda item: marked(*item), (maps, steps))
@@ -189,7 +193,7 @@ def margin(mask: Bool[Array, "y x"], *, radius: int) -> Bool[Array, "y x"]:
     """A mask grown by some pixels.
 
     Args:
-        mask: of the centre view.
+        mask: of a view.
         radius: px.
 
     Returns:
@@ -221,11 +225,16 @@ def _in_centre(depth: Array, step: Array) -> tuple[Array, Array]:
 
 def _shows(surface: Array, depth: Array, x: Array, y: Array) -> Array:
     """Whether a map has the surface of disparity `depth` at a place, by the nearest pixel."""
-    height, width = surface.shape
+    index, inside = _nearest(x, y)
+    return inside & (jnp.abs(surface.ravel()[index] - depth) < _SAME)
+
+
+def _nearest(x: Array, y: Array) -> tuple[Array, Array]:
+    """Flat index of the nearest pixel of an image of the same size, and whether there is one."""
+    height, width = x.shape
     column, row = (lax.stop_gradient(jnp.floor(a + 0.5)) for a in (x, y))
     inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
-    index = jnp.where(inside, row * width + column, 0).astype(jnp.int32)
-    return inside & (jnp.abs(surface.ravel()[index] - depth) < _SAME)
+    return jnp.where(inside, row * width + column, 0).astype(jnp.int32), inside
 
 
 def _between(image: Float[Array, "h w c"], x: Array, y: Array) -> Float[Array, "y x c"]:

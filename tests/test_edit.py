@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from helpers import check_gradient
+from scipy import ndimage
 
 from mvedge_jax.edit import insert_picture, margin, paint, remove
 from mvedge_jax.lightfield import LightField
@@ -102,6 +103,16 @@ def test_what_is_removed_shows_what_other_views_saw():
     error = np.abs(np.asarray(found.views - plain)).max(-1)
     assert (np.asarray(found.views)[on].min(-1) >= 0.5 - 1e-9).all()
     assert (error[on] < 1e-9).mean() > 0.75
+
+
+def test_what_blends_with_what_is_removed_goes_with_it_in_every_view():
+    field, depth, _ = _cards((5, 5, 24, 32))
+    on = np.asarray(depth == _NEAR)
+    # A rim of the card's colour all around it, in every view.
+    rim = ndimage.binary_dilation(on, np.ones((1, 1, 3, 3), bool)) & ~on
+    views = jnp.where(rim[..., None], jnp.asarray([0.3, 0.1, 0.1]), field.views)
+    found = remove(LightField(views), depth, depth[2, 2] == _NEAR, radius=2)
+    assert (np.asarray(found.views).min(-1) >= 0.5 - 1e-9).all()
 
 
 def test_margin_grows_a_mask():

@@ -16,6 +16,9 @@ from ._common import note, stage
 from ._every_view import every_view
 from ._output import output_folder
 
+# How far around what is removed pixels blend with it, px.
+_BLENDED = 2
+
 
 def edit(
     scene: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="SCENE")],
@@ -73,7 +76,7 @@ def edit(
             elif colour is not None:
                 edited = paint(light_field, depths, white.astype(jnp.float32), jnp.asarray(colour))
             else:
-                edited = remove(light_field, depths, white)
+                edited = remove(light_field, depths, white, radius=_BLENDED)
         with stage("writing"):
             write_hci(edited, folder)
             plotting.plot_views(edited).savefig(folder / "views.png")

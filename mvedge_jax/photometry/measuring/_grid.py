@@ -11,9 +11,9 @@ from jaxtyping import Array, Bool, Float
 from mvedge_jax._params import cast
 from mvedge_jax.image import box_mean, cubic_taps, spline_coefficients
 
+from .._places import Projection, Shift
 from ._look import Look
 from ._measuring import Measuring
-from .._places import Projection, Shift
 
 # What the taps of a spline reach beyond the pixel before a position.
 _BEFORE, _AFTER = 1, 2
