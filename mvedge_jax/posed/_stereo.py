@@ -93,8 +93,7 @@ def stereo(
         Depth, disparity, standard errors, statistics. Differentiable, forwards and backwards, in
         images, poses, intrinsics, baseline and every leaf of `params` at the selections made.
 
-    Source: Thesis 7.2.2 has the photographs; the measurement is ours. `thesis_stereo` is the
-        thesis' own way.
+    Source: Thesis 7.2.2 has the photographs; the measurement is ours.
 
     Example:
         >>> import jax
