@@ -3,6 +3,7 @@
 The names that most programs need; each folder of the package exports the rest of its stage.
 """
 
+from ._cache import compilation_cache as compilation_cache
 from .angular import (
     ViewDepths as ViewDepths,
     ViewParams as ViewParams,

@@ -153,7 +153,7 @@ def test_the_package_never_mentions_development_data():
 
 
 _FLOORS = (
-    ("_params", "_fence", "_linear_map", "_root", "_unstack", "color", "image"),
+    ("_params", "_checks", "_fence", "_linear_map", "_root", "_unstack", "color", "image"),
     ("lightfield",),
     ("_crosshair",),
     ("photometry",),
@@ -162,7 +162,7 @@ _FLOORS = (
     ("centre",),
     ("model", "baselines", "angular"),
     ("edit",),
-    ("datasets", "plotting"),
+    ("_cache", "datasets", "plotting"),
     ("cli",),
     ("__init__", "__main__"),
 )

@@ -1,6 +1,7 @@
 """What the optimisation carries along: parameters, Adam's moments, the best so far; its file."""
 
 import json
+import math
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,8 @@ from ._model import DepthModel
 
 # How much of its two moments Adam keeps per iteration: Optax' defaults.
 _KEPT = (0.9, 0.999)
+# Bytes of the line that a saved state begins with.
+_LONGEST_HEADER = 4096
 ADAM = optax.scale_by_adam(*_KEPT)
 
 
@@ -70,10 +73,13 @@ class State(eqx.Module):
             raise FileNotFoundError(f"There is no saved state at {path}.")
         try:
             with path.open("rb") as file:
-                header = json.loads(file.readline())
-                like = _empty(header["points"], tuple(header["shape"]), header["dtype"])
+                header = json.loads(file.readline(_LONGEST_HEADER))
+                points, shape = int(header["points"]), tuple(map(int, header["shape"]))
+                if max(points, math.prod(shape)) > path.stat().st_size:
+                    raise ValueError(f"it claims {points} points and a map of {shape} px")
+                like = _empty(points, shape, header["dtype"])
                 raw = eqx.tree_deserialise_leaves(file, _raw_key(like))
-        except (RuntimeError, EOFError, ValueError, KeyError, TypeError) as error:
+        except (RuntimeError, EOFError, OSError, ValueError, KeyError, TypeError) as error:
             raise ValueError(
                 f"{path} does not hold a whole state of the optimisation in the precision of this "
                 f"process: {error}"

@@ -74,7 +74,7 @@ def test_cache_goes_where_the_user_says(tmp_path, variables, expected):
         [
             sys.executable,
             "-c",
-            "import jax; from mvedge_jax.cli._common import enable_compilation_cache as f;"
+            "import jax; from mvedge_jax import compilation_cache as f;"
             "print(f()); print(jax.config.values['jax_compilation_cache_dir'])",
         ],
         env={**clean, **{k: v.format(tmp=tmp_path) for k, v in variables.items()}},

@@ -209,7 +209,7 @@ def test_an_interrupted_swap_puts_the_earlier_result_back(user, monkeypatch):
     rename = Path.rename
 
     def interrupted(self, target):
-        if Path(target) == out and "-old-" not in self.name:
+        if Path(target) == out and not self.name.endswith(".old"):
             raise KeyboardInterrupt
         return rename(self, target)
 
@@ -236,7 +236,7 @@ def test_removal_takes_only_what_was_written(user, monkeypatch, capsys):
     with output_folder(out, overwrite=True) as folder:
         (folder / "new.txt").write_text("new")
     assert set(_files(out)) == {Path("new.txt"), Path(MARKER)}
-    (kept,) = user.glob(".out-old-*")
+    (kept,) = user.glob(".out-*.old")
     assert set(_files(kept)) == {Path("late.txt")}
     assert kept.name in capsys.readouterr().err.replace("\n", "")
 
