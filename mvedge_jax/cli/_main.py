@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 from importlib.metadata import version
 from typing import Any
 
+import cv2
 import tyro
 
 from mvedge_jax._cache import compilation_cache
@@ -68,6 +69,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         place = words.index("--max-gb")
         os.environ["MVEDGE_MAX_GB"] = words[place + 1]
         del words[place : place + 2]
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)  # its message is ours
     try:
         with warnings.catch_warnings():
             warnings.showwarning = _show_warning

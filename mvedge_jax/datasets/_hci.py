@@ -79,8 +79,9 @@ class _Settings:
         try:
             self._parser.read_string(text)
         except configparser.Error as error:
-            reason = str(error).splitlines()[0][:200]
-            raise ValueError(f"{path} cannot be read as a configuration file: {reason}") from error
+            raise ValueError(
+                f"{path} cannot be read as a configuration file: {_reason(error)}."
+            ) from error
 
     def _numbers(
         self, section: str, *keys: str, infinite: tuple[str, ...] = ()
@@ -160,6 +161,16 @@ class _Settings:
                 "to be smaller."
             )
         return low, high
+
+
+def _reason(error: configparser.Error) -> str:
+    """What is wrong, in the words of the parser, which does not know the name of the file."""
+    lines = getattr(error, "errors", ())
+    if lines:
+        line, text = lines[0]
+        return f"line {line} is neither `[section]` nor `key = value`, {str(text)[:60]}"
+    text = str(error).splitlines()[0]
+    return re.sub(r"While reading from '<string>' *", "", text)[:200].rstrip(".")
 
 
 def _truth_reader(path: Path, names: list[str], grid: tuple[int, int], centre: int):

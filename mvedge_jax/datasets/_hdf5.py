@@ -176,9 +176,9 @@ def _truth_reader(file: h5py.File, path: Path, shape: tuple[int, ...], limit: fl
         known = values > 0
         if not known.any():
             raise ValueError(f"{path}: GT_DEPTH has no positive value; expected distances.")
-        disparity = np.where(known, baseline * focal / np.where(known, values, 1) - shift, 0)
-        with np.errstate(over="ignore"):
-            disparity = disparity.astype(np.float32)
+        with np.errstate(over="ignore", invalid="ignore"):
+            distance = np.where(known, values, 1).astype(np.float64)
+            disparity = np.where(known, baseline * focal / distance - shift, 0).astype(np.float32)
         check_truth(disparity, f"{path}: the disparity of GT_DEPTH")
         ids = None if labels is None else labels[:]
         if ids is not None:

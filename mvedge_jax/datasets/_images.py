@@ -1,12 +1,15 @@
 """Image files, checked: what OpenCV would read as half a picture is an error here."""
 
+import io
 import struct
+import warnings
 import zlib
 from pathlib import Path
 
 import cv2
 import numpy as np
 from jaxtyping import Shaped
+from PIL import Image
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp")
 _PNG = b"\x89PNG\r\n\x1a\n"
@@ -55,15 +58,32 @@ def read_raw(path: Path) -> np.ndarray:
     problem = _damage(data)
     if problem:
         raise ValueError(f"{path} cannot be read: {problem}; expected a complete image.")
-    try:
-        pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
-    except cv2.error:
-        pixels = None
+    pixels = _decoded(data)
     if pixels is None:
         raise ValueError(f"{path} cannot be decoded; expected a PNG, JPEG or BMP image.")
     if pixels.dtype not in (np.uint8, np.uint16):
         raise ValueError(f"{path} has {pixels.dtype} pixels; expected 8 or 16 bit.")
     return pixels
+
+
+def _decoded(data: bytes) -> np.ndarray | None:
+    """The pixels, blue first as OpenCV has them; None if there are none.
+
+    OpenCV reads PNG at any depth. Of other damaged files it would write to the terminal.
+    """
+    if data.startswith(_PNG):
+        try:
+            return cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+        except cv2.error:
+            return None
+    try:
+        with warnings.catch_warnings(), Image.open(io.BytesIO(data)) as image:
+            warnings.simplefilter("ignore")
+            grey = image.mode in ("1", "L")
+            pixels = np.asarray(image.convert("L" if grey else "RGB"))
+    except (OSError, ValueError, SyntaxError, ArithmeticError, Image.DecompressionBombError):
+        return None
+    return pixels if grey else np.ascontiguousarray(pixels[..., ::-1])
 
 
 def image_size(path: Path) -> tuple[int, int]:
