@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from typing import Literal, get_args
 
 import equinox as eqx
+import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
@@ -187,7 +188,7 @@ def check_covers(light_field: LightField, sizes: Sizes) -> None:
     known = light_field.disparity_range
     if known is None or isinstance(known, Tracer):
         return
-    low, high = map(float, known)
+    low, high = map(float, np.asarray(known))
     first, last = sizes.edges.ends
     first, last = first + sizes.edges.spacing, last - sizes.edges.spacing
     if low < first - _ROUNDED or high > last + _ROUNDED:
