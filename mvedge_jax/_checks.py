@@ -27,7 +27,7 @@ class CheckedJit:
 
     def __init__(self, check: Callable[..., tuple[Any, ...]], function: Callable[..., Any]):
         self.check = check
-        self.compiled = eqx.filter_jit(function)
+        self.compiled: Any = eqx.filter_jit(function)
         functools.update_wrapper(self, function)
 
     def __call__(self, *arguments: Any, **options: Any) -> Any:

@@ -58,7 +58,7 @@ def _open_v7(path: Path, limit: float) -> Source:
     if "LF" not in held:
         raise ValueError(f"{path} holds no array `LF` (it has: {some(held)}); expected {_AXES}.")
     shape, kind = held["LF"]
-    _check(path, shape, {"double": "float64", "single": "float32"}.get(kind, kind))
+    _check(path, shape, {"double": "float64", "single": "float32"}.get(kind, str(kind)))
     check_memory(f"`LF` in {path}", shape, limit, size=2)
     stored = _by_scipy(path, lambda path: scipy.io.loadmat(path, variable_names=["LF"])["LF"])
     return _source(path, stored.shape, lambda row, column: stored[row, column])

@@ -45,14 +45,15 @@ def read_views(
 
     def fill(place: tuple[int, int, int, int]) -> None:
         i, j, row, column = place
-        own, found = side if source.header is None else source.header(row, column), dtype
-        if own == side:
-            image = first if (i, j) == middle else source.read(row, column)
-            own, found = image.shape[:2], image.dtype
-        if own != side or found != dtype:
-            raise ValueError(
-                f"{source.label(row, column)} is {own[0]}x{own[1]} px (height x width) of "
-                f"{found}; expected {side[0]}x{side[1]} of {dtype}, as {source.label(*centre)}."
+        own = side if source.header is None else source.header(row, column)
+        if own != side:
+            raise _differs(source.label(row, column), own, source.label(*centre), side)
+        image = first if (i, j) == middle else source.read(row, column)
+        if image.shape != first.shape or image.dtype != dtype:
+            found, wanted = (f" of {array.dtype}" for array in (image, first))
+            own = image.shape[:2]
+            raise _differs(
+                source.label(row, column), own, source.label(*centre), side, found, wanted
             )
         white = np.float32(np.iinfo(dtype).max)
         if scale == 1:
@@ -67,6 +68,21 @@ def read_views(
     for i, j, *_ in places:
         available[i, j] = True
     return views, available
+
+
+def _differs(
+    file: str,
+    own: tuple[int, ...],
+    centre: str,
+    side: tuple[int, ...],
+    found: str = "",
+    wanted: str = "",
+) -> ValueError:
+    """The error for a view that is not as the centre view."""
+    return ValueError(
+        f"{file} is {own[0]}x{own[1]} px (height x width){found}; expected {side[0]}x{side[1]}"
+        f"{wanted}, as {centre}."
+    )
 
 
 def _aligned_zeros(shape: tuple[int, ...]) -> np.ndarray:

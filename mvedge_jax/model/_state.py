@@ -1,7 +1,6 @@
 """What the optimisation carries along: parameters, Adam's moments, the best so far; its file."""
 
 import json
-import math
 from pathlib import Path
 from typing import Any
 
@@ -74,10 +73,11 @@ class State(eqx.Module):
         try:
             with path.open("rb") as file:
                 header = json.loads(file.readline(_LONGEST_HEADER))
-                points, shape = int(header["points"]), tuple(map(int, header["shape"]))
-                if max(points, math.prod(shape)) > path.stat().st_size:
-                    raise ValueError(f"it claims {points} points and a map of {shape} px")
-                like = _empty(points, shape, header["dtype"])
+                height, width = map(int, header["shape"])
+                points = int(header["points"])
+                if max(points, height * width) > path.stat().st_size:
+                    raise ValueError(f"it claims {points} points and {height}x{width} px")
+                like = _empty(points, (height, width), header["dtype"])
                 raw = eqx.tree_deserialise_leaves(file, _raw_key(like))
         except (RuntimeError, EOFError, OSError, ValueError, KeyError, TypeError) as error:
             raise ValueError(

@@ -121,7 +121,7 @@ def _sizes() -> Iterator[Case]:
     for choice in ({"filters": 2}, {"capacity": 0}, {"spacing": 0.0}, {"spacing": float("nan")}):
 
         def edges(_: Path, choice=choice) -> None:
-            given = {"first": -10, "filters": 21, "capacity": 64} | choice
+            given: dict[str, Any] = {"first": -10, "filters": 21, "capacity": 64} | choice
             refuses(lambda: EdgeSizes(**given), f"`{next(iter(choice))}`")
 
         yield Case(f"EdgeSizes with {choice}", edges)

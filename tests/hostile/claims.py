@@ -66,13 +66,13 @@ def _claims() -> Iterator[Case]:
                 yield Case(f"{suffix} of {side[0]}x{side[1]} px claimed, {which}", run)
     for side in [(65_000, 65_000), (65_535, 1), (0, 0)]:
 
-        def run(folder: Path, side=side) -> None:
+        def jpeg(folder: Path, side=side) -> None:
             scene = write_grid(folder / "scene", smooth(), pattern="v_{}_{}.jpg")
             for image in scene.iterdir():
                 image.write_bytes(_jpeg(*side))
             refuses(lambda: load_light_field(scene), ".jpg")
 
-        yield Case(f"jpeg of {side[0]}x{side[1]} px claimed", run)
+        yield Case(f"jpeg of {side[0]}x{side[1]} px claimed", jpeg)
 
     def packed(folder: Path) -> None:
         data = _png(30_000, 30_000, lines=30_000, colour=0)

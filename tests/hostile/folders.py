@@ -3,6 +3,7 @@
 import os
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 from datasets.layouts import (
     write_grid,
@@ -62,12 +63,13 @@ def _folders() -> Iterator[Case]:
         refuses(lambda: load_light_field(folder), "several grids", "more")
 
     yield Case("3000 grids in one folder", crowd)
-    for options in (
+    wrong_options: tuple[dict[str, Any], ...] = (
         {"views": 0}, {"views": -3}, {"views": 4}, {"views": 10**9}, {"scale": 0.0},
         {"scale": -1.0}, {"scale": 2.0}, {"scale": float("nan")}, {"disparity_range": (1.0, 0.0)},
         {"disparity_range": (0.0, float("inf"))}, {"disparity_range": (float("nan"), 1.0)},
         {"disparity_range": (1.0, 1.0)},
-    ):  # fmt: skip
+    )  # fmt: skip
+    for options in wrong_options:
 
         def wrong(folder: Path, options=options) -> None:
             scene = hci(folder)
