@@ -9,13 +9,22 @@ import threading
 def run() -> int:
     """Runs the command line.
 
+    Returns:
+        The exit code, see `mvedge_jax.cli.main`.
+    """
+    listen()
+    from mvedge_jax.cli import main
+
+    return main()
+
+
+def listen() -> None:
+    """Has one thread wait for signals; to be called before any other thread is there.
+
     The handlers of Python's own run between two steps of the main thread, and so not within the
     minute that a compilation takes, nor safely within an import. Here signals are blocked in every
     thread and one thread waits for them: it has the unfinished result removed, says so in a line,
     and ends the process with 128 plus the number of the signal.
-
-    Returns:
-        The exit code, see `mvedge_jax.cli.main`.
     """
     if hasattr(signal, "pthread_sigmask"):
         heard = {signal.SIGINT, signal.SIGTERM, signal.SIGHUP}
@@ -23,9 +32,6 @@ def run() -> int:
         heard = {number for number in heard if signal.getsignal(number) is not signal.SIG_IGN}
         signal.pthread_sigmask(signal.SIG_BLOCK, heard)
         threading.Thread(target=_wait, args=(heard,), name="signals", daemon=True).start()
-    from mvedge_jax.cli import main
-
-    return main()
 
 
 def _wait(heard: set[signal.Signals]) -> None:

@@ -33,3 +33,16 @@ from .model import (
     start_from_depth as start_from_depth,
     start_from_image as start_from_image,
 )
+
+
+def __getattr__(name: str) -> object:
+    """`__version__` and `plotting`, which need not cost every import its time."""
+    if name == "__version__":
+        from importlib.metadata import version
+
+        return version(__name__)
+    if name == "plotting":
+        from importlib import import_module
+
+        return import_module(".plotting", __name__)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
