@@ -69,7 +69,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         place = words.index("--max-gb")
         os.environ["MVEDGE_MAX_GB"] = words[place + 1]
         del words[place : place + 2]
-    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)  # its message is ours
+    logging = getattr(cv2.utils, "logging", cv2)  # OpenCV 5, 4
+    logging.setLogLevel(0)  # whatever it has to say, we say in our words
     try:
         with warnings.catch_warnings():
             warnings.showwarning = _show_warning
