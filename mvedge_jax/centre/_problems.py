@@ -24,6 +24,9 @@ def problems(result: "DepthResult") -> tuple[str, ...]:
     found = []
     if not np.isfinite(np.asarray(result.error)).any():
         found.append("no pixel was measured at all: the views show nothing to compare.")
+    elif not int(stats.edges.valid):
+        # Constant views agree at every disparity, which measurements take for agreement.
+        found.append("no edge was found: the views do not determine the map, whatever its error.")
     if not bool(stats.converged):
         found.append("a diffusion stopped before its tolerance.")
     if int(stats.edges.overflow):

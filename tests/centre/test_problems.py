@@ -13,9 +13,10 @@ from mvedge_jax.edges import EdgeStats
 def _result(**changed) -> DepthResult:
     """A result with nothing wrong but what is asked for."""
     unread: Any = None
-    counts = [jnp.asarray(changed.get(name, 0)) for name in ("_", "overflow", "_", "_")]
+    counts = {"candidates": 9, "overflow": 0, "consistent": 9, "valid": 9}
+    counts |= {name: value for name, value in changed.items() if name in counts}
     stats = DepthStats(
-        edges=EdgeStats(*counts),
+        edges=EdgeStats(**{name: jnp.asarray(value) for name, value in counts.items()}),
         points=jnp.asarray(1),
         sided=jnp.asarray(1),
         iterations=jnp.asarray([1]),
@@ -43,6 +44,7 @@ def test_a_good_map_says_nothing():
     ("change", "text"),
     [
         ({"converged": False}, "a diffusion stopped before its tolerance"),
+        ({"valid": 0}, "no edge was found: the views do not determine the map"),
         ({"overflow": 7}, "7 weak edges found no slot"),
         ({"disparity": jnp.nan}, "24 of 24 disparities are NaN or infinite"),
         ({"error": jnp.inf}, "no pixel was measured at all"),
