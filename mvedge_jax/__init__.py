@@ -3,6 +3,8 @@
 The names that most programs need; each folder of the package exports the rest of its stage.
 """
 
+from typing import Any as _Any
+
 from ._cache import compilation_cache as compilation_cache
 from .angular import (
     ViewDepths as ViewDepths,
@@ -35,7 +37,7 @@ from .model import (
 )
 
 
-def __getattr__(name: str) -> object:
+def __getattr__(name: str) -> _Any:
     """`__version__` and `plotting`, which need not cost every import its time."""
     if name == "__version__":
         from importlib.metadata import version

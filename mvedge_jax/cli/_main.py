@@ -69,7 +69,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         place = words.index("--max-gb")
         os.environ["MVEDGE_MAX_GB"] = words[place + 1]
         del words[place : place + 2]
-    logging = getattr(cv2.utils, "logging", cv2)  # OpenCV 5, 4
+    logging: Any = getattr(cv2.utils, "logging", cv2)  # OpenCV 5, 4
     logging.setLogLevel(0)  # whatever it has to say, we say in our words
     try:
         with warnings.catch_warnings():
