@@ -108,7 +108,7 @@ def _sizes() -> Iterator[Case]:
     choices: list[dict[str, Any]] = [
         {"hypotheses": 0}, {"hypotheses": 1}, {"radius": 0}, {"solves": 0}, {"solves": -1},
         {"window": -1}, {"passes": -1}, {"median_radius": 0}, {"levels": 1}, {"tolerance": 0.0},
-        {"tolerance": -1.0}, {"tolerance": float("nan")}, {"views": "some"}, {"sharpening": "x"},
+        {"tolerance": -1.0}, {"tolerance": float("nan")},
     ]  # fmt: skip
     for choice in choices:
 
