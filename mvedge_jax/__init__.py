@@ -3,6 +3,9 @@
 The names that most programs need; each folder of the package exports the rest of its stage.
 """
 
+from typing import Any as _Any
+
+from ._cache import compilation_cache as compilation_cache
 from .angular import (
     ViewDepths as ViewDepths,
     ViewParams as ViewParams,
@@ -31,3 +34,16 @@ from .model import (
 )
 from .model.approaches import ByEvidence as ByEvidence, ByReprojection as ByReprojection
 from .model.optimisation import Growth as Growth
+
+
+def __getattr__(name: str) -> _Any:
+    """`__version__` and `plotting`, which need not cost every import its time."""
+    if name == "__version__":
+        from importlib.metadata import version
+
+        return version(__name__)
+    if name == "plotting":
+        from importlib import import_module
+
+        return import_module(".plotting", __name__)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -138,6 +138,11 @@ class LightField(eqx.Module):
                 f"`views` must be floating point, sRGB in [0, 1], got {views.dtype}; divide 8-bit "
                 "images by 255."
             )
+        if views.dtype not in (jnp.float32, jnp.float64):
+            raise ValueError(
+                f"`views` must be float32 or float64, got {views.dtype}, whose precision does not "
+                "suffice; `views.astype(jnp.float32)` will do."
+            )
         if views.shape[-1] != 3:
             raise ValueError(f"`views` must have three colour channels, got {views.shape[-1]}.")
         if min(views.shape) < 1:

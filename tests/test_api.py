@@ -154,7 +154,7 @@ def test_the_package_never_mentions_development_data():
 
 _FLOORS = (
     ("_params", "_fence", "_linear_map", "_root", "_unstack", "color", "image"),
-    ("lightfield",),
+    ("_checks", "lightfield"),
     ("_crosshair",),
     ("photometry",),
     ("diffusion", "splatting", "warping", "epi"),
@@ -162,7 +162,7 @@ _FLOORS = (
     ("centre",),
     ("model", "baselines", "angular"),
     ("edit", "posed", "superpixels"),
-    ("datasets", "plotting"),
+    ("_cache", "datasets", "plotting"),
     ("sweep",),
     ("cli",),
     ("__init__", "__main__"),

@@ -1,12 +1,12 @@
 """The whole chain: light field in, dense disparity of the centre view out."""
 
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from mvedge_jax._checks import checked_jit, expect, sound, with_numbers
 from mvedge_jax._fence import staged
 from mvedge_jax._params import cast
 from mvedge_jax.color import srgb_to_gray
@@ -22,7 +22,8 @@ from mvedge_jax.edges.sides import (
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.photometry import Exposure, Noise, first_labels, prepare, sight
 
-from ._parameters import Parameters, Sizes
+from ._parameters import Parameters, Sizes, check_covers
+from ._problems import problems
 from ._sharpen import sharpen
 from .solves import AGREEMENT, Labels, dense_map, precision_weight, standard_error
 
@@ -38,6 +39,8 @@ class DepthStats(NamedTuple):
         converged: whether every diffusion of maps, slopes and errors reached its tolerance.
         noise: of the views, in their units after `exposure` was taken out.
         exposure: what was taken out of the views before they were compared.
+        sound: whether all parameters were finite and none negative; if not, the map is NaN.
+        searched: lowest and highest disparity that was tried, px per view step.
     """
 
     edges: EdgeStats
@@ -47,6 +50,8 @@ class DepthStats(NamedTuple):
     converged: Bool[Array, ""]
     noise: Noise
     exposure: Exposure
+    sound: Bool[Array, ""] | None = None
+    searched: Float[Array, "2"] | None = None
 
 
 class DepthResult(NamedTuple):
@@ -71,8 +76,35 @@ class DepthResult(NamedTuple):
     surface: SurfaceVectors
     stats: DepthStats
 
+    def problems(self) -> tuple[str, ...]:
+        """What the statistics say against the map, one sentence each; on the host."""
+        return problems(self)
 
-@eqx.filter_jit
+    def check(self) -> "DepthResult":
+        """The same result, if there is nothing to say against it; on the host.
+
+        Raises:
+            RuntimeError: with the sentences of `problems`.
+        """
+        found = self.problems()
+        if found:
+            raise RuntimeError("The depth is not to be trusted: " + " ".join(found))
+        return self
+
+
+def _look(light_field: Any, params: Any, sizes: Any) -> tuple[Any, ...]:
+    """The arguments of `edge_to_depth`, or what is wrong with them."""
+    order = "the order is (light_field, params, sizes)"
+    wrapped = "`LightField(views)` makes one of an array [v, u, y, x, c], and " + order
+    expect("light_field", light_field, LightField, wrapped)
+    expect("params", params, Parameters, "`Parameters()` has the defaults, and " + order)
+    chosen = "`Sizes.for_light_field(light_field)` chooses them, and " + order
+    expect("sizes", sizes, Sizes, chosen)
+    check_covers(light_field, sizes)
+    return (light_field, with_numbers(params), sizes), {}
+
+
+@checked_jit(_look)
 def edge_to_depth(light_field: LightField, params: Parameters, sizes: Sizes) -> DepthResult:
     """Estimates the disparity of every pixel of the centre view.
 
@@ -111,7 +143,10 @@ def edge_to_depth(light_field: LightField, params: Parameters, sizes: Sizes) -> 
         to about 2e-4 there, as they are sums that cancel.
 
     Raises:
-        ValueError: the light field has a single view per arm.
+        ValueError: the light field has a single view per arm; or, outside `jit`, a parameter is not
+            finite or is negative, or `sizes` were made for a narrower range than the light field's.
+            Under `jit` such parameters give a map of NaN, and `stats.sound` is False.
+        TypeError: an argument is of another kind, or their order is another.
 
     Source: Thesis 6.1, 4.2.2 and 4.3 (sections); what differs, and why, is a page of the
         documentation.
@@ -131,6 +166,7 @@ def edge_to_depth(light_field: LightField, params: Parameters, sizes: Sizes) -> 
     dtype, blind = light_field.views.dtype, light_field.without_truth()
     every = blind if sizes.views == "all" else None
     params = cast(params, dtype)
+    fine = sound(params)
     turned = cast(params.bidirectional or BidirectionalParams(), dtype)
     sided = cast(params.surface or SurfaceParams(), dtype)
 
@@ -173,12 +209,17 @@ def edge_to_depth(light_field: LightField, params: Parameters, sizes: Sizes) -> 
         jnp.sum(from_points.weight > 0),
         jnp.sum(points.valid & (surface.score != 0)),
         jnp.concatenate([passes.iterations, found.iterations]),
-        found.converged,
+        found.converged & fine,
         scene.noise,
         scene.exposure,
+        fine,
+        jnp.stack([disparities[0], disparities[-1]]),
     )
-    error = standard_error(found.error, found.disparity)
-    return DepthResult(found.disparity, error, passes.edge, points, surface, stats)
+    # Selections drop NaN on the way: a parameter that is none would leave a plausible map.
+    unknown = jnp.asarray(jnp.nan, dtype)
+    disparity = jnp.where(fine, found.disparity, unknown)
+    error = jnp.where(fine, standard_error(found.error, found.disparity), unknown)
+    return DepthResult(disparity, error, passes.edge, points, surface, stats)
 
 
 def _point_labels(

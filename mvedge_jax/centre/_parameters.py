@@ -4,6 +4,8 @@ from dataclasses import dataclass
 from typing import Literal, get_args
 
 import equinox as eqx
+import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from mvedge_jax._params import described, number
@@ -16,6 +18,8 @@ from ._sharpen import MedianParams, Sharpening
 from ._smoothness import SmoothnessParams
 
 LabelViews = Literal["crosshair", "all"]
+# Ranges of files are rounded; beyond so much, px per view step, they are other ranges.
+_ROUNDED = 0.02
 
 
 class CentreParams(eqx.Module):
@@ -164,3 +168,26 @@ class Sizes:
             "radius": occluder_radius(high - low, steps, (height, width)),
         }
         return Sizes(**{**defaults, **choices})
+
+
+def check_covers(light_field: LightField, sizes: Sizes) -> None:
+    """Refuses sizes made for another range of disparities; silent under `jit`, or if none is known.
+
+    Args:
+        light_field: whose range counts.
+        sizes: whose hypotheses have to cover it.
+
+    Raises:
+        ValueError: they do not.
+    """
+    known = light_field.disparity_range
+    if known is None or isinstance(known, Tracer):
+        return
+    low, high = map(float, np.asarray(known))
+    first, last = sizes.edges.ends
+    first, last = first + sizes.edges.spacing, last - sizes.edges.spacing
+    if low < first - _ROUNDED or high > last + _ROUNDED:
+        raise ValueError(
+            f"`sizes` look for disparities from {first:.4g} to {last:.4g}, but `light_field` says "
+            f"{low:.4g} to {high:.4g} px; make them by `Sizes.for_light_field(light_field)`."
+        )

@@ -1,4 +1,4 @@
-"""What the commands share: progress, messages, memory and the compilation cache."""
+"""What the commands share: progress, messages that print anywhere, memory."""
 
 import contextlib
 import ctypes
@@ -6,32 +6,64 @@ import os
 import sys
 import time
 from collections.abc import Callable, Iterator
-from pathlib import Path
 from typing import Any
 
-import jax
+import numpy as np
 from rich.console import Console
+from rich.text import Text
 
-_PROGRESS = Console(stderr=True)
+from mvedge_jax.lightfield import LightField
+
+from ._interruption import GUARD
+
+# Names of files are shown as they are: no markup, no pictures for `:names:`, no numbers in colour.
+_PROGRESS = Console(stderr=True, markup=False, emoji=False, highlight=False)
+
+
+def printable(text: str) -> str:
+    """Text in one line: control characters, and bytes that were no text, as escapes."""
+    shown = (c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
+    return "".join(shown)
 
 
 @contextlib.contextmanager
 def stage(name: str) -> Iterator[None]:
     """Shows `name` with a spinner while the body runs, and its time when it is done."""
-    start = time.perf_counter()
-    with _PROGRESS.status(name):
+    start, name = time.perf_counter(), printable(name)
+    with _PROGRESS.status(Text(name)):
         yield
-    _PROGRESS.print(f"[green]done[/] {name} ({time.perf_counter() - start:.1f} s)")
+    _say(("done", "green"), f" {name} ({time.perf_counter() - start:.1f} s)")
 
 
 def note(text: str) -> None:
-    """Prints a line for the user to the standard output."""
-    sys.stdout.write(text + "\n")
+    """Prints lines for the user to the standard output; that nobody listens is no error."""
+    lines = "\n".join(printable(line) for line in text.split("\n"))
+    with GUARD:
+        try:
+            sys.stdout.write(lines + "\n")
+            sys.stdout.flush()
+        except OSError:
+            # A closed pipe or a full disk must not cost the result. Nor may the interpreter
+            # stumble over what is left in the buffer as it ends.
+            sys.stdout = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115
 
 
 def warn(text: str) -> None:
     """Prints a warning to the standard error."""
-    _PROGRESS.print(f"[yellow]warning[/] {text}", highlight=False)
+    _say(("warning", "yellow"), " " + printable(text))
+
+
+def _say(*parts: str | tuple[str, str]) -> None:
+    with GUARD, contextlib.suppress(OSError):
+        _PROGRESS.print(Text.assemble(*parts), soft_wrap=True)
+
+
+def missing_views(light_field: LightField) -> list[str]:
+    """A sentence on views that are not there, if there are any."""
+    there = np.asarray(light_field.available)
+    if there.all():
+        return []
+    return [f"{int((~there).sum())} of {there.size} views are missing; the others were used."]
 
 
 def compiled(function: Any, *arguments: Any) -> Callable[..., Any]:
@@ -57,29 +89,3 @@ def release_memory() -> None:
     """
     with contextlib.suppress(OSError, AttributeError):
         ctypes.CDLL("libc.so.6").malloc_trim(0)
-
-
-def enable_compilation_cache() -> Path | None:
-    """Switches on JAX's persistent compilation cache in the user's cache folder.
-
-    `MVEDGE_CACHE=off` (or `--no-cache`) turns it off; `MVEDGE_CACHE=<folder>` moves it. A
-    cache that the user configured through JAX's own variables is left alone.
-
-    Returns:
-        The folder, or None if the cache is off or could not be made.
-    """
-    wish = os.environ.get("MVEDGE_CACHE", "")
-    if wish.lower() in {"off", "0", "no"}:
-        return None
-    configured = jax.config.values.get("jax_compilation_cache_dir")
-    if configured:
-        return Path(configured)
-    default = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "mvedge_jax"
-    folder = Path(wish) if wish else default / "jax"
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError:
-        return None
-    jax.config.update("jax_compilation_cache_dir", str(folder))
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.3)
-    return folder

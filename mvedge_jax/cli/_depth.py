@@ -17,7 +17,7 @@ from mvedge_jax.datasets import load_light_field, write_pfm
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.metrics import boundary_scores, calibration, depth_scores
 
-from ._common import compiled, note, stage, warn
+from ._common import compiled, missing_views, note, stage, warn
 from ._output import output_folder, write_json
 from ._points import valid_points, write_points
 
@@ -103,11 +103,11 @@ def depth(
                 "flip_u": flip_u,
                 "flip_v": flip_v,
             }
+            doubts = [*result.problems(), *(missing_views(light_field) if all_views else [])]
+            report["warnings"] = doubts
             write_json(folder / "report.json", report)
-    if not bool(result.stats.converged):
-        warn("a diffusion stopped before its tolerance; report.json has the iterations.")
-    if int(result.stats.edges.overflow):
-        warn(f"{int(result.stats.edges.overflow)} weak edges found no slot and were left out.")
+    for doubt in doubts:
+        warn(doubt)
     for crop, row in scores.items():
         figures = "  ".join(f"{_COLUMNS[name]} {row[name]:.4g}" for name in _COLUMNS)
         note(f"{crop}: {figures}")
@@ -134,8 +134,7 @@ def write_depth(folder: Path, light_field: LightField, result: DepthResult) -> N
 
 
 def _image(path: Path, image: np.ndarray) -> None:
-    if not cv2.imwrite(str(path), image):
-        raise OSError(f"{path} could not be written.")
+    path.write_bytes(cv2.imencode(".png", image)[1].tobytes())
 
 
 def score_depth(folder: Path, light_field: LightField, result: DepthResult) -> dict[str, Any]:

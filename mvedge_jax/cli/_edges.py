@@ -80,20 +80,29 @@ def edges(
                 "seconds": seconds,
                 "counts": {name: int(value) for name, value in vars(found.stats).items()},
                 "sizes": repr(sizes),
+                "warnings": (doubts := _doubts(found)),
             }
             write_json(folder / "report.json", report)
-    if int(found.stats.overflow):
-        warn(f"{int(found.stats.overflow)} weak edges found no slot and were left out.")
+    for doubt in doubts:
+        warn(doubt)
     for name, value in vars(found.stats).items():
         note(f"{name}: {int(value)}")
     note(f"{seconds['finding']:.1f} s; written to {out}")
+
+
+def _doubts(found: Edges) -> list[str]:
+    doubts = []
+    if int(found.stats.overflow):
+        doubts.append(f"{int(found.stats.overflow)} weak edges found no slot and were left out.")
+    if not int(found.stats.valid):
+        doubts.append("no edges were found; there is nothing to draw.")
+    return doubts
 
 
 def _write(folder: Path, light_field: LightField, found: Edges) -> None:
     points = valid_points(found.points)
     write_points(folder, points)
     if not len(points.disparity):
-        warn("no edges were found; there is nothing to draw.")
         return
     picture = plotting.plot_edges(
         light_field.centre_view, points.xy, points.disparity, name=light_field.name, width=7.0

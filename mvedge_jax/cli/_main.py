@@ -1,14 +1,22 @@
 """The entry point: which commands there are, and what a user's mistake looks like."""
 
+import contextlib
 import importlib
 import os
 import sys
 import traceback
+import warnings
 from collections.abc import Callable, Sequence
+from importlib.metadata import version
+from typing import Any
 
+import cv2
 import tyro
 
-from ._common import enable_compilation_cache
+from mvedge_jax._cache import compilation_cache
+
+from ._common import note, printable, warn
+from ._interruption import GUARD
 
 # Command -> module, function. Only the module of the command that runs is imported.
 _COMMANDS = {
@@ -30,7 +38,8 @@ _COMMANDS = {
 _DESCRIPTION = (
     "Multi-view edges and dense, occlusion-correct depth from light fields.\n\n"
     "`mvedge COMMAND --help` explains a command. Options for all commands: --debug shows the "
-    "traceback of an error; --no-cache does without JAX's persistent compilation cache."
+    "traceback of an error; --no-cache does without JAX's persistent compilation cache; "
+    "--max-gb N lifts the limit of 8 GB that a light field may take; --version tells the version."
 )
 
 
@@ -50,41 +59,79 @@ def main(arguments: Sequence[str] | None = None) -> int:
         files that it names, 130 interrupted.
     """
     words = list(sys.argv[1:] if arguments is None else arguments)
+    for stream in (sys.stdout, sys.stderr):  # a locale without a letter shows its code instead
+        with contextlib.suppress(AttributeError, ValueError):
+            stream.reconfigure(errors="backslashreplace")  # pyright: ignore
+    if words == ["--version"]:
+        note(f"mvedge {version('mvedge_jax')}")
+        return 0
     debug = "--debug" in words
     words = [word for word in words if word != "--debug"]
     if "--no-cache" in words:
         words = [word for word in words if word != "--no-cache"]
         os.environ["MVEDGE_CACHE"] = "off"
-    enable_compilation_cache()
+    if "--max-gb" in words[:-1]:
+        place = words.index("--max-gb")
+        os.environ["MVEDGE_MAX_GB"] = words[place + 1]
+        del words[place : place + 2]
+    logging: Any = getattr(cv2.utils, "logging", cv2)  # OpenCV 5, 4
+    logging.setLogLevel(0)  # whatever it has to say, we say in our words
     try:
-        # A flag is --overwrite, without a --no-overwrite beside it.
-        config = (tyro.conf.FlagCreatePairsOff,)
-        if words and words[0] in _COMMANDS:
-            command = _load(words[0])
-            result = tyro.cli(command, prog=f"mvedge {words[0]}", args=words[1:], config=config)
-        else:  # --help, or a mistake that the list of commands answers
-            result = tyro.extras.subcommand_cli_from_dict(
-                {name: _load(name) for name in _COMMANDS},
-                prog="mvedge",
-                description=_DESCRIPTION,
-                args=words,
-                config=config,
-            )
+        with warnings.catch_warnings():
+            warnings.showwarning = _show_warning
+            # A title in a script that the font lacks is no concern of the user's.
+            warnings.filterwarnings("ignore", "Glyph .* missing from")
+            compilation_cache()
+            return _run(words)
     except SystemExit as stop:  # tyro's own answer to --help or a wrong option
         return stop.code if isinstance(stop.code, int) else 2
     except KeyboardInterrupt:
-        sys.stderr.write("interrupted; nothing was left half-written\n")
-        return 130
+        return _fail("interrupted; nothing was left half-written", 130, debug=False)
+    except MemoryError as shortage:
+        return _fail(f"mvedge: error: {_short_of_memory(shortage)}", 2, debug=debug)
     except (ValueError, OSError) as mistake:
-        if debug:
-            traceback.print_exc()
-        sys.stderr.write(f"mvedge: error: {mistake}\n")
-        return 2
+        return _fail(f"mvedge: error: {mistake}", 2, debug=debug)
     except Exception as fault:
+        if "RESOURCE_EXHAUSTED" in str(fault):
+            return _fail(f"mvedge: error: {_short_of_memory(fault)}", 2, debug=debug)
+        reason = f"{type(fault).__name__}: {fault} (--debug shows where)"
+        return _fail(f"mvedge: internal error: {reason}", 1, debug=debug)
+
+
+def _run(words: list[str]) -> int:
+    # A flag is --overwrite, without a --no-overwrite beside it.
+    config = (tyro.conf.FlagCreatePairsOff,)
+    if words and words[0] in _COMMANDS:
+        command = _load(words[0])
+        result = tyro.cli(command, prog=f"mvedge {words[0]}", args=words[1:], config=config)
+    else:  # --help, or a mistake that the list of commands answers
+        result = tyro.extras.subcommand_cli_from_dict(
+            {name: _load(name) for name in _COMMANDS},
+            prog="mvedge",
+            description=_DESCRIPTION,
+            args=words,
+            config=config,
+        )
+    return result if isinstance(result, int) else 0
+
+
+def _fail(message: str, code: int, *, debug: bool) -> int:
+    with GUARD, contextlib.suppress(OSError):
         if debug:
             traceback.print_exc()
-        sys.stderr.write(
-            f"mvedge: internal error: {type(fault).__name__}: {fault} (--debug shows where)\n"
-        )
-        return 1
-    return result if isinstance(result, int) else 0
+        sys.stderr.write(printable(message) + "\n")
+    return code
+
+
+def _short_of_memory(shortage: BaseException) -> str:
+    need = str(shortage).rstrip(".") or "an array found no room"
+    return (
+        f"the memory does not suffice: {need}. Smaller or fewer views need less: --scale 0.5 needs "
+        "a quarter, --views 5 a third to a half; or end other programs."
+    )
+
+
+def _show_warning(message: Any, category: type[Warning], *_: Any, **__: Any) -> None:
+    """Warnings of libraries in our way: one line, without the place in their source."""
+    if not issubclass(category, DeprecationWarning | PendingDeprecationWarning):
+        warn(printable(str(message)))

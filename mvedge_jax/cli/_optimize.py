@@ -39,7 +39,7 @@ from mvedge_jax.model.optimisation import (
     one_at_a_time,
 )
 
-from ._common import compiled, note, stage, warn
+from ._common import compiled, missing_views, note, stage, warn
 from ._output import output_folder, write_json
 
 _COLUMNS = {
@@ -114,7 +114,8 @@ def optimize(
     options: dict[str, Any] = {"routine": table, "state": earlier, "progress": _tell}
     inputs = [path for path in (scene, vgg16, state) if path is not None]
     with output_folder(out, inputs=inputs, overwrite=overwrite) as folder:
-        start, clock = _start(light_field.without_truth()), time.perf_counter()
+        start, doubts = _start(light_field.without_truth())
+        clock = time.perf_counter()
         with stage("optimising"):
             if supervised and light_field.truth is not None:
                 start = start_from_image(start, light_field.centre_view)
@@ -124,7 +125,10 @@ def optimize(
                 key = jax.random.key(seed)
                 result = optimize_edges(light_field, start, approach, sizes, key=key, **options)
         seconds = time.perf_counter() - clock
-        scores = _write(folder, light_field, start, result, seconds)
+        doubts += [*missing_views(light_field), *_doubts(result)]
+        scores = _write(folder, light_field, start, result, seconds, doubts)
+    for doubt in doubts:
+        warn(doubt)
     _conclude(scores, result, seconds, out)
 
 
@@ -163,10 +167,12 @@ def _read(scene: Path, views: int | None, scale: float, *, needs_truth: bool) ->
     return light_field
 
 
-def _start(blind: LightField) -> Start:
+def _start(blind: LightField) -> tuple[Start, list[str]]:
+    """The start, and what speaks against it."""
     with stage("estimating depth from edges"):
         call = blind, Parameters(), Sizes.for_light_field(blind)
-        return start_from_depth(blind, jax.block_until_ready(compiled(edge_to_depth, *call)(*call)))
+        result = jax.block_until_ready(compiled(edge_to_depth, *call)(*call))
+        return start_from_depth(blind, result), list(result.problems())
 
 
 def _tell(now: Progress) -> None:
@@ -177,7 +183,12 @@ def _tell(now: Progress) -> None:
 
 
 def _write(
-    folder: Path, light_field: LightField, start: Start, result: Optimised, seconds: float
+    folder: Path,
+    light_field: LightField,
+    start: Start,
+    result: Optimised,
+    seconds: float,
+    doubts: list[str],
 ) -> dict[str, Any]:
     """Writes all files, and returns the scores of the maps."""
     model, verdict = result.model, result.verdict
@@ -206,6 +217,7 @@ def _write(
         "share of proposals confirmed": None if confirmed is None else float(confirmed),
         "kept the optimised points": verdict is None or bool(verdict.kept),
         "scores": scores,
+        "warnings": doubts,
     }
     write_json(folder / "report.json", report)
     return scores
@@ -243,11 +255,21 @@ def _write_pictures(
     return scores
 
 
-def _conclude(scores: dict[str, Any], result: Optimised, seconds: float, out: Path) -> None:
+def _doubts(result: Optimised) -> list[str]:
+    doubts, losses = [], np.asarray(result.history.loss)
     if result.verdict is not None and not bool(result.verdict.kept):
-        warn(
+        doubts.append(
             "the held-out views do not speak for the optimised points; the first map was polished."
         )
+    if not np.isfinite(losses).all():
+        count = int((~np.isfinite(losses)).sum())
+        doubts.append(f"{count} of {losses.size} iterations had no finite loss and were skipped.")
+    if not np.isfinite(np.asarray(result.disparity)).all():
+        doubts.append("the map is not finite everywhere.")
+    return doubts
+
+
+def _conclude(scores: dict[str, Any], result: Optimised, seconds: float, out: Path) -> None:
     for name, row in scores.items():
         note(f"{name}: " + "  ".join(f"{_COLUMNS[k]} {row[k]:.4g}" for k in _COLUMNS))
     note(f"{len(result.history.loss)} iterations, {seconds:.1f} s; written to {out}")

@@ -4,6 +4,7 @@ import contextlib
 import json
 import math
 import os
+import re
 import shutil
 import tempfile
 from collections.abc import Iterator, Sequence
@@ -14,9 +15,14 @@ from typing import Any
 from filelock import FileLock, Timeout
 
 from ._common import warn
+from ._interruption import GUARD, unfinished
 
 # Lists what a run wrote. A folder is replaced only if it has this and holds nothing else.
 MARKER = ".mvedge.json"
+# In a folder that is being written, and in none that is complete.
+_UNFINISHED = ".mvedge-unfinished"
+# Ends the name of an earlier result that is being replaced; those of temporary folders have no dot.
+_ASIDE = ".old"
 
 
 @contextlib.contextmanager
@@ -28,7 +34,8 @@ def output_folder(
     The body writes into a temporary sibling, which is renamed to `path` on success and removed on
     any failure, Ctrl-C included. An earlier result is renamed aside first and removed last, file by
     file from its own list. A lock beside the folder keeps other processes out; the system releases
-    it when the process ends, however it ends.
+    it when the process ends, however it ends. What a process that was killed has left there is
+    removed by the next one with the same `path`, and a result that it had renamed aside put back.
 
     Args:
         path: the folder to make.
@@ -44,6 +51,7 @@ def output_folder(
         FileExistsError: if `path` is a file; if it is not empty and `overwrite` is off or it is not
             (only) an earlier result; if something came into it while the body ran. In the last
             case the new result is kept beside it, and the message says where.
+        OSError: if a file cannot be written; the message names `path`.
     """
     if Path(path).is_symlink():
         raise ValueError(f"{path} is a link; name the folder itself as OUT.")
@@ -51,15 +59,50 @@ def output_folder(
     _refuse(path, inputs, overwrite)
     path.parent.mkdir(parents=True, exist_ok=True)
     with _alone(path):
+        _tidy(path)
         _refuse(path, inputs, overwrite)
-        temporary = Path(tempfile.mkdtemp(prefix=f".{path.name}-", dir=path.parent))
-        try:
-            temporary.chmod(0o755)
-            yield temporary
-            _mark(temporary)
-            _move_in(temporary, path, inputs, overwrite)
-        finally:
-            shutil.rmtree(temporary, ignore_errors=True)
+        with contextlib.ExitStack() as stack:
+            with GUARD:
+                temporary = Path(tempfile.mkdtemp(prefix=f".{path.name}-", dir=path.parent))
+                stack.enter_context(unfinished(temporary))
+            try:
+                temporary.chmod(0o755)
+                (temporary / _UNFINISHED).touch()
+                yield temporary
+                (temporary / _UNFINISHED).unlink(missing_ok=True)
+                _mark(temporary)
+                with GUARD:
+                    _move_in(temporary, path, inputs, overwrite)
+            except OSError as error:
+                if error.filename is not None or error.errno is None:
+                    raise
+                # A full disk, for one, does not say which.
+                raise OSError(f"OUT, {path}, could not be written: {error}.") from error
+            finally:
+                shutil.rmtree(temporary, ignore_errors=True)
+
+
+def _tidy(path: Path) -> None:
+    """Removes what killed processes left beside `path`; its lock is held, so none is alive."""
+    name = re.escape(path.name)
+    for item in list(path.parent.iterdir()):
+        if item.is_symlink() or not item.is_dir():
+            continue
+        if re.fullmatch(rf"\.{name}-[a-z0-9_]{{8}}", item.name):
+            if (item / _UNFINISHED).is_file():
+                shutil.rmtree(item, ignore_errors=True)
+            else:  # killed as it was made, or somebody else's
+                with contextlib.suppress(OSError):
+                    item.rmdir()
+        elif re.fullmatch(rf"\.{name}-[a-z0-9_]{{8}}{re.escape(_ASIDE)}", item.name):
+            written = _earlier_result(item)
+            if written is None:
+                with contextlib.suppress(OSError):
+                    item.rmdir()
+            elif not os.path.lexists(path):
+                item.rename(path)
+            else:
+                _remove(item)
 
 
 def _refuse(path: Path, inputs: Sequence[Path], overwrite: bool) -> None:
@@ -111,13 +154,15 @@ def _alone(path: Path) -> Iterator[None]:
     file = path.with_name(f".{path.name}.lock")
     lock = FileLock(file)
     try:
-        lock.acquire(timeout=0)
+        with GUARD:
+            lock.acquire(timeout=0)
     except Timeout:
         raise ValueError(f"{path} is being written by another process; choose another OUT.") from (
             None
         )
     try:
-        yield
+        with unfinished(file):
+            yield
     finally:
         file.unlink(missing_ok=True)
         lock.release()
@@ -158,7 +203,7 @@ def _move_in(new: Path, path: Path, inputs: Sequence[Path], overwrite: bool) -> 
     try:
         _refuse(path, inputs, overwrite)
         if overwrite and path.is_dir():
-            aside = Path(tempfile.mkdtemp(prefix=f".{path.name}-old-", dir=path.parent))
+            aside = Path(tempfile.mkdtemp(_ASIDE, f".{path.name}-", path.parent))
             path.rename(aside)  # in place of the empty folder
         new.rename(path)  # an empty folder is replaced; one with anything in it stops this
     except BaseException as reason:

@@ -12,9 +12,10 @@ import tyro
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
+from mvedge_jax._cache import compilation_cache
 from mvedge_jax.datasets import load_light_field
 
-from ._common import enable_compilation_cache, note
+from ._common import note
 from ._output import output_folder, write_json
 from ._paths import scenes_and_out
 
@@ -194,5 +195,5 @@ def _executor(workers: int, scheduler: str | None) -> Iterator[Any]:
             client = stack.enter_context(Client(address))
         except OSError as reason:
             raise ValueError(f"no Dask scheduler answers at {address}: {reason}") from reason
-        client.run(enable_compilation_cache)
+        client.run(compilation_cache)
         yield client.submit

@@ -3,6 +3,7 @@
 import re
 from pathlib import Path
 
+from ._limits import check_grid, some
 from ._source import Source, image_source
 
 _VIEW = re.compile(
@@ -31,7 +32,7 @@ def open_grid(path: Path, names: list[str]) -> Source:
             )
         group[place] = name
     if len(groups) > 1:
-        kinds = ", ".join(f"'{prefix}RR_CC.{suffix}'" for prefix, suffix in groups)
+        kinds = some(f"'{prefix}RR_CC.{suffix}'" for prefix, suffix in groups)
         raise ValueError(
             f"{path} holds several grids of images ({kinds}); expected one per folder."
         )
@@ -39,11 +40,7 @@ def open_grid(path: Path, names: list[str]) -> Source:
     first_row, last_row = min(r for r, _ in named), max(r for r, _ in named)
     first_column, last_column = min(c for _, c in named), max(c for _, c in named)
     grid = (last_row - first_row + 1, last_column - first_column + 1)
-    if grid[0] * grid[1] > 10_000:
-        raise ValueError(
-            f"{path} has images from row {first_row} to {last_row} and column {first_column} to "
-            f"{last_column}; expected a grid of views numbered without large gaps."
-        )
+    check_grid(path, *grid)
     files = {(r - first_row, c - first_column): path / name for (r, c), name in named.items()}
     sample = next(match for name in named.values() if (match := _VIEW.fullmatch(name)))
     digits = [len(sample[key]) if sample[key].startswith("0") else 1 for key in ("row", "column")]

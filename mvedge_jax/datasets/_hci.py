@@ -9,7 +9,8 @@ import numpy as np
 
 from mvedge_jax.lightfield import Camera
 
-from ._images import read_raw
+from ._images import image_size, read_raw
+from ._limits import check_grid, read_text
 from ._pfm import read_pfm
 from ._source import Source, Truth, check_truth, image_source
 
@@ -46,6 +47,7 @@ def open_hci(path: Path, names: list[str]) -> Source:
         side = math.isqrt(max(numbers)) + 1
         side += side % 2 == 0
         grid = (side, side)
+        check_grid(path / numbers[max(numbers)], side, side)
     rows, columns = grid
     if max(numbers) >= rows * columns:
         raise ValueError(
@@ -73,24 +75,33 @@ class _Settings:
     def __init__(self, path: Path):
         self._path = path
         self._parser = configparser.ConfigParser(interpolation=None)
+        text = read_text(path)
         try:
-            self._parser.read_string(path.read_text(encoding="utf-8"))
-        except (configparser.Error, UnicodeDecodeError) as error:
-            reason = str(error).splitlines()[0]
-            raise ValueError(f"{path} cannot be read as a configuration file: {reason}") from error
+            self._parser.read_string(text)
+        except configparser.Error as error:
+            raise ValueError(
+                f"{path} cannot be read as a configuration file: {_reason(error)}."
+            ) from error
 
-    def _numbers(self, section: str, *keys: str) -> list[float] | None:
+    def _numbers(
+        self, section: str, *keys: str, infinite: tuple[str, ...] = ()
+    ) -> list[float] | None:
+        """Numbers by their names, None without all of them; `infinite` ones may be that."""
         texts = [self._parser.get(section, key, fallback=None) for key in keys]
         if any(text is None for text in texts):
             return None
         values = []
         for key, text in zip(keys, texts, strict=True):
             try:
-                values.append(float(str(text)))
-            except ValueError as error:
+                value = float(str(text))
+            except ValueError:
+                value = math.nan
+            if not (math.isfinite(value) or (key in infinite and value == math.inf)):
                 raise ValueError(
-                    f"{self._path} says {key} = {text!r} in [{section}]; expected a number."
-                ) from error
+                    f"{self._path} says {key} = {str(text)[:60]!r} in [{section}]; expected a "
+                    "finite number."
+                )
+            values.append(value)
         return values
 
     def grid(self) -> tuple[int, int] | None:
@@ -102,11 +113,19 @@ class _Settings:
                 f"{self._path} promises {values[0]:g} x {values[1]:g} cameras; expected positive "
                 "whole numbers."
             )
+        check_grid(self._path, int(values[0]), int(values[1]))
         return int(values[0]), int(values[1])
 
     def size(self) -> tuple[int, int, str] | None:
         values = self._numbers("intrinsics", "image_resolution_y_px", "image_resolution_x_px")
-        return None if values is None else (int(values[0]), int(values[1]), str(self._path))
+        if values is None:
+            return None
+        if min(values) < 1:
+            raise ValueError(
+                f"{self._path} promises views of {values[0]:g}x{values[1]:g} px (height x width); "
+                "expected positive numbers."
+            )
+        return int(values[0]), int(values[1]), str(self._path)
 
     def camera(self) -> Camera | None:
         """The geometry; the sensor's size is that of the longer side of the image."""
@@ -117,7 +136,9 @@ class _Settings:
             "image_resolution_y_px",
             "image_resolution_x_px",
         )
-        extrinsics = self._numbers("extrinsics", "baseline_mm", "focus_distance_m")
+        extrinsics = self._numbers(
+            "extrinsics", "baseline_mm", "focus_distance_m", infinite=("focus_distance_m",)
+        )
         if intrinsics is None or extrinsics is None:
             return None
         focal, sensor, *size = intrinsics
@@ -142,6 +163,16 @@ class _Settings:
         return low, high
 
 
+def _reason(error: configparser.Error) -> str:
+    """What is wrong, in the words of the parser, which does not know the name of the file."""
+    lines = getattr(error, "errors", ())
+    if lines:
+        line, text = lines[0]
+        return f"line {line} is neither `[section]` nor `key = value`, {str(text)[:60]}"
+    text = str(error).splitlines()[0]
+    return re.sub(r"While reading from '<string>' *", "", text)[:200].rstrip(".")
+
+
 def _truth_reader(path: Path, names: list[str], grid: tuple[int, int], centre: int):
     single = [f"gt_disp_lowres_Cam{number:03d}.pfm" for number in range(grid[0] * grid[1])]
     chosen = next((n for n in ("gt_disp_lowres.pfm", single[centre]) if n in names), None)
@@ -154,7 +185,8 @@ def _truth_reader(path: Path, names: list[str], grid: tuple[int, int], centre: i
         return values
 
     def ids(name: str, shape: tuple[int, ...]) -> np.ndarray:
-        values = read_raw(path / name)
+        size = image_size(path / name)
+        values = read_raw(path / name) if size == shape else np.empty(size)
         if values.shape != shape:
             raise ValueError(
                 f"{path / name} has the shape {values.shape}; expected one id per pixel, {shape}."

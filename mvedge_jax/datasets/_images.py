@@ -1,14 +1,20 @@
 """Image files, checked: what OpenCV would read as half a picture is an error here."""
 
+import io
 import struct
+import warnings
 import zlib
 from pathlib import Path
 
 import cv2
 import numpy as np
 from jaxtyping import Shaped
+from PIL import Image
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp")
+_PNG = b"\x89PNG\r\n\x1a\n"
+# Bytes within which a header tells the size; profiles and thumbnails of a JPEG come before it.
+_HEAD = 4_000_000
 
 
 def read_image(path: Path) -> Shaped[np.ndarray, "y x 3"]:
@@ -48,18 +54,104 @@ def read_raw(path: Path) -> np.ndarray:
     if not path.is_file():
         raise FileNotFoundError(f"{path} is missing; expected an image.")
     data = path.read_bytes()
+    _size(path, data)
     problem = _damage(data)
     if problem:
         raise ValueError(f"{path} cannot be read: {problem}; expected a complete image.")
-    try:
-        pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
-    except cv2.error:
-        pixels = None
+    pixels = _decoded(data)
     if pixels is None:
         raise ValueError(f"{path} cannot be decoded; expected a PNG, JPEG or BMP image.")
     if pixels.dtype not in (np.uint8, np.uint16):
         raise ValueError(f"{path} has {pixels.dtype} pixels; expected 8 or 16 bit.")
     return pixels
+
+
+def _decoded(data: bytes) -> np.ndarray | None:
+    """The pixels, blue first as OpenCV has them; None if there are none.
+
+    OpenCV reads PNG at any depth. Of other damaged files it would write to the terminal.
+    """
+    if data.startswith(_PNG):
+        try:
+            return cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+        except cv2.error:
+            return None
+    try:
+        with warnings.catch_warnings(), Image.open(io.BytesIO(data)) as image:
+            warnings.simplefilter("ignore")
+            grey = image.mode in ("1", "L")
+            pixels = np.asarray(image.convert("L" if grey else "RGB"))
+    except (OSError, ValueError, SyntaxError, ArithmeticError, Image.DecompressionBombError):
+        return None
+    return pixels if grey else np.ascontiguousarray(pixels[..., ::-1])
+
+
+def image_size(path: Path) -> tuple[int, int]:
+    """Height and width of an image from its header; nothing is decoded.
+
+    Args:
+        path: a PNG, JPEG or BMP file.
+
+    Returns:
+        In px.
+
+    Raises:
+        FileNotFoundError: if there is no such file.
+        ValueError: if it is none of these, or ends before it tells.
+    """
+    if not path.is_file():
+        raise FileNotFoundError(f"{path} is missing; expected an image.")
+    with path.open("rb") as stream:
+        return _size(path, stream.read(_HEAD))
+
+
+def write_image(path: Path, pixels: np.ndarray) -> None:
+    """Writes a PNG file, whatever the name of its folder.
+
+    Args:
+        path: the file.
+        pixels: uint8 or uint16, `[y, x]` or `[y, x, bgr]`.
+
+    Raises:
+        OSError: if it cannot be written.
+    """
+    path.write_bytes(cv2.imencode(".png", pixels)[1].tobytes())
+
+
+def _size(path: Path, data: bytes) -> tuple[int, int]:
+    """Height and width from the beginning of a file."""
+    found = None
+    if data.startswith(_PNG):
+        width, height = struct.unpack(">II", data[16:24]) if len(data) >= 24 else (0, 0)
+        found = height, width
+    elif data.startswith(b"\xff\xd8"):
+        found = _jpeg_size(data)
+    elif data.startswith(b"BM"):
+        kind = "<HH" if data[14:18] == b"\x0c\0\0\0" else "<ii"
+        width, height = struct.unpack_from(kind, data, 18) if len(data) >= 26 else (0, 0)
+        found = abs(height), width
+    elif data:
+        raise ValueError(f"{path} cannot be decoded; expected a PNG, JPEG or BMP image.")
+    if found is None or min(found) < 1:
+        problem = "it is truncated before its size" if data else "it is empty"
+        raise ValueError(f"{path} cannot be read: {problem}; expected a complete image.")
+    return found
+
+
+def _jpeg_size(data: bytes) -> tuple[int, int] | None:
+    """From the start-of-frame segment, which may follow long ones of other kinds."""
+    position = 2
+    while position + 9 <= len(data):
+        marker = data[position + 1]
+        if data[position] != 0xFF or marker == 0xDA:
+            return None
+        if marker == 0xFF or 0xD0 <= marker <= 0xD8 or marker == 0x01:  # no length follows
+            position += 1 if marker == 0xFF else 2
+            continue
+        if 0xC0 <= marker <= 0xCF and marker not in (0xC4, 0xC8, 0xCC):
+            return struct.unpack(">HH", data[position + 5 : position + 9])
+        position += 2 + struct.unpack(">H", data[position + 2 : position + 4])[0]
+    return None
 
 
 def _damage(data: bytes) -> str | None:
@@ -69,7 +161,7 @@ def _damage(data: bytes) -> str | None:
     """
     if not data:
         return "it is empty"
-    if data.startswith(b"\x89PNG\r\n\x1a\n"):
+    if data.startswith(_PNG):
         return _png_damage(data)
     if data.startswith(b"\xff\xd8"):
         complete = data.rstrip(b"\0\r\n ").endswith(b"\xff\xd9")

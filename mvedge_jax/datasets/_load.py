@@ -14,6 +14,7 @@ from mvedge_jax.lightfield import Camera, GroundTruth, LightField
 from ._grid import is_grid, open_grid
 from ._hci import is_hci, open_hci
 from ._hdf5 import open_hdf5
+from ._limits import memory_limit, some
 from ._lytro import open_mat
 from ._read import read_views, shrink
 from ._source import Source, Truth
@@ -34,6 +35,7 @@ def load_light_field(
     flip_v: bool = False,
     disparity_range: tuple[float, float] | None = None,
     name: str | None = None,
+    max_gb: float | None = None,
 ) -> LightField:
     """Reads a light field, whatever its layout.
 
@@ -70,6 +72,8 @@ def load_light_field(
         disparity_range: `(low, high)` in px per view step of the stored size, where the files do
             not tell or tell wrongly.
         name: what to call the scene; by default the name of the folder or file.
+        max_gb: gigabytes that the views may take; more is refused from the headers of the files,
+            before anything is decoded. By default the environment variable `MVEDGE_MAX_GB`, or 8.
 
     Returns:
         The light field, float32.
@@ -78,8 +82,9 @@ def load_light_field(
         FileNotFoundError: if there is nothing at `path`, no light field in it, or a view of the
             crosshair is missing.
         ValueError: if files are truncated, unreadable, of different sizes, contradict each other,
-            do not form an odd square grid or a single odd row or column, or hold ground truth that
-            is not finite; or on an option out of its range. The message names the file.
+            do not form an odd square grid or a single odd row or column, claim more than `max_gb`,
+            or hold ground truth that is not finite; or on an option out of its range. The message
+            names the file.
 
     Example:
         >>> import tempfile
@@ -96,9 +101,10 @@ def load_light_field(
     """
     if not 0 < scale <= 1:
         raise ValueError(f"`scale` must be in (0, 1], got {scale}.")
-    with open_source(Path(path)) as source:
+    limit = memory_limit(max_gb)
+    with open_source(Path(path), max_gb=max_gb) as source:
         rows, columns = _places(source, views, flip_u, flip_v)
-        images, available = read_views(source, rows, columns, scale)
+        images, available = read_views(source, rows, columns, scale, limit)
         truth = None
         if source.truth is not None:
             truth = _ground_truth(source, source.truth(), rows, columns, scale, images.shape[2:4])
@@ -109,7 +115,7 @@ def load_light_field(
         return LightField(
             jax.device_put(images),
             available=available,
-            disparity_range=None if limits is None else tuple(scale * limit for limit in limits),
+            disparity_range=None if limits is None else tuple(scale * end for end in limits),
             truth=truth,
             camera=camera,
             name=source.name if name is None else name,
@@ -144,16 +150,16 @@ def load_ground_truth(path: str | os.PathLike) -> GroundTruth:
             rows.reverse()
         if source.flip_u:
             columns.reverse()
-        size = source.read(*centre).shape[:2]
-        return _ground_truth(source, source.truth(), rows, columns, 1.0, size)
+        return _ground_truth(source, source.truth(), rows, columns, 1.0, _size(source, *centre))
 
 
 @contextmanager
-def open_source(path: Path) -> Iterator[Source]:
+def open_source(path: Path, *, max_gb: float | None = None) -> Iterator[Source]:
     """Recognises the layout of a folder or file and opens it; see `load_light_field`.
 
     Args:
         path: folder or file.
+        max_gb: gigabytes that it may take, see `load_light_field`.
 
     Yields:
         The opened source, closed on the way out.
@@ -174,7 +180,7 @@ def open_source(path: Path) -> Iterator[Source]:
                 return
         files = [path / name for name in names if Path(name).suffix.lower() in _FILES]
         if len(files) != 1:
-            found = f"{len(names)} files, such as {names[0]}" if names else "an empty folder"
+            found = f"{len(names)} files, such as {some(names[:1])}" if names else "an empty folder"
             raise FileNotFoundError(f"{path} holds no light field: {found}; expected {_LAYOUTS}.")
         path = files[0]
     if not path.is_file():
@@ -182,7 +188,7 @@ def open_source(path: Path) -> Iterator[Source]:
     opener = _FILES.get(path.suffix.lower())
     if opener is None:
         raise ValueError(f"{path} is not a light field that can be read; expected {_LAYOUTS}.")
-    with opener(path) as source:
+    with opener(path, memory_limit(max_gb)) as source:
         yield source
 
 
@@ -243,7 +249,7 @@ def _ground_truth(
 ) -> GroundTruth:
     """Ground truth of the views that were kept, at their scale."""
     centre = rows[len(rows) // 2], columns[len(columns) // 2]
-    stored = source.read(*centre).shape[:2]
+    stored = _size(source, *centre)
     if truth.disparity.shape != stored:
         raise ValueError(
             f"The ground truth of {source.name} is {truth.disparity.shape[0]}x"
@@ -281,6 +287,14 @@ def _ground_truth(
         _optional(None if view_disparity is None else view_disparity * np.float32(scale)),
         _optional(every(truth.view_ids, pick)),
     )
+
+
+def _size(source: Source, row: int, column: int) -> tuple[int, int]:
+    """Height and width of a view, as stored."""
+    if source.header is not None:
+        return source.header(row, column)
+    height, width = source.read(row, column).shape[:2]
+    return height, width
 
 
 def _optional(values: np.ndarray | None):

@@ -45,7 +45,7 @@ def read_pfm(path: str | os.PathLike) -> Float[np.ndarray, "y x"]:
     except (IndexError, ValueError) as error:
         raise ValueError(
             f"{path} has a broken header: expected 'Pf', width, height and a scale, found "
-            f"{b' '.join(fields)!r}."
+            f"{b' '.join(fields)[:24]!r}."
         ) from error
     if width < 1 or height < 1 or scale == 0 or not np.isfinite(scale):
         raise ValueError(

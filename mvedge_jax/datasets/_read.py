@@ -7,15 +7,19 @@ import cv2
 import numpy as np
 from jaxtyping import Float
 
+from ._limits import check_memory
 from ._source import Source
 
 _ALIGNMENT = 64  # bytes; JAX adopts a NumPy array that is so aligned instead of copying it
 
 
 def read_views(
-    source: Source, rows: list[int], columns: list[int], scale: float
+    source: Source, rows: list[int], columns: list[int], scale: float, limit: float
 ) -> tuple[Float[np.ndarray, "v u y x c"], np.ndarray]:
-    """Reads view by view into one array: no second copy of a light field at any time."""
+    """Reads view by view into one array: no second copy of a light field at any time.
+
+    Sizes are compared, and held against the limit in bytes, before anything is decoded.
+    """
     places = [
         (i, j, row, column)
         for i, row in enumerate(rows)
@@ -24,25 +28,32 @@ def read_views(
     ]
     middle = len(rows) // 2, len(columns) // 2
     centre = rows[middle[0]], columns[middle[1]]
-    first = source.read(*centre)
-    shape, dtype = first.shape, first.dtype
-    if source.size is not None and shape[:2] != source.size[:2]:
+    side = source.header(*centre) if source.header else source.read(*centre).shape[:2]
+    if source.size is not None and side != source.size[:2]:
         height, width, file = source.size
         raise ValueError(
-            f"{source.label(*centre)} is {shape[0]}x{shape[1]} px (height x width); expected "
+            f"{source.label(*centre)} is {side[0]}x{side[1]} px (height x width); expected "
             f"{height}x{width}, as {file} says."
         )
-    height, width = (max(1, int(side * scale + 1e-6)) for side in shape[:2])
+    height, width = (max(1, int(length * scale + 1e-6)) for length in side)
+    claim = f"The light field {source.label(*centre)} belongs to"
+    check_memory(claim, (len(rows), len(columns), height, width, 3), limit)
+    check_memory(source.label(*centre), (*side, 3), limit / 9)  # it is read at full size
+    first = source.read(*centre)
+    dtype = first.dtype
     views = _aligned_zeros((len(rows), len(columns), height, width, 3))
 
     def fill(place: tuple[int, int, int, int]) -> None:
         i, j, row, column = place
+        own = side if source.header is None else source.header(row, column)
+        if own != side:
+            raise _differs(source.label(row, column), own, source.label(*centre), side)
         image = first if (i, j) == middle else source.read(row, column)
-        if image.shape != shape or image.dtype != dtype:
-            raise ValueError(
-                f"{source.label(row, column)} is {image.shape[0]}x{image.shape[1]} px (height x "
-                f"width) of {image.dtype}; expected {shape[0]}x{shape[1]} of {dtype}, as "
-                f"{source.label(*centre)}."
+        if image.shape != first.shape or image.dtype != dtype:
+            found, wanted = (f" of {array.dtype}" for array in (image, first))
+            own = image.shape[:2]
+            raise _differs(
+                source.label(row, column), own, source.label(*centre), side, found, wanted
             )
         white = np.float32(np.iinfo(dtype).max)
         if scale == 1:
@@ -57,6 +68,21 @@ def read_views(
     for i, j, *_ in places:
         available[i, j] = True
     return views, available
+
+
+def _differs(
+    file: str,
+    own: tuple[int, ...],
+    centre: str,
+    side: tuple[int, ...],
+    found: str = "",
+    wanted: str = "",
+) -> ValueError:
+    """The error for a view that is not as the centre view."""
+    return ValueError(
+        f"{file} is {own[0]}x{own[1]} px (height x width){found}; expected {side[0]}x{side[1]}"
+        f"{wanted}, as {centre}."
+    )
 
 
 def _aligned_zeros(shape: tuple[int, ...]) -> np.ndarray:

@@ -9,7 +9,8 @@ from jaxtyping import Bool, Float, Int
 
 from mvedge_jax.lightfield import Camera
 
-from ._images import read_image
+from ._images import image_size, read_image
+from ._limits import plain_name
 
 
 @dataclasses.dataclass(frozen=True)
@@ -39,6 +40,8 @@ class Source:
         flip_v: whether rows have to be reversed to meet the convention.
         flip_u: whether columns have to be reversed.
         size: `(height, width)` that the metadata promises, if any, and the file that says so.
+        header: gives height and width of view (row, column) from its header, without reading it;
+            None where `read` is as cheap.
     """
 
     name: str
@@ -52,6 +55,7 @@ class Source:
     flip_v: bool = False
     flip_u: bool = False
     size: tuple[int, int, str] | None = None
+    header: Callable[[int, int], tuple[int, int]] | None = None
 
 
 def image_source(
@@ -84,11 +88,12 @@ def image_source(
         return str(file if file is not None else path / expected(row, column))
 
     return Source(
-        name=path.resolve().name,
+        name=plain_name(path.resolve()),
         layout=layout,
         available=available,
         read=lambda row, column: read_image(files[row, column]),
         label=label,
+        header=lambda row, column: image_size(files[row, column]),
         **known,
     )
 

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
+from ._limits import check_grid
 from ._source import Source, image_source
 
 _NUMBER = r"[-+]?\d+(?:\.\d*)?(?:[eE][-+]?\d+)?"
@@ -44,6 +45,7 @@ def open_stanford(path: Path, names: list[str]) -> Source:
     """Opens a rectified light field of the Stanford archive."""
     files = {place: path / name for place, (name, _) in _entries(path, names).items()}
     rows, columns = (max(place[axis] for place in files) + 1 for axis in (0, 1))
+    check_grid(path, rows, columns)
     return image_source(
         path,
         "Stanford archive",
@@ -74,6 +76,7 @@ def camera_spacing(path: str | os.PathLike) -> CameraSpacing:
         raise ValueError(f"{folder} holds no out_RR_CC_<y>_<x>.png; camera positions are unknown.")
     entries = _entries(folder, names)
     rows, columns = (max(place[axis] for place in entries) + 1 for axis in (0, 1))
+    check_grid(folder, rows, columns)
     if rows < 2 or columns < 2:
         raise ValueError(
             f"{folder} holds {rows}x{columns} views; expected two rows and columns or more to "

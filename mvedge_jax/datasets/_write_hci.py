@@ -5,12 +5,12 @@ import os
 from collections.abc import Callable
 from pathlib import Path
 
-import cv2
 import numpy as np
 from jaxtyping import Array, Bool
 
 from mvedge_jax.lightfield import LightField
 
+from ._images import write_image
 from ._pfm import write_pfm
 
 _SENSOR_MM = 35.0  # the benchmark's; only its ratio to the focal length means anything
@@ -68,7 +68,7 @@ def write_hci(
         number = f"{columns * v + u:03d}"
         view = np.asarray(light_field.views[v, u], np.float32)
         pixels = np.clip(np.round(view * 255), 0, 255).astype(np.uint8)
-        _write_png(folder / f"input_Cam{number}.png", pixels[..., ::-1])
+        write_image(folder / f"input_Cam{number}.png", pixels[..., ::-1])
         if truth is not None and truth.view_disparity is not None:
             disparity = np.asarray(truth.view_disparity[v, u], np.float32)
             write_pfm(folder / f"gt_disp_lowres_Cam{number}.pfm", disparity)
@@ -77,7 +77,7 @@ def write_hci(
             _write_ids(folder / f"objectids_lowres_Cam{number}.png", ids)
         if visible is not None:
             mask = np.asarray(visible[v, u]).astype(np.uint8) * 255
-            _write_png(folder / f"visible_Cam{number}.png", mask)
+            write_image(folder / f"visible_Cam{number}.png", mask)
         if progress is not None:
             progress(done, total)
     if truth is not None:
@@ -91,18 +91,13 @@ def write_hci(
     _write_parameters(folder / "parameters.cfg", light_field)
 
 
-def _write_png(path: Path, pixels: np.ndarray) -> None:
-    if not cv2.imwrite(str(path), pixels):
-        raise OSError(f"{path} could not be written; is its folder writable, is the disk full?")
-
-
 def _write_ids(path: Path, ids: np.ndarray) -> None:
     if ids.min() < 0 or ids.max() > 65535:
         raise ValueError(
             f"`light_field.truth` must have object ids from 0 to 65535 to fit {path.name}, got "
             f"{ids.min()} to {ids.max()}."
         )
-    _write_png(path, ids.astype(np.uint16))
+    write_image(path, ids.astype(np.uint16))
 
 
 def _write_parameters(path: Path, light_field: LightField) -> None:

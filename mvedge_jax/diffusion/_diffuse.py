@@ -8,7 +8,9 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import lineax as lx
+import numpy as np
 from jax import lax
+from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from mvedge_jax._params import cast
@@ -77,9 +79,9 @@ def diffuse(
 
     Raises:
         ValueError: shapes do not match or, outside `jit`, a weight is negative or not finite, or
-            a label that counts is not finite. Under `jit` such a system gives NaN and
-            `stats.converged` is False; a negative weight that leaves the matrix positive definite
-            is solved.
+            a label that counts is not finite, or a tolerance is negative or NaN. Under `jit` such a
+            system gives NaN and `stats.converged` is False, which it is for such a tolerance, too;
+            a negative weight that leaves the matrix positive definite is solved.
         TypeError: the maps are not of one floating type.
 
     Source: Thesis 6.1, Eq. 6.1; 7.1.1, Eq. 7.2.
@@ -93,6 +95,8 @@ def diffuse(
         [[0.0, 1.0, 2.0, 3.0]]
     """
     check(system)
+    for name, given in (("solver", solver), ("adjoint", adjoint)):
+        _check_tolerance(name, given)
     if start is not None and start.shape != system.shape:
         raise ValueError(f"`start` has the shape {start.shape}; the system has {system.shape}.")
     dtype = system.weight.dtype
@@ -156,6 +160,8 @@ def _jitted(static: Any, numbers: Any, system: System, start: Array | None) -> D
     if getattr(both[0], "by_residual", False):
         # Conjugate gradients update the residual, which drifts from the true one.
         converged = converged & (rest <= 3 * threshold)
+    if isinstance(both[0], AbstractSolver):
+        converged = converged & (both[0].tolerance >= 0)
     stats = SolveStats(
         iterations=found.iterations,
         residual=rest / jnp.where(scale > 0, scale, 1),
@@ -220,6 +226,17 @@ def _solved(
         jnp.full((), jnp.nan, right.dtype),
         result == lx.RESULTS.successful,
     )
+
+
+def _check_tolerance(name: str, solver: lx.AbstractLinearSolver | None) -> None:
+    tolerance = solver.tolerance if isinstance(solver, AbstractSolver) else 0.0
+    if isinstance(tolerance, Tracer):
+        return
+    values = np.asarray(tolerance)
+    if not (values >= 0).all():
+        raise ValueError(
+            f"`{name}.tolerance` must not be negative or NaN, got {values[~(values >= 0)].flat[0]}."
+        )
 
 
 def _total(values: Array) -> Array:

@@ -1,10 +1,13 @@
 """The whole point stage: light field in, multi-view edge points out."""
 
+from typing import Any
+
 import equinox as eqx
 import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
+from mvedge_jax._checks import checked_jit, expect, sound, with_numbers
 from mvedge_jax._params import cast
 from mvedge_jax.color import srgb_to_gray, srgb_to_lab
 from mvedge_jax.epi import strongest_response
@@ -70,7 +73,19 @@ def _frontmost(
     return jnp.where(nearer, best[0], own), jnp.where(nearer, best[1], variance)
 
 
-@eqx.filter_jit
+def _look(light_field: Any, params: Any, sizes: Any, **options: Any) -> tuple[Any, ...]:
+    """The arguments of `multiview_edges`, or what is wrong with them."""
+    order = "the order is (light_field, params, sizes)"
+    wrapped = "`LightField(views)` makes one of an array [v, u, y, x, c], and " + order
+    expect("light_field", light_field, LightField, wrapped)
+    expect("params", params, EdgeParams, "`EdgeParams()` has the defaults, and " + order)
+    chosen = "`EdgeSizes.for_light_field(light_field)` chooses them, and " + order
+    expect("sizes", sizes, EdgeSizes, chosen)
+    given = {name: None if part is None else with_numbers(part) for name, part in options.items()}
+    return (light_field, with_numbers(params), sizes), given
+
+
+@checked_jit(_look)
 def multiview_edges(
     light_field: LightField,
     params: EdgeParams,
@@ -102,6 +117,11 @@ def multiview_edges(
         Points and statistics. Positions, disparities, confidences and errors are differentiable
         in the views and in every continuous parameter, at the selection made.
 
+    Raises:
+        ValueError: outside `jit`, a parameter is not finite or is negative. Under `jit` such
+            parameters give disparities of NaN.
+        TypeError: an argument is of another kind, or their order is another.
+
     Source: Thesis 4.1; where it differs, and why, is a page of the documentation.
 
     Example:
@@ -127,7 +147,11 @@ def multiview_edges(
     radius = occluder_radius(span, steps, (shape[0], shape[1]))
     seen = sight(scene, measure)
     measured = first_labels(scene, seen, radius=radius, passes=_PASSES)
-    return measured_edges(scene, seen, measured, params, sizes=sizes, radius=radius)
+    edges = measured_edges(scene, seen, measured, params, sizes=sizes, radius=radius)
+    fine = sound(params) & (volume is None or sound(volume)) & sound(measure)
+    # Selections drop NaN on the way: a parameter that is none would leave plausible points.
+    disparity = jnp.where(fine, edges.points.disparity, jnp.asarray(jnp.nan, dtype))
+    return eqx.tree_at(lambda found: found.points.disparity, edges, disparity)
 
 
 def measured_edges(

@@ -1,5 +1,6 @@
 """What images are compared by: colours, a filter bank, or the first layers of VGG16."""
 
+import zipfile
 from pathlib import Path
 
 import equinox as eqx
@@ -10,6 +11,9 @@ from jaxtyping import Array, Float
 
 from mvedge_jax._params import cast, number
 from mvedge_jax.color import srgb_to_gray
+
+# Bytes of an array of weights, which none of ours comes near: a file may claim anything.
+_MOST = 10_000_000
 
 
 def _convolve(planes: Array, kernels: Array) -> Array:
@@ -138,10 +142,16 @@ def load_vgg16(path: str | Path) -> Vgg16:
         "features.2.bias": (64,),
     }
     arrays = []
+    if not zipfile.is_zipfile(path):
+        raise ValueError(f"{path} is not an .npz file; expected one with {', '.join(shapes)}.")
     with np.load(path, allow_pickle=False) as file:
         for name, shape in shapes.items():
             if name not in file:
-                raise ValueError(f"{path} has no array {name!r}; it has {sorted(file)}.")
+                raise ValueError(f"{path} has no array {name!r}; it has {sorted(file)[:8]}.")
+            if name in file.zip.namelist() or file.zip.getinfo(f"{name}.npy").file_size > _MOST:
+                raise ValueError(
+                    f"{name!r} in {path} is no array of {shape}, or claims more than {_MOST} bytes."
+                )
             if file[name].shape != shape:
                 raise ValueError(
                     f"{name!r} in {path} has the shape {file[name].shape}, expected {shape}."

@@ -71,8 +71,14 @@ def test_one_trace_serves_every_parameter(edges_scene):
     first = run(Parameters())
     changed = eqx.tree_at(lambda p: p.centre.smoothness, Parameters(), replace_fn=lambda s: 6 * s)
     second = run(changed)
-    assert traces() == 1
     assert float(jnp.abs(first - second).max()) > 1e-4
+    # Selections would drop NaN on its way to the map.
+    leaves, tree = jax.tree.flatten(Parameters())
+    for index in range(len(leaves)):
+        for value in (jnp.nan, jnp.inf, -1.0):
+            spoilt = [jnp.full_like(x, value) if i == index else x for i, x in enumerate(leaves)]
+            assert np.isnan(run(jax.tree.unflatten(tree, spoilt))).all()
+    assert traces() == 1
 
 
 @pytest.mark.slow

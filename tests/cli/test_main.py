@@ -3,9 +3,11 @@
 import os
 import subprocess
 import sys
+import warnings
 
 import pytest
 
+import mvedge_jax
 from mvedge_jax.cli import _main
 
 
@@ -74,7 +76,7 @@ def test_cache_goes_where_the_user_says(tmp_path, variables, expected):
         [
             sys.executable,
             "-c",
-            "import jax; from mvedge_jax.cli._common import enable_compilation_cache as f;"
+            "import jax; from mvedge_jax import compilation_cache as f;"
             "print(f()); print(jax.config.values['jax_compilation_cache_dir'])",
         ],
         env={**clean, **{k: v.format(tmp=tmp_path) for k, v in variables.items()}},
@@ -83,3 +85,50 @@ def test_cache_goes_where_the_user_says(tmp_path, variables, expected):
         check=True,
     )
     assert run.stdout.split() == [expected.format(tmp=tmp_path)] * 2
+
+
+def test_versions(capsys):
+    assert _main.main(["--version"]) == 0
+    assert capsys.readouterr().out == f"mvedge {mvedge_jax.__version__}\n"
+    assert mvedge_jax.plotting.plot_edges.__module__.startswith("mvedge_jax.plotting")
+    with pytest.raises(AttributeError, match="has no attribute 'ploting'"):
+        _ = mvedge_jax.ploting
+
+
+def test_libraries_warn_in_one_line(monkeypatch, capsys):
+    def command():
+        """Warns."""
+        warnings.warn("something\nof two lines", UserWarning, stacklevel=1)
+
+    monkeypatch.setattr(_main, "_load", lambda name: command)
+    monkeypatch.setenv("MVEDGE_CACHE", "off")
+    with warnings.catch_warnings():
+        warnings.simplefilter("default")
+        assert _main.main(["info"]) == 0
+    assert capsys.readouterr().err == "warning something\\nof two lines\n"
+
+
+@pytest.mark.parametrize(
+    "error", [MemoryError("Unable to allocate 9.0 GiB"), RuntimeError("RESOURCE_EXHAUSTED: 9 GiB")]
+)
+def test_memory_that_does_not_suffice(monkeypatch, capsys, error):
+    monkeypatch.setattr(_main, "_load", _fail_with(error))
+    monkeypatch.setenv("MVEDGE_CACHE", "off")
+    assert _main.main(["info"]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "the memory does not suffice: " in line
+    assert "9" in line
+    assert "--scale 0.5" in line
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "latin-1"])
+def test_help_in_any_locale(encoding):
+    environment = {**os.environ, "MVEDGE_CACHE": "off", "PYTHONIOENCODING": encoding}
+    run = subprocess.run(
+        [sys.executable, "-m", "mvedge", "depth", "--help"],
+        capture_output=True,
+        env=environment,
+        check=False,
+    )
+    assert run.returncode == 0, run.stderr
+    assert "--overwrite" in run.stdout.decode(encoding)

@@ -1,5 +1,6 @@
 """Nothing of a user's is ever deleted: what --overwrite replaces, what it refuses, and locks."""
 
+import errno
 import json
 import multiprocessing
 import os
@@ -209,7 +210,7 @@ def test_an_interrupted_swap_puts_the_earlier_result_back(user, monkeypatch):
     rename = Path.rename
 
     def interrupted(self, target):
-        if Path(target) == out and "-old-" not in self.name:
+        if Path(target) == out and not self.name.endswith(".old"):
             raise KeyboardInterrupt
         return rename(self, target)
 
@@ -236,7 +237,7 @@ def test_removal_takes_only_what_was_written(user, monkeypatch, capsys):
     with output_folder(out, overwrite=True) as folder:
         (folder / "new.txt").write_text("new")
     assert set(_files(out)) == {Path("new.txt"), Path(MARKER)}
-    (kept,) = user.glob(".out-old-*")
+    (kept,) = user.glob(".out-*.old")
     assert set(_files(kept)) == {Path("late.txt")}
     assert kept.name in capsys.readouterr().err.replace("\n", "")
 
@@ -300,6 +301,45 @@ def test_a_second_process_is_refused_and_death_releases(user, capsys):
     second.send_signal(signal.SIGKILL)
     second.communicate()
     assert _evaluate(user, user / "other") == 0
+    # What the killed one had begun is gone, and its lock.
+    assert {path.name for path in user.iterdir()} == {"data", "maps", "out", "other"}
+
+
+def test_leftovers_are_removed_and_a_result_put_aside_comes_back(user, capsys):
+    out = user / "out"
+    assert _evaluate(user, out) == 0
+    before = _files(out)
+    # Killed within the swap: the earlier result is aside, the new one not yet in its place.
+    out.rename(user / ".out-abcdefgh.old")
+    begun = user / ".out-12345678"
+    begun.mkdir()
+    (begun / ".mvedge-unfinished").touch()
+    (begun / "half.txt").write_text("half")
+    mine = user / ".out-abcd1234"
+    mine.mkdir()
+    (mine / "notes.txt").write_text("mine")
+    (user / ".out-99999999").mkdir()
+    assert _evaluate(user, out) == 2
+    assert "pass --overwrite" in capsys.readouterr().err
+    assert _files(out) == before
+    assert {path.name for path in user.iterdir()} == {"data", "maps", "out", mine.name}
+    assert (mine / "notes.txt").read_text() == "mine"
+    # Killed after the swap: the new one is in its place, the earlier one not yet removed.
+    with output_folder(user / "earlier") as folder:
+        (folder / "old.txt").write_text("old")
+    (user / "earlier").rename(user / ".out-zzzzzzzz.old")
+    assert _evaluate(user, out, "--overwrite") == 0
+    assert {path.name for path in user.iterdir()} == {"data", "maps", "out", mine.name}
+
+
+def test_a_full_disk_is_named(user):
+    def full():
+        with output_folder(user / "out"):
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+    with pytest.raises(OSError, match=r"OUT, .*out, could not be written: .*No space left"):
+        full()
+    assert {path.name for path in user.iterdir()} == {"data", "maps"}
 
 
 def _race(out, start, outcomes):

@@ -14,6 +14,8 @@ from .._model import DepthModel
 
 # How much of its two moments Adam keeps per iteration: Optax' defaults.
 _KEPT = (0.9, 0.999)
+# Bytes of the line that a saved state begins with.
+_LONGEST_HEADER = 4096
 ADAM = optax.scale_by_adam(*_KEPT)
 
 
@@ -70,10 +72,14 @@ class State(eqx.Module):
             raise FileNotFoundError(f"There is no saved state at {path}.")
         try:
             with path.open("rb") as file:
-                header = json.loads(file.readline())
-                like = _empty(header["points"], tuple(header["shape"]), header["dtype"])
+                header = json.loads(file.readline(_LONGEST_HEADER))
+                height, width = map(int, header["shape"])
+                points = int(header["points"])
+                if max(points, height * width) > path.stat().st_size:
+                    raise ValueError(f"it claims {points} points and {height}x{width} px")
+                like = _empty(points, (height, width), header["dtype"])
                 raw = eqx.tree_deserialise_leaves(file, _raw_key(like))
-        except (RuntimeError, EOFError, ValueError, KeyError, TypeError) as error:
+        except (RuntimeError, EOFError, OSError, ValueError, KeyError, TypeError) as error:
             raise ValueError(
                 f"{path} does not hold a whole state of the optimisation in the precision of this "
                 f"process: {error}"

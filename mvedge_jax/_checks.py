@@ -1,0 +1,116 @@
+"""Arguments looked at before a program is compiled for them, and what no compiler can refuse."""
+
+import dataclasses
+import functools
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
+from jaxtyping import Array, Bool
+
+from ._params import as_number
+
+
+class CheckedJit:
+    """An `equinox.filter_jit` function whose arguments are looked at first.
+
+    Attributes:
+        check: takes the arguments and returns them, positional and named, with Python numbers among
+            the leaves of the parameters made arrays, so that no value compiles anew; raises where
+            they cannot be right.
+        compiled: the function.
+    """
+
+    def __init__(self, check: Callable[..., tuple[Any, ...]], function: Callable[..., Any]):
+        self.check = check
+        self.compiled: Any = eqx.filter_jit(function)
+        functools.update_wrapper(self, function)
+
+    def __call__(self, *arguments: Any, **options: Any) -> Any:
+        arguments, options = self.check(*arguments, **options)
+        return self.compiled(*arguments, **options)
+
+    def lower(self, *arguments: Any, **options: Any) -> Any:
+        """See `equinox.filter_jit`."""
+        arguments, options = self.check(*arguments, **options)
+        return self.compiled.lower(*arguments, **options)
+
+
+def checked_jit(check: Callable[..., tuple[Any, ...]]) -> Callable[[Callable[..., Any]], Any]:
+    """`equinox.filter_jit` for functions that say what is wrong with their arguments."""
+    return functools.partial(CheckedJit, check)
+
+
+def expect(name: str, value: Any, kind: type, advice: str) -> None:
+    """Refuses an argument of another kind, which swapped arguments are as a rule.
+
+    Args:
+        name: of the argument.
+        value: what was given.
+        kind: what it has to be.
+        advice: how to get one, as the end of a sentence.
+
+    Raises:
+        TypeError: naming all of them.
+    """
+    if not isinstance(value, kind):
+        raise TypeError(f"`{name}` must be {kind.__name__}, got {_described(value)}; {advice}.")
+
+
+def _described(value: Any) -> str:
+    if value is None or isinstance(value, bool | int | float | str):
+        return repr(value)[:60]
+    if hasattr(value, "shape") and hasattr(value, "dtype"):
+        return f"an array of shape {tuple(value.shape)}"
+    return type(value).__name__
+
+
+def with_numbers(params: Any) -> Any:
+    """Parameters whose Python numbers are arrays; outside `jit` they are checked, too.
+
+    Args:
+        params: a module of them, perhaps after `equinox.tree_at`.
+
+    Returns:
+        The same with arrays.
+
+    Raises:
+        ValueError: a number is NaN, infinite or negative; names it.
+    """
+    params = jax.tree.map(as_number, params)
+    for name, leaf, signed in _numbers(params):
+        if isinstance(leaf, Tracer):
+            continue
+        values = np.asarray(leaf)
+        bad = ~np.isfinite(values) | (False if signed else values < 0)
+        if bad.any():
+            wish = "finite" if signed else "finite and not negative"
+            raise ValueError(f"`params.{name}` must be {wish}, got {values[bad].flat[0]:g}.")
+    return params
+
+
+def sound(params: Any) -> Bool[Array, ""]:
+    """Whether every parameter is a number that `with_numbers` takes, within `jit`."""
+    fine = jnp.asarray(True)
+    for _, leaf, signed in _numbers(params):
+        ok = jnp.isfinite(leaf) if signed else jnp.isfinite(leaf) & (leaf >= 0)
+        fine = fine & ok.all()
+    return fine
+
+
+def _numbers(params: Any, prefix: str = "") -> Iterator[tuple[str, Any, bool]]:
+    """Name and value of every floating leaf, and whether it may be negative."""
+    for field in dataclasses.fields(params):
+        value, name = getattr(params, field.name), prefix + field.name
+        if isinstance(value, eqx.Module):
+            yield from _numbers(value, name + ".")
+        elif isinstance(value, tuple):
+            for i, part in enumerate(value):
+                if isinstance(part, eqx.Module):
+                    yield from _numbers(part, f"{name}[{i}].")
+        elif eqx.is_inexact_array(value):
+            yield name, value, "unit" not in field.metadata

@@ -1,0 +1,61 @@
+"""What the page on gradients says about transforms: each of them traces, with these shapes."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import pytest
+
+from mvedge_jax import LightField, Parameters, Sizes, edge_to_depth
+
+pytestmark = pytest.mark.slow  # half a minute of tracing
+
+FIELD = LightField(jnp.full((3, 3, 16, 16, 3), 0.5), disparity_range=(-1.0, 1.0))
+
+
+@pytest.fixture(scope="module")
+def sizes():
+    return Sizes.for_light_field(FIELD, levels=4, median_radius=2)
+
+
+@pytest.fixture
+def map_of(sizes):
+    return lambda params, field=FIELD: edge_to_depth(field, params, sizes).disparity
+
+
+def _with(views):
+    return eqx.tree_at(lambda field: field.views, FIELD, views)
+
+
+def test_grad_in_parameters_and_in_views(map_of):
+    params = Parameters()
+    found = jax.eval_shape(jax.grad(lambda p: map_of(p).sum()), params)
+    assert jax.tree.structure(found) == jax.tree.structure(params)
+    found = jax.eval_shape(jax.grad(lambda v: map_of(params, _with(v)).sum()), FIELD.views)
+    assert found.shape == FIELD.views.shape
+
+
+def test_filter_grad_in_a_whole_light_field(map_of):
+    found = eqx.filter_eval_shape(
+        eqx.filter_grad(lambda field: map_of(Parameters(), field).sum()), FIELD
+    )
+    assert found.views.shape == FIELD.views.shape
+    assert found.disparity_range.shape == (2,)
+    assert found.available is None
+    with pytest.raises(TypeError, match="bool"):
+        jax.eval_shape(jax.grad(lambda field: map_of(Parameters(), field).sum()), FIELD)
+
+
+def test_vmap_over_parameters_and_over_views(map_of):
+    many = jax.tree.map(lambda leaf: jnp.stack([leaf, 2 * leaf]), Parameters())
+    assert jax.eval_shape(jax.vmap(map_of), many).shape == (2, 16, 16)
+    views = jnp.stack([FIELD.views] * 3)
+    mapped = jax.vmap(lambda v: map_of(Parameters(), _with(v)))
+    assert jax.eval_shape(mapped, views).shape == (3, 16, 16)
+
+
+def test_jit_and_forward_mode(map_of):
+    params = Parameters()
+    assert jax.eval_shape(jax.jit(map_of), params).shape == (16, 16)
+    ones = jax.tree.map(jnp.ones_like, params)
+    _, moved = jax.eval_shape(lambda p, t: jax.jvp(map_of, (p,), (t,)), params, ones)
+    assert moved.shape == (16, 16)

@@ -1,0 +1,99 @@
+"""What a hostile case is, and what may come of it."""
+
+import dataclasses
+import random
+import time
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+from mvedge_jax import LightField
+
+# Seconds within which a file must be refused, and characters of a message: two lines of a terminal.
+PROMPT, LONGEST = 5.0, 420
+
+
+@dataclasses.dataclass(frozen=True)
+class Case:
+    """One hostile input.
+
+    Attributes:
+        name: says what is hostile about it; unique.
+        run: does it in an empty folder, and raises `AssertionError` where the outcome is wrong.
+        fast: whether the ordinary tests run it, too.
+    """
+
+    name: str
+    run: Callable[[Path], None]
+    fast: bool = True
+
+
+def sentence(error: BaseException, *mentions: str) -> None:
+    """A message that a user can read: one line that names what it is about."""
+    text = str(error)
+    assert text, f"{type(error).__name__} without a message"
+    assert len(text) <= LONGEST, f"{len(text)} characters: {text}"
+    assert "\n" not in text, f"several lines: {text!r}"
+    assert text.rstrip().endswith((".", ")")), f"not a sentence: {text}"
+    for mention in mentions:
+        assert mention in text, f"does not mention {mention!r}: {text}"
+
+
+def refuses(
+    call: Callable[[], Any], *mentions: str, kinds: Any = (ValueError, FileNotFoundError)
+) -> None:
+    """The call raises one of `kinds`, promptly, with a sentence, and without any warning."""
+    start = time.perf_counter()
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        found = None
+        try:
+            call()
+        except kinds as error:
+            found = error
+    assert found is not None, "nothing was refused"
+    sentence(found, *mentions)
+    assert time.perf_counter() - start < PROMPT, f"took {time.perf_counter() - start:.1f} s"
+
+
+def survives(call: Callable[[], Any], *mentions: str) -> None:
+    """The call gives finite numbers, or raises an error with a sentence; and no warning."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        try:
+            result = call()
+        except (ValueError, FileNotFoundError) as error:
+            sentence(error, *mentions)
+            return
+    if isinstance(result, LightField):  # the focus of a camera may be at infinity
+        result = (result.views, result.disparity_range, result.truth)
+    for leaf in jax.tree.leaves(result):
+        if hasattr(leaf, "dtype") and np.issubdtype(leaf.dtype, np.floating):
+            assert np.isfinite(np.asarray(leaf)).all(), "numbers that are not finite"
+
+
+def mutated(data: bytes, seed: int) -> bytes:
+    """Bytes flipped, cut out, doubled or cut off, by a random generator of its own."""
+    draw = random.Random(seed)
+    out = bytearray(data)
+    kind = draw.choice(["flip", "flip", "byte", "cut", "end", "double", "zero"])
+    place = draw.randrange(len(out))
+    length = draw.randint(1, max(1, len(out) // 8))
+    if kind == "flip":
+        out[place] ^= 1 << draw.randrange(8)
+    elif kind == "byte":
+        for _ in range(draw.randint(1, 8)):
+            out[draw.randrange(len(out))] = draw.randrange(256)
+    elif kind == "cut":
+        del out[place : place + length]
+    elif kind == "end":
+        del out[place:]
+    elif kind == "double":
+        out[place:place] = out[place : place + length]
+    else:
+        out[place : place + length] = bytes(len(out[place : place + length]))
+    return bytes(out)

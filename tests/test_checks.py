@@ -1,0 +1,87 @@
+"""Numbers in parameters: checked outside of `jit`, told inside, never compiled anew."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import pytest
+from jaxtyping import Array, Float
+
+from mvedge_jax._checks import checked_jit, expect, sound, with_numbers
+from mvedge_jax._params import number
+
+
+class _Inner(eqx.Module):
+    sigma: Float[Array, ""] = number(2.0, "px")
+    taps: Float[Array, " k"] = eqx.field(default_factory=lambda: jnp.asarray([-1.0, 1.0]))
+
+
+class _Outer(eqx.Module):
+    inner: _Inner = eqx.field(default_factory=_Inner)
+    pair: tuple[_Inner, _Inner] | None = None
+    weight: Float[Array, "2"] = number((0.0, 1.0))
+
+
+def _look(params, scale):
+    return (with_numbers(params), scale), {}
+
+
+@checked_jit(_look)
+def _product(params: _Outer, scale: float) -> Array:
+    _product.traces += 1
+    return jnp.where(sound(params), params.inner.sigma * scale, 0)
+
+
+_product.traces = 0
+
+
+def test_a_python_number_compiles_once():
+    _product.traces = 0
+    for value in (1.0, 2.0, 3, jnp.asarray(4.0), jnp.float64(5.0)):
+        params = eqx.tree_at(lambda p: p.inner.sigma, _Outer(), value)
+        assert float(_product(params, jnp.asarray(2.0))) == 2 * float(value)
+    assert _product.traces == 1
+
+
+@pytest.mark.parametrize("value", [float("nan"), float("inf"), -float("inf"), -1.0])
+@pytest.mark.parametrize("where", ["inner.sigma", "weight", "pair[1].sigma"])
+def test_what_is_no_number_is_named(where, value):
+    params = _Outer(pair=(_Inner(), _Inner()))
+    if where == "weight":
+        params = eqx.tree_at(lambda p: p.weight, params, jnp.asarray([0.0, value]))
+    elif where == "inner.sigma":
+        params = eqx.tree_at(lambda p: p.inner.sigma, params, value)
+    else:
+        params = eqx.tree_at(lambda p: p.pair[1].sigma, params, value)
+    with pytest.raises(ValueError, match=r"must be finite and not negative, got ") as caught:
+        with_numbers(params)
+    assert f"`params.{where}`" in str(caught.value)
+    assert not bool(jax.jit(sound)(jax.tree.map(jnp.asarray, params)))
+
+
+def test_filters_may_be_negative_but_not_nan():
+    assert bool(sound(with_numbers(_Outer())))
+    wrong = eqx.tree_at(lambda p: p.inner.taps, _Outer(), jnp.asarray([jnp.nan, 1.0]))
+    with pytest.raises(ValueError, match=r"`params.inner.taps` must be finite, got nan"):
+        with_numbers(wrong)
+
+
+def test_tracers_pass_and_derivatives_too():
+    found = jax.grad(lambda p: _product(p, jnp.asarray(3.0)))(_Outer())
+    assert float(found.inner.sigma) == 3.0
+    params = eqx.filter_vmap(lambda s: _Outer(inner=_Inner(sigma=s)))(jnp.asarray([1.0, -1.0]))
+    values = jax.vmap(lambda p: _product(p, jnp.asarray(1.0)))(params)
+    assert values.tolist() == [1.0, 0.0]
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        (None, "None"),
+        (3.0, "3.0"),
+        (jnp.zeros((2, 3)), r"an array of shape \(2, 3\)"),
+        (_Inner(), "_Inner"),
+    ],
+)
+def test_kinds_are_named(value, text):
+    with pytest.raises(TypeError, match=f"`params` must be _Outer, got {text}; make one."):
+        expect("params", value, _Outer, "make one")
