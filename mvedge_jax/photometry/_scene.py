@@ -232,7 +232,7 @@ def recentred(
         >>> sorted(moved.arms[0].steps.tolist())
         [0.0, 1.0, 2.0, 3.0, 4.0]
     """
-    v, u = view[0], view[1]
+    v, u = view.astype(jnp.int32)
     factor = exposure.scale / exposure.gain
 
     def arm(views: Array, gains: Array, there: Array, own: Array) -> Arm:

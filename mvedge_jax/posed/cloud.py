@@ -88,15 +88,15 @@ def _neighbours(values: Array, axis: int) -> tuple[Array, Array]:
 
 
 def camera_of_view(
-    camera: Camera, shape: tuple[int, int], away: Float[Array, "2"]
+    camera: Camera, away: Float[Array, "2"], shape: tuple[int, int]
 ) -> tuple[Float[Array, "4 4"], Float[Array, "3 3"]]:
     """Pose and intrinsics of a view of a light field; the centre view's camera is the world.
 
     Args:
         camera: of the light field.
-        shape: height and width of the views, px.
         away: columns and rows of views from the centre to the view: the opposite of
             `LightField.steps`.
+        shape: height and width of the views, px.
 
     Returns:
         Camera to world, metres, and intrinsics, px: the sensor's shift, by which one distance has
@@ -141,7 +141,7 @@ def photographs_of(light_field: LightField) -> Photographs:
     rows, columns, height, width = light_field.views.shape[:4]
     there = np.argwhere(np.asarray(light_field.available))
     away = -np.asarray(light_field.steps)
-    cameras = [camera_of_view(camera, (height, width), jnp.asarray(away[v, u])) for v, u in there]
+    cameras = [camera_of_view(camera, jnp.asarray(away[v, u]), (height, width)) for v, u in there]
     rows_of, columns_of = there.T
     truth, depth = light_field.truth, None
     if truth is not None and truth.view_disparity is not None:

@@ -10,15 +10,20 @@ from mvedge._run import listen
 
 listen()
 from pathlib import Path
+from mvedge_jax.cli._interruption import GUARD
 from mvedge_jax.cli._output import output_folder
 
-with output_folder(Path(sys.argv[1]), overwrite=True) as folder:
-    (folder / "half.txt").write_text("half")
-    print("inside", flush=True)
-    count = 0
-    while True:
-        count += 1
-        (folder / f"{count}.txt").write_text("x")
+try:
+    with output_folder(Path(sys.argv[1]), overwrite=True) as folder:
+        (folder / "half.txt").write_text("half")
+        print("inside", flush=True)
+        count = 0
+        while True:
+            count += 1
+            (folder / f"{count}.txt").write_text("x")
+except OSError as gone:  # the folder went away beneath it: told as `main` does, if there is time
+    with GUARD:
+        print(gone, file=sys.stderr)
 """
 
 

@@ -14,12 +14,13 @@ from scipy.ndimage import map_coordinates, maximum_filter, minimum_filter
 
 from mvedge_jax.datasets import synthetic
 from mvedge_jax.datasets.synthetic import _scenes, _trace
+from mvedge_jax.datasets.synthetic.world import Material
 
 KEY = jax.random.key(0)
 # Few sizes, so that few functions are compiled.
 SMALL = (3, 5, 60, 54)  # one ray per pixel
 PICTURE = (3, 3, 150, 176)  # nine rays per pixel
-PLAIN = synthetic.Material(dark=(0.5, 0.5, 0.5), light=(0.5, 0.5, 0.5), contrast=0.0)
+PLAIN = Material(dark=(0.5, 0.5, 0.5), light=(0.5, 0.5, 0.5), contrast=0.0)
 DARK = replace(PLAIN, dark=(0.1, 0.1, 0.1), light=(0.1, 0.1, 0.1))
 BLACK = replace(PLAIN, dark=(0.0, 0.0, 0.0), light=(0.0, 0.0, 0.0))
 FOCAL, GAIN, FOCUS = 1.4, 20.0, 4.0

@@ -24,4 +24,3 @@ from ._solids import (
     rotation as rotation,
     sphere as sphere,
 )
-from .world import Material as Material
