@@ -133,7 +133,7 @@ def steps(light_field: LightField, params: EdgeParams, sizes: EdgeSizes, *, thes
     truth = np.asarray(light_field.truth.disparity)
     blind = light_field.without_truth()
     table = thesis_steps(light_field) if thesis else []
-    everything = eqx.tree_at(lambda p: p.error_limit, params, jnp.asarray(jnp.inf))
+    everything = eqx.tree_at(lambda p: p.error_limit, params, jnp.asarray(1e6))
     row, _ = final(light_field, everything, sizes)
     table.append({"step": "measured, all candidates", **row})
     row, points = final(light_field, params, sizes)
