@@ -174,6 +174,9 @@ def main() -> int:
     rows = []
     for item in ITEMS:
         if arguments.only and item.name not in arguments.only:
+            record = arguments.out / item.name / "run.json"
+            if record.exists():  # stays on the page
+                rows.append(json.loads(record.read_text(encoding="utf-8")))
             continue
         row = _run(item, arguments.tier, arguments.out / item.name, commit, limit, arguments.again)
         rows.append(row)
