@@ -182,6 +182,7 @@ def main() -> int:
         rows.append(row)
         print(f"{row['name']}: {row['state']}, {row['seconds']:.0f} s", flush=True)
         _write_page(arguments.out, arguments.tier, commit, rows)
+    _write_page(arguments.out, arguments.tier, commit, rows)
     print_table(
         [{name: row[name] for name in ("name", "what", "state", "seconds")} for row in rows],
         title=f"{arguments.tier}, {commit}",
