@@ -1,5 +1,7 @@
 """Colour spaces, differentiable: sRGB to linear light, CIE L*a*b* and grey."""
 
+from collections.abc import Sequence
+
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -109,3 +111,54 @@ def srgb_to_gray(image: Float[Array, "*s c"]) -> Float[Array, "*s"]:
     """
     _require_rgb(image, "image")
     return image @ jnp.asarray(_LUMA, image.dtype)
+
+
+def factored(
+    moments: Sequence[Float[Array, "*s"]], floor: Float[Array, ""]
+) -> tuple[Float[Array, "*s"], ...]:
+    """Factors covariances of three colours, each variance raised by some for safety.
+
+    The triangular factors are exact enough in single precision where colours lie on a line, as they
+    do around an edge; the adjugate is not.
+
+    Args:
+        moments: covariances `rr, rg, rb, gg, gb, bb`, of any shape.
+        floor: added to `rr`, `gg`, `bb`; positive.
+
+    Returns:
+        What `solved` takes. Differentiable.
+    """
+    rr, rg, rb, gg, gb, bb = moments
+    first = jnp.maximum(rr + floor, floor)
+    g_r, b_r = rg / first, rb / first
+    # What is left of a variance after the others explain it is no less than was added.
+    second = jnp.maximum(gg + floor - g_r * rg, floor)
+    b_g = (gb - b_r * rg) / second
+    third = jnp.maximum(bb + floor - b_r * rb - b_g * b_g * second, floor)
+    return first, second, third, g_r, b_r, b_g
+
+
+def solved(
+    factors: Sequence[Float[Array, "*s"]], colour: Sequence[Float[Array, "*s"]]
+) -> tuple[Float[Array, "*s"], ...]:
+    """The inverse of a covariance times a vector.
+
+    Args:
+        factors: of `factored`.
+        colour: a vector `r, g, b`.
+
+    Returns:
+        A vector of the same shape. Differentiable.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> moments = [jnp.asarray(m) for m in (1.0, 0.0, 0.0, 3.0, 0.0, 1.0)]
+        >>> [float(c) for c in solved(factored(moments, jnp.asarray(1.0)), (jnp.ones(()),) * 3)]
+        [0.5, 0.25, 0.5]
+    """
+    first, second, third, g_r, b_r, b_g = factors
+    r, g, b = colour
+    g = g - g_r * r
+    b = (b - b_r * r - b_g * g) / third
+    g = g / second - b_g * b
+    return r / first - g_r * g - b_r * b, g, b

@@ -9,6 +9,7 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from mvedge_jax._params import cast, number
+from mvedge_jax.color import factored, solved
 from mvedge_jax.image import window_sum
 
 Sharpening = Literal["clip", "median", "quantised", "none"]
@@ -135,10 +136,10 @@ def weighted_median(
 
 
 class _LocalModel(NamedTuple):
-    """Mean and inverse covariance of the guide around every pixel; the window's area."""
+    """Mean of the guide around every pixel, factors of its covariance; the window's area."""
 
     mean: tuple[Array, ...]
-    inverse: tuple[Array, ...]
+    factors: tuple[Array, ...]
     area: Array
 
 
@@ -150,15 +151,9 @@ def _local_model(guide: Array, epsilon: Array, radius: int) -> _LocalModel:
     def moment(i: int, j: int) -> Array:
         return _box_sum(guide[i] * guide[j], radius) / area - mean[i] * mean[j]
 
-    rr, gg, bb = (moment(i, i) + epsilon for i in range(3))
-    rg, rb, gb = moment(0, 1), moment(0, 2), moment(1, 2)
-    # Adjugate of the symmetric 3x3 covariance.
-    c_rr, c_rg, c_rb = gg * bb - gb * gb, rb * gb - rg * bb, rg * gb - rb * gg
-    c_gg, c_gb, c_bb = rr * bb - rb * rb, rg * rb - rr * gb, rr * gg - rg * rg
-    determinant = rr * c_rr + rg * c_rg + rb * c_rb
-    scale = 1 / jnp.maximum(determinant, epsilon**3)
-    inverse = tuple(scale * c for c in (c_rr, c_rg, c_rb, c_gg, c_gb, c_bb))
-    return _LocalModel(mean, inverse, area)
+    pairs = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
+    factors = factored([moment(i, j) for i, j in pairs], epsilon)
+    return _LocalModel(mean, factors, area)
 
 
 def _guided(piece: Array, guide: Array, model: _LocalModel, radius: int) -> Array:
@@ -167,9 +162,7 @@ def _guided(piece: Array, guide: Array, model: _LocalModel, radius: int) -> Arra
     covariance = [
         _box_sum(guide[c] * piece, radius) / model.area - model.mean[c] * mean for c in range(3)
     ]
-    rr, rg, rb, gg, gb, bb = model.inverse
-    x, y, z = covariance
-    slope = (rr * x + rg * y + rb * z, rg * x + gg * y + gb * z, rb * x + gb * y + bb * z)
+    slope = solved(model.factors, covariance)
     offset = mean
     for c in range(3):
         offset = offset - slope[c] * model.mean[c]
