@@ -52,3 +52,19 @@ def test_gradients():
 def test_wrong_channels_are_refused():
     with pytest.raises(ValueError, match=r"three colour channels.*\(4, 4\)"):
         color.srgb_to_lab(jnp.zeros((4, 4)))
+
+
+def test_factors_solve_what_is_nearly_singular():
+    rng = np.random.default_rng(5)
+    line = rng.normal(size=(200, 1)) * np.array([[0.3, 0.25, 0.2]]) + 1e-3 * rng.normal(
+        size=(200, 3)
+    )
+    covariance, floor = np.cov(line.T), 1e-6
+    pairs = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
+    vector = np.array([1.0, -0.5, 0.25])
+    expected = np.linalg.solve(covariance + floor * np.eye(3), vector)
+    for dtype, tolerance in ((jnp.float64, 1e-9), (jnp.float32, 0.02)):
+        moments = [jnp.asarray(covariance[pair], dtype) for pair in pairs]
+        factors = color.factored(moments, jnp.asarray(floor, dtype))
+        found = color.solved(factors, [jnp.asarray(c, dtype) for c in vector])
+        np.testing.assert_allclose(found, expected, rtol=tolerance)

@@ -127,6 +127,7 @@ def edge_to_depth(light_field: LightField, params: Parameters, sizes: Sizes) -> 
        out. Smoothness ends where a colour step and a depth step of that map meet.
     6. A weighted median moves blurred depth steps onto colour steps; more solves follow, the last
        two with labels from all views, if these are asked for.
+    7. Pixels beside depth steps go to the surface that covers most of them (`warping.outline`).
 
     Every light-field shape and every `sizes` is a program of its own, of some 2400 memory maps. A
     process that compiles more than about 25 should call `jax.clear_caches()` now and then: Linux
