@@ -14,7 +14,7 @@ from ._samples import Samples, landed
 STEP = 0.1
 # Log odds that a pixel beside a step was drawn on the right side of it: samples are put into whole
 # pixels. From demo, crossing and thin.
-_PRIOR = 1.0
+_PRIOR = 0.25
 
 
 class Drawing(NamedTuple):
