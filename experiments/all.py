@@ -135,6 +135,13 @@ ITEMS = (
         "--what taps --learn demo --rate 0.003",
         "Filters learned by gradient",
     ),
+    Item(
+        "second_order",
+        "second_order.py",
+        None,
+        "--size 128",
+        "Gauss-Newton against Adam",
+    ),
     Item("hidden_points", "hidden_points.py", None, "", "Points that a neighbour hides"),
     Item(
         "solver_truth",

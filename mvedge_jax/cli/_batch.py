@@ -133,7 +133,7 @@ def _run(
 
 
 class _Estimate:
-    """Depth of light fields of one kind; compiles for the first, and where a video asks for more."""
+    """Depth of light fields of one kind; compiled for the first, and for frames of wider range."""
 
     def __init__(self, kind: _Kind, options: _Options, ends: tuple[float, float]):
         self.params = Parameters()
