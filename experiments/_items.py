@@ -159,6 +159,13 @@ ITEMS = (
         "Seconds of one diffusion",
     ),
     Item(
+        "benchmark_sweep",
+        "benchmarks/sweep.py",
+        None,
+        "--size 96",
+        "Settings per second: batches beside single calls",
+    ),
+    Item(
         "benchmark_depth",
         "benchmarks/depth.py",
         "--settings --repeats 1",
