@@ -70,7 +70,7 @@ def with_pictures(known: np.ndarray, kind: str) -> Iterator[tuple[int, np.ndarra
             code = cv2.imencode(".png", levels, [cv2.IMWRITE_PNG_COMPRESSION, 9])[1]
         else:
             code = cv2.imencode(".jp2", levels, [cv2.IMWRITE_JPEG2000_COMPRESSION_X1000, rate])[1]
-        back = cv2.imdecode(code, cv2.IMREAD_UNCHANGED).astype(np.float64)
+        back = np.asarray(cv2.imdecode(code, cv2.IMREAD_UNCHANGED), np.float64)
         yield len(code) + 8, low + back / top * (high - low)
 
 

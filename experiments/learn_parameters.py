@@ -31,7 +31,7 @@ from mvedge_jax.centre import Parameters, Sizes, edge_to_depth
 from mvedge_jax.edges import EdgeParams, scene_range
 from mvedge_jax.epi import FilterBank
 from mvedge_jax.lightfield import LightField
-from mvedge_jax.losses import LossWeights, all_views, gather_views, self_supervised_loss
+from mvedge_jax.losses import LossWeights, gather_views, self_supervised_loss
 from mvedge_jax.metrics import depth_scores
 
 _ERROR_ALONE = LossWeights(smoothness=jnp.asarray(0.0), gradient=jnp.asarray(0.0))
@@ -136,7 +136,7 @@ def main() -> None:
 def _held_out(disparity: jax.Array, field: LightField) -> jax.Array:
     """Reprojection error of the views that the crosshair's map was not made from."""
     vc, uc = field.centre
-    away = [(v, u) for v, u in all_views(field) if v != vc and u != uc]
+    away = [(v, u) for v, u in np.ndindex(field.available.shape) if v != vc and u != uc]
     return self_supervised_loss(disparity, gather_views(field, choice=away), _ERROR_ALONE)[0]
 
 
