@@ -19,145 +19,16 @@ import sys
 import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+from experiments._items import ITEMS, Item
 from experiments._report import environment, print_table, shared_data
 
 HERE = Path(__file__).resolve().parent
 # Seconds after which a script is stopped.
 LIMITS = {"quick": 240, "full": 5400}
-
-
-class Item(NamedTuple):
-    """A script and how it is run.
-
-    Attributes:
-        name: of its folder of results.
-        script: below `experiments/`.
-        quick: arguments of the quick tier; None leaves it to the full one.
-        full: arguments of the full tier; `{data}` is the folder of development data.
-        what: the thesis' table or figure, or what it shows.
-    """
-
-    name: str
-    script: str
-    quick: str | None
-    full: str
-    what: str
-
-
-ITEMS = (
-    Item(
-        "table_6_1",
-        "table_6_1.py",
-        "--scenes edges --size 96",
-        "--ablations --size 512",
-        "Table 6.1: the centre view's depth beside baselines",
-    ),
-    Item(
-        "table_6_2",
-        "table_6_2.py",
-        "--scenes edges --size 96",
-        "--size 512",
-        "Table 6.2: how the side of an edge is chosen",
-    ),
-    Item(
-        "table_6_3",
-        "table_6_3.py",
-        "--scenes edges --size 96",
-        "--size 512",
-        "Table 6.3, Figure 6.4: depth boundaries",
-    ),
-    Item(
-        "figure_6_10",
-        "figure_6_10.py",
-        "--scenes edges --size 64 --steps 3 --only centre.precision",
-        "--scenes edges demo --size 128",
-        "Figure 6.10: error against hyperparameters",
-    ),
-    Item(
-        "table_7_2",
-        "table_7_2.py",
-        None,
-        "--scenes hci/cotton hci/backgammon",
-        "Table 7.2: self-supervised optimisation",
-    ),
-    Item(
-        "figure_7_10",
-        "figure_7_10.py",
-        "--scenes edges --size 96 --iterations 20 --only curves",
-        "--scenes hci/cotton edges",
-        "Figure 7.10: supervised optimisation; error against bytes",
-    ),
-    Item("figure_c_1", "figure_c_1.py", None, "--scene hci/cotton", "Figure C.1: noise on points"),
-    Item("figure_c_9", "figure_c_9.py", None, "--scene hci/cotton", "Figure C.9: fewer points"),
-    Item(
-        "edge_accuracy",
-        "edge_accuracy.py",
-        "synthetic:demo --size 96",
-        "cotton backgammon synthetic:demo synthetic:wide --data {data} --sweep",
-        "Chapter 4: accuracy of the multi-view edges",
-    ),
-    Item(
-        "robustness",
-        "robustness.py",
-        "demo --size 96 --changes clean",
-        "{data}/hci/cotton {data}/traced/bench demo",
-        "Noise, gain, brightness",
-    ),
-    Item(
-        "calibration",
-        "calibration.py",
-        "demo --size 96",
-        "cotton backgammon room bench demo edges --size 512",
-        "Are standard errors true?",
-    ),
-    Item(
-        "secants",
-        "secants.py",
-        None,
-        "--scenes edges demo",
-        "Do derivatives mean something?",
-    ),
-    Item(
-        "learn_parameters",
-        "learn_parameters.py",
-        None,
-        "",
-        "Parameters learned by gradient",
-    ),
-    Item(
-        "learn_taps",
-        "learn_parameters.py",
-        None,
-        "--what taps --learn demo --rate 0.003",
-        "Filters learned by gradient",
-    ),
-    Item("hidden_points", "hidden_points.py", None, "", "Points that a neighbour hides"),
-    Item(
-        "solver_truth",
-        "solver_truth.py",
-        "--sizes 64 --seeds 1",
-        "",
-        "Does the solver say the truth?",
-    ),
-    Item(
-        "benchmark_diffusion",
-        "benchmarks/diffusion.py",
-        "--only ours --sizes 128",
-        "",
-        "Seconds of one diffusion",
-    ),
-    Item(
-        "benchmark_depth",
-        "benchmarks/depth.py",
-        "--settings --repeats 1",
-        "",
-        "Seconds and memory of the centre view's depth",
-    ),
-)
 
 
 def main() -> int:

@@ -1,24 +1,18 @@
-"""Figure 7.10: supervised optimisation over iterations, and error against bytes.
+"""Figure 7.10: supervised optimisation over iterations (error against bytes: `codec.py`).
 
 python experiments/figure_7_10.py --data ../shared/data --scenes hci/cotton
-python experiments/figure_7_10.py --scenes edges slanted --size 512 --only curves
-python experiments/figure_7_10.py --scenes hci/cotton --only bytes
+python experiments/figure_7_10.py --scenes edges slanted --size 512
 """
 
 import argparse
-import tempfile
 from pathlib import Path
 
-import cv2
 import jax
-import jax.numpy as jnp
-import numpy as np
-from _model import first_map, load_scene, plain, printer, run_supervised, scores
+from _model import first_map, load_scene, plain, printer, run_supervised
 from _report import print_table, shared_data, write_csv, write_json
 from matplotlib.figure import Figure
 
 from mvedge_jax.lightfield import LightField
-from mvedge_jax.model.codec import decode, encode
 from mvedge_jax.model.optimisation import Growth
 
 COLUMNS = {
@@ -54,27 +48,6 @@ def curve(name: str, light_field: LightField, arguments: argparse.Namespace) -> 
     return rows
 
 
-def bytes_table(name: str, light_field: LightField, counts: list[int]) -> list[dict]:
-    """Error of the encoded ground truth, beside a 16-bit PNG of the same map."""
-    truth = light_field.truth
-    if truth is None:
-        raise ValueError(f"{name} has no ground truth.")
-    known = np.asarray(truth.disparity)
-    low, high = known.min(), known.max()
-    levels = np.round((known - low) / (high - low) * 65535).astype(np.uint16)
-    png = cv2.imencode(".png", levels, [cv2.IMWRITE_PNG_COMPRESSION, 9])[1]
-    back = jnp.asarray((low + levels / 65535 * (high - low)).astype(known.dtype))
-    rows = [{"scene": name, "code": "16-bit PNG", "bytes": len(png), **scores(back, light_field)}]
-    for k in counts:
-        encoding = encode(truth.disparity, min(k, known.size))
-        with tempfile.TemporaryDirectory() as folder:
-            size = encoding.save(Path(folder) / "code.npz")
-        found = scores(decode(encoding), light_field)
-        rows.append({"scene": name, "code": f"{k} points", "bytes": size, **found})
-        print(rows[-1], flush=True)
-    return rows
-
-
 def main() -> None:
     """Runs the experiment."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -84,20 +57,12 @@ def main() -> None:
     parser.add_argument("--grow", type=float, default=0.07, help="points to add per pixel")
     parser.add_argument("--size", type=int, default=128, help="of synthetic views, px")
     parser.add_argument("--raster", type=int, default=1)
-    parser.add_argument("--only", choices=["bytes", "curves"], help="half of the experiment")
-    parser.add_argument("--points", type=int, nargs="+", default=[500, 2000, 8000, 20000, 50000])
     parser.add_argument("--out", type=Path, default=Path("results/figure_7_10"))
     arguments = parser.parse_args()
     arguments.out.mkdir(parents=True, exist_ok=True)
     for name in arguments.scenes:
         light_field = load_scene(name, arguments.data, size=arguments.size)
         stem = name.replace("/", "_")
-        if arguments.only != "curves":
-            coded = bytes_table(name, light_field, arguments.points)
-            print_table(coded, title="error against bytes")
-            write_csv(arguments.out / f"{stem}_bytes.csv", coded)
-        if arguments.only == "bytes":
-            continue
         rows = curve(name, light_field, arguments)
         print_table(rows, title="Figure 7.10")
         write_csv(arguments.out / f"{stem}.csv", rows)

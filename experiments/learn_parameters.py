@@ -1,11 +1,13 @@
 """Parameters, or filters, learned by gradient: Adam through the whole chain.
 
-Small synthetic scenes are learned from and others are only measured before and after. The loss is
-the mean of `log(1 + (error / 0.03 px)²)` over the learned scenes. Parameters are moved by their
-logarithm, so that a step is a percentage; leaves that are thresholds have no derivative and stay.
-Taps of the filter bank are moved as they are.
+Small synthetic scenes are learned from, in mini-batches that each seed draws, and others are only
+measured before and after. The loss is the mean of `log(1 + (error / 0.03 px)²)`, or, without any
+truth, the reprojection error of the views that the chain does not read, those off the crosshair.
+Parameters are moved by their logarithm, so that a step is a percentage; leaves that are thresholds
+have no derivative and stay. Taps of the filter bank are moved as they are.
 
     python experiments/learn_parameters.py --out results/learn_parameters
+    python experiments/learn_parameters.py --loss views --out results/learn_views
     python experiments/learn_parameters.py --what taps --learn demo --rate 0.003 --out results/taps
 """
 
@@ -18,6 +20,7 @@ from typing import Any, Literal
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 import optax
 import tyro
 from _depth import robust_loss, scenes
@@ -28,7 +31,10 @@ from mvedge_jax.centre import Parameters, Sizes, edge_to_depth
 from mvedge_jax.edges import EdgeParams, scene_range
 from mvedge_jax.epi import FilterBank
 from mvedge_jax.lightfield import LightField
+from mvedge_jax.losses import LossWeights, gather_views, self_supervised_loss
 from mvedge_jax.metrics import depth_scores
+
+_ERROR_ALONE = LossWeights(smoothness=jnp.asarray(0.0), gradient=jnp.asarray(0.0))
 
 
 @dataclass(frozen=True)
@@ -37,19 +43,28 @@ class Arguments:
 
     Attributes:
         what: the numbers of `Parameters`, or the taps of the filter bank.
+        loss: by the truth, or by the views off the crosshair.
         learn: scenes to learn from.
         unseen: scenes to measure besides.
         size: side of the views, px.
+        views: views along a side of the grid; odd.
         steps: of Adam.
-        rate: its learning rate, in the logarithm of the parameters or in units of the taps.
+        batch: scenes per step.
+        seeds: runs, each with an order of its own.
+        rate: the learning rate at first, in the logarithm of the parameters or in units of the
+            taps; it falls to 0 along a cosine.
         out: folder for the table, the curve and the parameters.
     """
 
     what: Literal["parameters", "taps"] = "parameters"
-    learn: tuple[str, ...] = ("edges", "demo")
-    unseen: tuple[str, ...] = ("slanted", "specular")
+    loss: Literal["truth", "views"] = "truth"
+    learn: tuple[str, ...] = ("edges", "demo", "thin", "wide")
+    unseen: tuple[str, ...] = ("slanted", "crossing", "specular")
     size: int = 96
-    steps: int = 20
+    views: int = 9
+    steps: int = 40
+    batch: int = 2
+    seeds: int = 3
     rate: float = 0.05
     out: Path = Path("results/learn_parameters")
 
@@ -58,6 +73,7 @@ def main() -> None:
     """Learns, measures and draws."""
     arguments = tyro.cli(Arguments, description=__doc__)
     fields = dict(scenes(None, arguments.learn + arguments.unseen, size=arguments.size))
+    fields = {name: field.crop_views(arguments.views) for name, field in fields.items()}
     # The widest range for all, so that one program serves them.
     lows, highs = zip(*(scene_range(field) for field in fields.values()), strict=True)
     widest = (min(lows), max(highs))
@@ -69,32 +85,23 @@ def main() -> None:
 
     first, parameters = _choice(arguments.what, next(iter(fields.values())), sizes)
 
-    def loss(learned: Any, field: LightField) -> tuple[jax.Array, jax.Array]:
+    def loss(learned: Any, field: LightField) -> jax.Array:
         found = edge_to_depth(field.without_truth(), parameters(learned), sizes).disparity
-        return robust_loss(found, field), found
+        return robust_loss(found, field) if arguments.loss == "truth" else _held_out(found, field)
 
-    value_and_gradient = eqx.filter_jit(jax.value_and_grad(loss, has_aux=True))
-    learned = best = first
-    adam = optax.adam(arguments.rate)
-    state = adam.init(learned)
-    losses, lowest = [], float("inf")
-    for step in range(arguments.steps + 1):
-        start = time.perf_counter()
-        found = [value_and_gradient(learned, fields[name]) for name in arguments.learn]
-        value = sum(float(v) for (v, _), _ in found) / len(found)
-        losses.append(value)
-        if value < lowest:
-            best, lowest = learned, value
-        print(f"step {step}: loss {value:.5f}, {time.perf_counter() - start:.1f} s", flush=True)
-        gradient = jax.tree.map(lambda *leaves: sum(leaves) / len(leaves), *(g for _, g in found))
-        updates, state = adam.update(gradient, state, learned)
-        learned = optax.apply_updates(learned, updates)
-
-    estimate = eqx.filter_jit(lambda learned, field: loss(learned, field)[1])
+    value_and_gradient = eqx.filter_jit(jax.value_and_grad(loss))
+    chosen = [fields[name] for name in arguments.learn]
+    runs = [_learn(value_and_gradient, first, chosen, arguments, k) for k in range(arguments.seeds)]
+    estimate = eqx.filter_jit(
+        lambda learned, field: (
+            edge_to_depth(field.without_truth(), parameters(learned), sizes).disparity
+        )
+    )
     rows = []
     for name, field in fields.items():
         assert field.truth is not None
-        for label, point in (("default", first), ("learned", best)):
+        points = {"default": first, **{f"seed {k}": point for k, (point, _) in enumerate(runs)}}
+        for label, point in points.items():
             scores = depth_scores(
                 estimate(point, field), field.truth.disparity, mask=field.truth.valid
             )
@@ -111,15 +118,64 @@ def main() -> None:
                 }
             )
     print_table(rows, title=f"{arguments.steps} steps of Adam at {arguments.rate}")
+    means = _means(rows, arguments.what)
+    print_table(means, title="means")
+    best = runs[0][0]
     changes = _changes(first, best) if arguments.what == "parameters" else []
     if changes:
-        print_table(changes, title="the parameters that changed most")
+        print_table(changes, title="the parameters that changed most, seed 0")
+    losses = [curve for _, curve in runs]
     write_csv(arguments.out / "learn_parameters.csv", rows)
     write_json(
         arguments.out / "learn_parameters.json",
-        {"losses": losses, "scores": rows, "parameters": changes},
+        {"losses": losses, "means": means, "scores": rows, "parameters": changes},
     )
     _plot(losses, rows, arguments.what).savefig(arguments.out / "learn_parameters.png")
+
+
+def _held_out(disparity: jax.Array, field: LightField) -> jax.Array:
+    """Reprojection error of the views that the crosshair's map was not made from."""
+    vc, uc = field.centre
+    away = [(v, u) for v, u in np.ndindex(field.available.shape) if v != vc and u != uc]
+    return self_supervised_loss(disparity, gather_views(field, choice=away), _ERROR_ALONE)[0]
+
+
+def _learn(
+    value_and_gradient: Callable[..., Any],
+    first: Any,
+    fields: list[LightField],
+    arguments: Arguments,
+    seed: int,
+) -> tuple[Any, list[float]]:
+    """What Adam ends at, and the mean loss of every mini-batch."""
+    adam = optax.adam(optax.cosine_decay_schedule(arguments.rate, arguments.steps))
+    learned, state, losses = first, adam.init(first), []
+    order, waiting = np.random.default_rng(seed), []
+    for step in range(arguments.steps):
+        start = time.perf_counter()
+        if len(waiting) < arguments.batch:
+            waiting += order.permutation(len(fields)).tolist()
+        drawn, waiting = waiting[: arguments.batch], waiting[arguments.batch :]
+        found = [value_and_gradient(learned, fields[k]) for k in drawn]
+        losses.append(sum(float(value) for value, _ in found) / len(found))
+        spent = time.perf_counter() - start
+        print(f"seed {seed}, step {step}: loss {losses[-1]:.5f}, {spent:.1f} s", flush=True)
+        gradient = jax.tree.map(lambda *leaves: sum(leaves) / len(leaves), *(g for _, g in found))
+        updates, state = adam.update(gradient, state, learned)
+        learned = optax.apply_updates(learned, updates)
+    return learned, losses
+
+
+def _means(rows: list[dict[str, Any]], what: str) -> list[dict[str, Any]]:
+    """Mean scores over the scenes of either use, for the defaults and for every seed."""
+    means = []
+    for use in dict.fromkeys(row["use"] for row in rows):
+        for label in dict.fromkeys(row[what] for row in rows):
+            mine = [row for row in rows if (row["use"], row[what]) == (use, label)]
+            columns = [name for name in mine[0] if name not in ("scene", "use", what)]
+            mean = {name: sum(row[name] for row in mine) / len(mine) for name in columns}
+            means.append({"use": use, what: label, **mean})
+    return means
 
 
 def _choice(what: str, field: LightField, sizes: Sizes) -> tuple[Any, Callable[[Any], Parameters]]:
@@ -151,18 +207,21 @@ def _changes(first: Any, best: Any, most: int = 12) -> list[dict[str, Any]]:
     return rows[:most]
 
 
-def _plot(losses: list[float], rows: list[dict[str, Any]], what: str) -> Figure:
+def _plot(losses: list[list[float]], rows: list[dict[str, Any]], what: str) -> Figure:
     """The loss curve, and the scores before and after per scene."""
     figure = Figure(figsize=(13, 3.6), layout="constrained")
     curve, *axes = figure.subplots(1, 3)
-    curve.plot(losses, "o-", markersize=3)
-    curve.set(xlabel="step of Adam", ylabel="loss of the scenes learned from")
+    for seed, values in enumerate(losses):
+        curve.plot(values, "o-", markersize=3, label=f"seed {seed}")
+    curve.set(xlabel="step of Adam", ylabel="loss of the mini-batch")
     names = list(dict.fromkeys(row["scene"] for row in rows))
     titles = {row["scene"]: f"{row['scene']}\n({row['use']})" for row in rows}
     for axis, column in zip(axes, ("MSE*100", "BP(.07)"), strict=True):
-        for shift, label in ((-0.2, "default"), (0.2, "learned")):
+        labels = list(dict.fromkeys(row[what] for row in rows))
+        for k, label in enumerate(labels):
             heights = [row[column] for row in rows if row[what] == label]
-            axis.bar([k + shift for k in range(len(names))], heights, 0.38, label=label)
+            shift, width = 0.8 * k / len(labels) - 0.3, 0.8 / len(labels)
+            axis.bar([place + shift for place in range(len(names))], heights, width, label=label)
         axis.set_xticks(range(len(names)), [titles[name] for name in names], fontsize=7)
         axis.set(ylabel=column)
     figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper right", ncols=2)

@@ -10,7 +10,7 @@ from typing import Annotated, Any, NamedTuple
 import jax
 import tyro
 
-from mvedge_jax.centre import Parameters, Sizes, edge_to_depth
+from mvedge_jax.centre import DepthResult, Parameters, Sizes, edge_to_depth
 from mvedge_jax.datasets import load_light_field
 from mvedge_jax.edges import scene_range
 from mvedge_jax.lightfield import LightField
@@ -30,6 +30,15 @@ class _Kind(NamedTuple):
     dtype: str
 
 
+class _Options(NamedTuple):
+    """How light fields are read, and estimated."""
+
+    views: int | None
+    scale: float
+    all_views: bool
+    video: bool
+
+
 def batch(
     paths: Annotated[
         tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="SCENES... OUT")
@@ -40,6 +49,7 @@ def batch(
     scale: float = 1.0,
     range: tuple[float, float] | None = None,
     all_views: bool = False,
+    video: bool = False,
     again: bool = False,
 ) -> int:
     """Estimates depth of many light fields, one after the other.
@@ -56,6 +66,8 @@ def batch(
         range: lowest and highest disparity of all, px per view step; otherwise each is measured if
             not known.
         all_views: measure disparity in all views at the end.
+        video: the light fields are the frames of one video, in order. The range is measured in the
+            first, and in later ones only where something speaks against their map.
         again: compute again what is there already.
 
     Returns:
@@ -66,6 +78,8 @@ def batch(
     if out.exists() and not out.is_dir():
         raise FileExistsError(f"{out} is a file, expected a folder to write into.")
     out.mkdir(parents=True, exist_ok=True)
+    # A range that was asked for stays.
+    options = _Options(views, scale, all_views, video and range is None)
     rows: dict[str, dict[str, Any]] = {}
     kinds: dict[_Kind, list[tuple[str, Path]]] = {}
     ranges: dict[_Kind, tuple[float, float]] = {}
@@ -76,16 +90,16 @@ def batch(
         try:
             with stage(f"reading {scene}"):
                 found = load_light_field(scene, views=views, scale=scale).without_truth()
-                ends = scene_range(found) if range is None else range
+            kind = _Kind(found.views.shape, str(found.views.dtype))
+            ends = range or (ranges.get(kind) if options.video else None) or scene_range(found)
         except (ValueError, OSError, MemoryError) as reason:
             rows[name] = {"state": "failed", "reason": str(reason)}
             continue
-        kind = _Kind(found.views.shape, str(found.views.dtype))
         low, high = ranges.get(kind, ends)
         ranges[kind] = min(low, ends[0]), max(high, ends[1])
         kinds.setdefault(kind, []).append((name, scene))
     for kind, members in kinds.items():
-        _run(members, kind, ranges[kind], rows, out, (views, scale, all_views))
+        _run(members, kind, ranges[kind], rows, out, options)
         # A program holds some 2400 memory maps, of which Linux allows 65530.
         jax.clear_caches()
     return _summary({name: rows[name] for name in names}, out)
@@ -97,48 +111,73 @@ def _run(
     ends: tuple[float, float],
     rows: dict[str, dict[str, Any]],
     out: Path,
-    options: tuple[int | None, float, bool],
+    options: _Options,
 ) -> None:
     """Light fields of one shape, through one program."""
-    views, scale, every = options
-    params, program = Parameters(), None
+    estimate = _Estimate(kind, options, ends)
     for name, scene in members:
         try:
             with stage(f"reading {scene}"):
-                found = _over(load_light_field(scene, views=views, scale=scale), ends)
-            blind, start = found.without_truth(), time.perf_counter()
-            if program is None:
-                with stage(f"compiling for views {'x'.join(map(str, kind.shape[:4]))}"):
-                    sizes = Sizes.for_light_field(blind, views="all" if every else "crosshair")
-                    program = compiled(edge_to_depth, _anonymous(blind), params, sizes), sizes
-            estimate, sizes = program
-            ready = time.perf_counter()
-            with stage(f"estimating depth of {name}"):
-                result = jax.block_until_ready(estimate(_anonymous(blind), params, sizes))
-            seconds = {
-                "compilation": round(ready - start, 3),
-                "estimation": round(time.perf_counter() - ready, 3),
-            }
+                found = load_light_field(scene, views=options.views, scale=options.scale)
+            result, sizes, seconds = estimate(found, name)
             # What is there is an earlier result of ours, or the folder refuses.
             with output_folder(out / name, inputs=[scene], overwrite=True) as folder:
-                report = depth_report(found, params, sizes, result, seconds)
+                report = depth_report(found, estimate.params, sizes, result, seconds)
                 write_depth(folder, found, result)
                 report["scores"] = score_depth(folder, found, result)
+                report["warnings"] = list(result.problems())
                 write_json(folder / "report.json", report)
             rows[name] = _row(out / name / "report.json", "done")
         except (ValueError, OSError, MemoryError) as reason:
             rows[name] = {"state": "failed", "reason": str(reason)}
 
 
+class _Estimate:
+    """Depth of light fields of one kind; compiled for the first, and for frames of wider range."""
+
+    def __init__(self, kind: _Kind, options: _Options, ends: tuple[float, float]):
+        self.params = Parameters()
+        self._kind, self._options, self._ends = kind, options, ends
+        self._program: tuple[Any, Sizes] | None = None
+
+    def __call__(
+        self, light_field: LightField, name: str
+    ) -> tuple[DepthResult, Sizes, dict[str, float]]:
+        """Depth, the sizes it was found with, and the seconds it took."""
+        views = _anonymous(light_field)
+        start = time.perf_counter()
+        program, sizes = self._compiled(views)
+        ready = time.perf_counter()
+        with stage(f"estimating depth of {name}"):
+            result = jax.block_until_ready(program(views, self.params, sizes))
+        seconds = {"compilation": ready - start, "estimation": time.perf_counter() - ready}
+        if self._options.video and result.problems() and self._widened(views, name):
+            result, sizes, more = self(light_field, name)
+            seconds = {key: seconds[key] + more[key] for key in seconds}
+        return result, sizes, {key: round(value, 3) for key, value in seconds.items()}
+
+    def _compiled(self, views: LightField) -> tuple[Any, Sizes]:
+        if self._program is None:
+            with stage(f"compiling for views {'x'.join(map(str, self._kind.shape[:4]))}"):
+                measured = "all" if self._options.all_views else "crosshair"
+                sizes = Sizes.for_light_field(_over(views, self._ends), views=measured)
+                self._program = compiled(edge_to_depth, views, self.params, sizes), sizes
+        return self._program
+
+    def _widened(self, views: LightField, name: str) -> bool:
+        """Whether a frame shows disparities beyond the range that came from those before."""
+        with stage(f"measuring the range of {name}"):
+            low, high = scene_range(views)
+        before = self._ends
+        self._ends = min(low, before[0]), max(high, before[1])
+        if self._ends == before:
+            return False
+        self._program = None
+        return True
+
+
 def _over(light_field: LightField, ends: tuple[float, float]) -> LightField:
-    return LightField(
-        light_field.views,
-        available=light_field.available,
-        disparity_range=ends,
-        truth=light_field.truth,
-        camera=light_field.camera,
-        name=light_field.name,
-    )
+    return LightField(light_field.views, available=light_field.available, disparity_range=ends)
 
 
 def _anonymous(light_field: LightField) -> LightField:

@@ -118,10 +118,25 @@ def edge_aware_smoothness(
     Source:
         Thesis 7.1.4, E_S of Eq. 7.16.
     """
-    total = jnp.zeros_like(disparity)
-    for slope, edge in zip(_sobel(disparity), _sobel(centre), strict=True):
-        total = total + 8 * jnp.abs(slope) * jnp.exp(-8 * jnp.mean(jnp.abs(edge), axis=0))
-    return total
+    return jnp.sum(jnp.abs(edge_aware_slopes(disparity, centre)), axis=0)
+
+
+def edge_aware_slopes(
+    disparity: Float[Array, "y x"], centre: Float[Array, "c y x"]
+) -> Float[Array, "2 y x"]:
+    """The slopes across and down whose magnitudes `edge_aware_smoothness` adds.
+
+    Args:
+        disparity: px per view step.
+        centre: the image.
+
+    Returns:
+        `S D exp(-mean |S I|)`, with unnormalised Sobel filters.
+    """
+    pairs = zip(_sobel(disparity), _sobel(centre), strict=True)
+    return jnp.stack(
+        [8 * slope * jnp.exp(-8 * jnp.mean(jnp.abs(edge), axis=0)) for slope, edge in pairs]
+    )
 
 
 def ssim(

@@ -6,17 +6,30 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
 from mvedge_jax._params import cast, number
+from mvedge_jax._root import root
 from mvedge_jax.losses import (
     LossWeights,
     SupervisedWeights,
     Views,
+    occlusion_masks,
     self_supervised_loss,
     supervised_loss,
 )
 from mvedge_jax.losses.features import Colours
-from mvedge_jax.losses.terms import Features
+from mvedge_jax.losses.terms import Features, edge_aware_slopes, warp_views
 
 from ._model import DepthModel, ModelParams, ModelSizes, render_model
+
+# Absolute errors, squared: below this, px per view step, they are squares.
+_BLUNT = 0.01
+# The same for differences of features, which are colours in [0, 1], and for slopes.
+_BLUNT_FEATURE, _BLUNT_SLOPE = 2 / 255, 0.01
+
+
+def _rooted(error: Array, absolute: Array, square: Array, blunt: float) -> Array:
+    """What half of the square of is `absolute |error| + square error²`, smooth where it is 0."""
+    bent = jnp.sqrt(1 + (error / blunt) ** 2)
+    return error * root(2 * (square + absolute / (blunt * (1 + bent))))
 
 
 class Trust(eqx.Module):
@@ -51,6 +64,17 @@ class Trust(eqx.Module):
         cost = jnp.where(model.valid, jnp.log1p(jnp.where(model.valid, moved, 0) ** 2), 0)
         count = jnp.maximum(jnp.sum(model.valid).astype(cost.dtype), 1)
         return trust.weight * jnp.sum(cost) / count
+
+    def residuals(self, model: DepthModel) -> Float[Array, "n"]:
+        """What half of the square of is `penalty`."""
+        trust = cast(self, model.disparity.dtype)
+        moved = (model.disparity - trust.origin.disparity) / jnp.maximum(trust.error, 1e-6)
+        squared = jnp.maximum(
+            jnp.where(model.valid, moved, 0) ** 2, jnp.asarray(1e-12, moved.dtype)
+        )
+        count = jnp.maximum(jnp.sum(model.valid).astype(moved.dtype), 1)
+        slope = root(2 * trust.weight * jnp.log1p(squared) / squared / count)
+        return jnp.where(model.valid, moved * slope, 0)
 
     def project(self, model: DepthModel) -> DepthModel:
         """Clips the parameters to the limits."""
@@ -104,6 +128,17 @@ class Supervised(eqx.Module):
         loss = supervised_loss(disparity, self.truth, self.known, self.weights)
         return loss + self.trust.penalty(model), disparity
 
+    def residuals(
+        self, model: DepthModel, start: Float[Array, "y x"]
+    ) -> tuple[tuple[Array, ...], Float[Array, "y x"]]:
+        """What half of the sum of squares of is the loss, absolute errors blunted, and the map."""
+        disparity = render_model(model, self.params, self.sizes, start=start).disparity
+        weights = cast(self.weights, disparity.dtype)
+        count = jnp.maximum(jnp.sum(self.known).astype(disparity.dtype), 1)
+        error = jnp.where(self.known, disparity - jnp.where(self.known, self.truth, 0), 0)
+        error = _rooted(error, weights.absolute / count, weights.square / count, _BLUNT)
+        return (error, self.trust.residuals(model)), disparity
+
     def project(self, model: DepthModel) -> DepthModel:
         """The nearest model within the limits."""
         return self.trust.project(model)
@@ -141,6 +176,27 @@ class SelfSupervised(eqx.Module):
             views = views.take(jax.random.permutation(key, count)[: min(self.subset, count)])
         loss, _ = self_supervised_loss(disparity, views, self.weights, features=self.features)
         return loss + self.trust.penalty(model), disparity
+
+    def residuals(
+        self, model: DepthModel, start: Float[Array, "y x"]
+    ) -> tuple[tuple[Array, ...], Float[Array, "y x"]]:
+        """What half of the sum of squares of is the loss over all views, blunted, and the map.
+
+        The reward of the error's gradient and the dissimilarity, which have no squares, are left
+        out.
+        """
+        disparity = render_model(model, self.params, self.sizes, start=start).disparity
+        views, weights = self.views, cast(self.weights, disparity.dtype)
+        visible = occlusion_masks(jax.lax.stop_gradient(disparity), views)
+        warped = jax.vmap(self.features)(warp_views(disparity, views, visible))
+        away = warped - self.features(views.centre)
+        count = jnp.maximum(jnp.sum(visible, axis=0).astype(disparity.dtype), 1)
+        each = weights.reprojection / (count * disparity.size * away.shape[1])
+        none = jnp.zeros((), disparity.dtype)
+        error = _rooted(away, jnp.where(visible, each, 0)[:, None], none, _BLUNT_FEATURE)
+        slopes = edge_aware_slopes(disparity, views.centre)
+        slope = _rooted(slopes, weights.smoothness / disparity.size, none, _BLUNT_SLOPE)
+        return (error, slope, self.trust.residuals(model)), disparity
 
     def project(self, model: DepthModel) -> DepthModel:
         """The nearest model within the limits."""

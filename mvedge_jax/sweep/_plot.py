@@ -19,12 +19,12 @@ def plot_sweep(swept: Swept) -> Figure:
     Returns:
         A figure: the score of every setting and the best so far; how much of the differences each
         number or choice accounts for among the better settings (PED-ANOVA), where there are enough
-        of them to say; and the score over each.
+        of them to say; and the score over each that took more than one value.
     """
     trials = [t for t in swept.study.get_trials() if t.state == TrialState.COMPLETE]
     number = np.asarray([t.number for t in trials])
     value = np.asarray([float(t.value or 0) for t in trials])
-    names = list(trials[0].params)
+    names = [n for n in trials[0].params if len({t.params[n] for t in trials}) > 1]
     columns = 3
     rows = 1 + math.ceil(len(names) / columns)
     figure = Figure(figsize=(3.6 * columns, 2.8 * rows), layout="constrained")
@@ -36,6 +36,7 @@ def plot_sweep(swept: Swept) -> Figure:
     history.legend(frameon=False)
     share = _importances(swept.study)
     bars = figure.add_subplot(grid[0, 2])
+    share = {name: part for name, part in share.items() if name in names}
     bars.barh(list(share), list(share.values()))
     bars.set(xlabel="importance", xlim=(0, 1))
     for i, name in enumerate(names):

@@ -11,17 +11,19 @@ from mvedge_jax.cli._paths import scenes_and_out
 from mvedge_jax.datasets import read_pfm
 
 
-def _plane(folder, disparity):
-    """A textured plane, 3x3 views of 32x40 px, in the HCI layout."""
-    rng = np.random.default_rng(0)
-    texture = ndimage.gaussian_filter(rng.uniform(size=(52, 60, 3)), (0.9, 0.9, 0)) * 2 - 0.5
-    y, x = np.mgrid[0:32, 0:40].astype(float) + 10
-    views = np.zeros((3, 3, 32, 40, 3))
+def _plane(folder, disparity, *, height=32, seed=0):
+    """A textured plane, 3x3 views, 40 px wide, in the HCI layout."""
+    rng = np.random.default_rng(seed)
+    texture = (
+        ndimage.gaussian_filter(rng.uniform(size=(height + 20, 60, 3)), (0.9, 0.9, 0)) * 2 - 0.5
+    )
+    y, x = np.mgrid[0:height, 0:40].astype(float) + 10
+    views = np.zeros((3, 3, height, 40, 3))
     for v, u in np.ndindex(3, 3):
         for c in range(3):
             place = [y - (1 - v) * disparity, x - (1 - u) * disparity]
             views[v, u, ..., c] = ndimage.map_coordinates(texture[..., c], place, order=3)
-    truth = np.full((32, 40), disparity, np.float32)
+    truth = np.full((height, 40), disparity, np.float32)
     views = np.round(255 * np.clip(views, 0, 1)).astype(np.uint8)
     return write_hci(folder, views, disparity=truth)
 
@@ -31,18 +33,23 @@ def _summary(out):
         return {row["name"]: row for row in csv.DictReader(file)}
 
 
-def test_a_batch_goes_on_after_a_failure_and_from_where_it_was(tmp_path, capsys, monkeypatch):
-    near, far = _plane(tmp_path / "near", 0.4), _plane(tmp_path / "far", -0.2)
-    corrupt = _plane(tmp_path / "corrupt", 0.0)
-    (corrupt / "input_Cam004.png").write_bytes(b"not a picture")
-    compilations = []
-    compiled = _batch.compiled
+@pytest.fixture
+def compilations(monkeypatch):
+    """What was compiled: the arguments of every call."""
+    calls, compiled = [], _batch.compiled
 
     def counted(function, *arguments):
-        compilations.append(arguments)
+        calls.append(arguments)
         return compiled(function, *arguments)
 
     monkeypatch.setattr(_batch, "compiled", counted)
+    return calls
+
+
+def test_a_batch_goes_on_after_a_failure_and_from_where_it_was(tmp_path, capsys, compilations):
+    near, far = _plane(tmp_path / "near", 0.4), _plane(tmp_path / "far", -0.2)
+    corrupt = _plane(tmp_path / "corrupt", 0.0)
+    (corrupt / "input_Cam004.png").write_bytes(b"not a picture")
     out = tmp_path / "out"
     words = [*map(str, (near, corrupt, far)), str(out), "--range", "-0.5", "1"]
     assert _main.main(["batch", *words]) == 1
@@ -66,6 +73,46 @@ def test_a_batch_goes_on_after_a_failure_and_from_where_it_was(tmp_path, capsys,
         "failed",
         "there already",
     ]
+
+
+@pytest.mark.slow
+def test_twenty_light_fields_one_corrupt_and_one_of_another_shape(tmp_path, capsys, compilations):
+    depths = np.linspace(-0.4, 0.8, 20).round(3)
+    scenes = [
+        _plane(tmp_path / f"s{i:02}", d, height=36 if i == 11 else 32, seed=i)
+        for i, d in enumerate(depths)
+    ]
+    (scenes[7] / "input_Cam004.png").write_bytes(b"not a picture")
+    out = tmp_path / "out"
+    assert _main.main(["batch", *map(str, scenes), str(out)]) == 1
+    assert "19 of 20 light fields done" in capsys.readouterr().out
+    rows = _summary(out)
+    assert [name for name, row in rows.items() if row["state"] == "failed"] == ["s07"]
+    assert sorted(views.views.shape[2] for views, *_ in compilations) == [32, 36]
+    for name, depth in zip(rows, depths, strict=True):
+        if name != "s07":
+            found = read_pfm(out / name / "disparity.pfm")
+            assert np.median(np.abs(found - depth)) < 0.02, name
+
+
+@pytest.mark.slow
+def test_frames_take_their_range_from_the_frame_before(tmp_path, monkeypatch, compilations):
+    measured, measure = [], _batch.scene_range
+
+    def counted(light_field):
+        measured.append(light_field)
+        return measure(light_field)
+
+    monkeypatch.setattr(_batch, "scene_range", counted)
+    depths = [0.2, 0.25, 1.6, 1.5]
+    frames = [_plane(tmp_path / f"f{i}", d, seed=i) for i, d in enumerate(depths)]
+    out = tmp_path / "out"
+    assert _main.main(["batch", *map(str, frames), str(out), "--video"]) == 0
+    # The first frame, and the one that leaves its range; so do the programs.
+    assert (len(measured), len(compilations)) == (2, 2)
+    for frame, depth in zip(frames, depths, strict=True):
+        found = read_pfm(out / frame.name / "disparity.pfm")
+        assert np.median(np.abs(found - depth)) < 0.02, frame.name
 
 
 def test_names_are_told_apart(tmp_path):

@@ -254,3 +254,27 @@ def test_five_rendered_photographs_agree_with_their_depths():
         # The same surface, but where something is in front of it.
         assert inside.mean() > 0.6
         assert (np.abs(there / local[inside][:, 2] - 1) < 0.05).mean() > 0.85
+
+
+@pytest.mark.slow
+def test_a_row_of_views_may_have_gaps_and_uneven_steps():
+    """Every second view missing, or moved (8.1.4), beside the regular row of 17."""
+    even = np.arange(-8, 9.0)
+    second = np.arange(17) % 2 == 1
+    moved = even + np.where(second, np.random.default_rng(0).uniform(-0.4, 0.4, 17), 0)
+
+    def of(offsets, positions=None):
+        poses = np.stack([turned(at=(0.03 * x, 0.0, 0.0)) for x in offsets])
+        images, depths = wall(poses)
+        places = offsets if positions is None else positions
+        told = np.stack([turned(at=(0.03 * x, 0.0, 0.0)) for x in places])
+        row = Photographs(jnp.asarray(images), told, MATRIX)
+        middle = int(np.abs(offsets).argmin())
+        wanted = reference_of(row, middle, depth_range=RANGE)
+        found = stereo(row, wanted, StereoParams(), StereoSizes.of(wanted, solves=1, levels=8))
+        return float(depth_errors(found.depth, jnp.asarray(depths[middle])).median)
+
+    regular, gaps, uneven, ignored = of(even), of(even[~second]), of(moved), of(moved, even)
+    assert gaps < 1.5 * regular
+    assert uneven < 1.2 * regular
+    assert ignored > 2 * uneven

@@ -1,9 +1,12 @@
 """Sweeps: settings, scores, journals, pruning; against single calls."""
 
+import contextlib
+import json
 import os
 import signal
 import subprocess
 import sys
+import time
 from concurrent.futures import ThreadPoolExecutor
 
 import equinox as eqx
@@ -193,9 +196,38 @@ def test_scores_of_a_batch_are_those_of_single_calls():
         np.testing.assert_allclose(score, expected, rtol=1e-3)
 
 
+@contextlib.contextmanager
+def _by_hand(folder):
+    """The address of a scheduler with two workers that were started on the command line."""
+    told = folder / "scheduler.json"
+    port = ["--no-dashboard", "--port", "0"]
+    commands = [["scheduler", "--scheduler-file", str(told), "--host", "127.0.0.1", *port]]
+    commands += 2 * [["worker", "--scheduler-file", str(told), "--nthreads", "1", "--no-dashboard"]]
+    started = [
+        subprocess.Popen(
+            [sys.executable, "-m", "dask", *words],
+            stderr=subprocess.DEVNULL,
+            cwd=folder,
+            # Workers import the package that is tested.
+            env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
+        )
+        for words in commands
+    ]
+    try:
+        for _ in range(600):
+            if told.exists() and told.read_text():
+                break
+            time.sleep(0.1)
+        yield json.loads(told.read_text())["address"]
+    finally:
+        for process in reversed(started):
+            process.terminate()
+            process.wait()
+
+
 @pytest.mark.slow
 def test_a_cluster_gives_the_result_of_one_process(tmp_path):
-    """Workers of a scheduler that was started by hand, and those of this machine."""
+    """Two processes of this machine, and those of a scheduler that was started by hand."""
     distributed = pytest.importorskip("distributed")
     light_field = synthetic.render(
         synthetic.scene("demo"), shape=(3, 3, 32, 40), samples=1, key=jax.random.key(0)
@@ -204,12 +236,18 @@ def test_a_cluster_gives_the_result_of_one_process(tmp_path):
     options = {"trials": 8, "batch": 2, "wave": 4, "objective": "mae"}
     scenes = [tmp_path / "scene"]
     alone = sweep(scenes, SPACE, **options)
-    cluster = distributed.LocalCluster(
-        n_workers=2, threads_per_worker=1, dashboard_address=":0", processes=True
-    )
-    with cluster, distributed.Client(cluster.scheduler_address) as client:
-        shared = sweep(scenes, SPACE, submit=client.submit, **options)
-    for one, other in zip(alone.rows, shared.rows, strict=True):
-        assert [one[n] for n in SPACE.names] == [other[n] for n in SPACE.names]
-        assert one["mean"] == pytest.approx(other["mean"], rel=1e-5)
-    assert alone.study.best_trial.number == shared.study.best_trial.number
+    with (
+        distributed.LocalCluster(
+            n_workers=2, threads_per_worker=1, dashboard_address=":0", processes=True
+        ) as cluster,
+        distributed.Client(cluster.scheduler_address) as client,
+    ):
+        local = sweep(scenes, SPACE, submit=client.submit, **options)
+    with _by_hand(tmp_path) as address, distributed.Client(address) as client:
+        client.wait_for_workers(2, timeout=120)
+        by_hand = sweep(scenes, SPACE, submit=client.submit, **options)
+    for shared in (local, by_hand):
+        for one, other in zip(alone.rows, shared.rows, strict=True):
+            assert [one[n] for n in SPACE.names] == [other[n] for n in SPACE.names]
+            assert one["mean"] == pytest.approx(other["mean"], rel=1e-5)
+        assert alone.study.best_trial.number == shared.study.best_trial.number

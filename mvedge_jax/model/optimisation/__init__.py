@@ -1,7 +1,7 @@
 """The loop of the optimisation: its state, its steps, what it does between them (Thesis 7.1.4)."""
 
 from ._grow import Growth as Growth
-from ._lbfgs import minimise_lbfgs as minimise_lbfgs
+from ._least_squares import minimise_least_squares as minimise_least_squares
 from ._optimise import (
     FixedPoints as FixedPoints,
     History as History,
