@@ -24,7 +24,17 @@ def _known(field):
     exposure = Exposure(jnp.ones((), dtype), jnp.ones(field.views.shape[:2], dtype))
     unread: Any = None
     noise = Noise.of(jnp.zeros((), dtype))
-    stats = DepthStats(unread, unread, unread, unread, unread, noise, exposure)
+    stats = DepthStats(
+        edges=unread,
+        points=unread,
+        sided=unread,
+        iterations=unread,
+        converged=unread,
+        noise=noise,
+        exposure=exposure,
+        sound=unread,
+        searched=unread,
+    )
     error = jnp.full_like(field.truth.disparity, 0.01)
     return DepthResult(field.truth.disparity, error, unread, unread, unread, stats)
 
