@@ -1,7 +1,11 @@
 """Arguments looked at before a program is compiled for them, and what no compiler can refuse."""
 
+import contextlib
 import dataclasses
 import functools
+import logging
+import threading
+import time
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -14,9 +18,16 @@ from jaxtyping import Array, Bool
 
 from ._params import as_number
 
+_LOG = logging.getLogger("mvedge_jax")
+# Seconds after which a call says what it is doing.
+_PATIENCE = 2.0
+
 
 class CheckedJit:
     """An `equinox.filter_jit` function whose arguments are looked at first.
+
+    Outside `jit`, a call that compiles for more than two seconds says so: two warnings of the
+    logger `mvedge_jax`, which Python shows unless it is told otherwise.
 
     Attributes:
         check: takes the arguments and returns them, positional and named, with Python numbers among
@@ -32,7 +43,8 @@ class CheckedJit:
 
     def __call__(self, *arguments: Any, **options: Any) -> Any:
         arguments, options = self.check(*arguments, **options)
-        return self.compiled(*arguments, **options)
+        with _announced(self.compiled.__name__, (arguments, options)):
+            return self.compiled(*arguments, **options)
 
     def lower(self, *arguments: Any, **options: Any) -> Any:
         """See `equinox.filter_jit`."""
@@ -43,6 +55,30 @@ class CheckedJit:
 def checked_jit(check: Callable[..., tuple[Any, ...]]) -> Callable[[Callable[..., Any]], Any]:
     """`equinox.filter_jit` for functions that say what is wrong with their arguments."""
     return functools.partial(CheckedJit, check)
+
+
+@contextlib.contextmanager
+def _announced(name: str, arguments: Any) -> Iterator[None]:
+    """Says that the body takes long, once it does, and how long it took."""
+    if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(arguments)):
+        yield
+        return
+    start, said = time.perf_counter(), threading.Event()
+
+    def announce() -> None:
+        said.set()
+        _LOG.warning("%s is being compiled for arguments of this shape, once.", name)
+
+    # On the CPU only compiling keeps a call: what it computes is waited for by whoever reads it.
+    timer = threading.Timer(_PATIENCE, announce)
+    timer.daemon = True
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
+    if said.is_set():
+        _LOG.warning("%s was compiled in %.0f s.", name, time.perf_counter() - start)
 
 
 def expect(name: str, value: Any, kind: type, advice: str) -> None:
