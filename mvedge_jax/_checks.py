@@ -16,10 +16,11 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Bool
 
+from ._cache import release_memory
 from ._params import as_number
 
 _LOG = logging.getLogger("mvedge_jax")
-# Seconds after which a call says what it is doing.
+# Seconds after which a call says that it is being compiled.
 _PATIENCE = 2.0
 
 
@@ -27,24 +28,56 @@ class CheckedJit:
     """An `equinox.filter_jit` function whose arguments are looked at first.
 
     Outside `jit`, a call that compiles for more than two seconds says so: two warnings of the
-    logger `mvedge_jax`, which Python shows unless it is told otherwise.
+    logger `mvedge_jax`, which Python shows unless it is told otherwise. What memory the compiler
+    leaves behind is given back.
 
     Attributes:
         check: takes the arguments and returns them, positional and named, with Python numbers among
             the leaves of the parameters made arrays, so that no value compiles anew; raises where
             they cannot be right.
         compiled: the function.
+        traces: how often it was traced, as it is whenever it is compiled.
     """
 
     def __init__(self, check: Callable[..., tuple[Any, ...]], function: Callable[..., Any]):
-        self.check = check
-        self.compiled: Any = eqx.filter_jit(function)
+        @functools.wraps(function)
+        def traced(*arguments: Any, **options: Any) -> Any:
+            self.traces += 1
+            return function(*arguments, **options)
+
+        self.check, self.traces = check, 0
+        self.compiled: Any = eqx.filter_jit(traced)
         functools.update_wrapper(self, function)
 
     def __call__(self, *arguments: Any, **options: Any) -> Any:
         arguments, options = self.check(*arguments, **options)
-        with _announced(self.compiled.__name__, (arguments, options)):
+        if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves((arguments, options))):
             return self.compiled(*arguments, **options)
+        with self._announced():
+            return self.compiled(*arguments, **options)
+
+    @contextlib.contextmanager
+    def _announced(self) -> Iterator[None]:
+        """Says that the body compiles, if it takes long, and how long it took."""
+        start, before, said = time.perf_counter(), self.traces, threading.Event()
+
+        def announce() -> None:
+            if self.traces > before:
+                said.set()
+                _LOG.warning("%s is being compiled for arguments of this shape, once.", name)
+
+        name = self.compiled.__name__
+        timer = threading.Timer(_PATIENCE, announce)
+        timer.daemon = True
+        timer.start()
+        try:
+            yield
+        finally:
+            timer.cancel()
+        if said.is_set():
+            _LOG.warning("%s was compiled in %.0f s.", name, time.perf_counter() - start)
+        if self.traces > before:
+            release_memory()
 
     def lower(self, *arguments: Any, **options: Any) -> Any:
         """See `equinox.filter_jit`."""
@@ -55,30 +88,6 @@ class CheckedJit:
 def checked_jit(check: Callable[..., tuple[Any, ...]]) -> Callable[[Callable[..., Any]], Any]:
     """`equinox.filter_jit` for functions that say what is wrong with their arguments."""
     return functools.partial(CheckedJit, check)
-
-
-@contextlib.contextmanager
-def _announced(name: str, arguments: Any) -> Iterator[None]:
-    """Says that the body takes long, once it does, and how long it took."""
-    if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(arguments)):
-        yield
-        return
-    start, said = time.perf_counter(), threading.Event()
-
-    def announce() -> None:
-        said.set()
-        _LOG.warning("%s is being compiled for arguments of this shape, once.", name)
-
-    # On the CPU only compiling keeps a call: what it computes is waited for by whoever reads it.
-    timer = threading.Timer(_PATIENCE, announce)
-    timer.daemon = True
-    timer.start()
-    try:
-        yield
-    finally:
-        timer.cancel()
-    if said.is_set():
-        _LOG.warning("%s was compiled in %.0f s.", name, time.perf_counter() - start)
 
 
 def expect(name: str, value: Any, kind: type, advice: str) -> None:
