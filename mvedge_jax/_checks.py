@@ -27,7 +27,7 @@ _PATIENCE = 2.0
 class CheckedJit:
     """An `equinox.filter_jit` function whose arguments are looked at first.
 
-    Outside `jit`, a call that compiles for more than two seconds says so: two warnings of the
+    Outside of JAX's transforms, a call that compiles for more than two seconds says so: two warnings of the
     logger `mvedge_jax`, which Python shows unless it is told otherwise. What memory the compiler
     leaves behind is given back.
 

@@ -171,7 +171,7 @@ def _row(report: Path, state: str) -> dict[str, Any]:
             "seconds": content["seconds"]["estimation"],
             "compilation": content["seconds"]["compilation"],
             "converged": content["converged"],
-            "warnings": content["warnings"],
+            "warnings": content.get("warnings", []),
             **{name: scores.get(name) for name in _SCORES},
         }
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
@@ -179,16 +179,8 @@ def _row(report: Path, state: str) -> dict[str, Any]:
 
 
 def _summary(rows: dict[str, dict[str, Any]], out: Path) -> int:
-    columns = [
-        "name",
-        "state",
-        "seconds",
-        "compilation",
-        "converged",
-        *_SCORES,
-        "warnings",
-        "reason",
-    ]
+    first = ("name", "state", "seconds", "compilation", "converged")
+    columns = [*first, *_SCORES, "warnings", "reason"]
     with (out / "summary.csv").open("w", newline="", encoding="utf-8") as file:
         writer = csv.DictWriter(file, fieldnames=columns)
         writer.writeheader()
