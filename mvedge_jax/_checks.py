@@ -27,9 +27,9 @@ _PATIENCE = 2.0
 class CheckedJit:
     """An `equinox.filter_jit` function whose arguments are looked at first.
 
-    Outside of JAX's transforms, a call that compiles for more than two seconds says so: two warnings of the
-    logger `mvedge_jax`, which Python shows unless it is told otherwise. What memory the compiler
-    leaves behind is given back.
+    Outside of JAX's transforms, a call that compiles for more than two seconds says so: two
+    warnings of the logger `mvedge_jax`, which Python shows unless it is told otherwise. What memory
+    the compiler leaves behind is given back.
 
     Attributes:
         check: takes the arguments and returns them, positional and named, with Python numbers among
