@@ -1,7 +1,5 @@
-"""Compiled programs, kept from one process to the next, and the memory that making them took."""
+"""Compiled programs, kept from one process to the next."""
 
-import contextlib
-import ctypes
 import os
 from pathlib import Path
 
@@ -42,13 +40,3 @@ def compilation_cache(*, folder: str | os.PathLike | None = None) -> Path | None
     jax.config.update("jax_compilation_cache_dir", str(path))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.3)
     return path
-
-
-def release_memory() -> None:
-    """Returns freed memory to the system, where the C library would keep it (glibc).
-
-    The compiler leaves almost a gigabyte behind after the whole chain, beside which the arrays of
-    the first run would otherwise be put.
-    """
-    with contextlib.suppress(OSError, AttributeError):
-        ctypes.CDLL("libc.so.6").malloc_trim(0)

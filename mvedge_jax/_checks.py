@@ -16,7 +16,7 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Bool
 
-from ._cache import release_memory
+from ._memory import release_memory
 from ._params import as_number
 
 _LOG = logging.getLogger("mvedge_jax")
