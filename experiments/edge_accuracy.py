@@ -28,8 +28,7 @@ from scipy import ndimage
 from experiments._crossings import crossing_table
 from experiments._report import print_table, shared_data, write_csv, write_json
 from mvedge_jax import plotting
-from mvedge_jax.baselines import ThesisParams, ThesisSizes, thesis_edges
-from mvedge_jax.baselines._joint_filter import joint_filter
+from mvedge_jax.baselines import ThesisParams, ThesisSizes, joint_filter, thesis_edges
 from mvedge_jax.datasets import load_light_field, synthetic
 from mvedge_jax.edges import EdgeParams, EdgePoints, EdgeSizes, multiview_edges
 from mvedge_jax.lightfield import LightField

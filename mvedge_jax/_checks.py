@@ -1,7 +1,11 @@
 """Arguments looked at before a program is compiled for them, and what no compiler can refuse."""
 
+import contextlib
 import dataclasses
 import functools
+import logging
+import threading
+import time
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -12,27 +16,68 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Bool
 
+from ._memory import release_memory
 from ._params import as_number
+
+_LOG = logging.getLogger("mvedge_jax")
+# Seconds after which a call says that it is being compiled.
+_PATIENCE = 2.0
 
 
 class CheckedJit:
     """An `equinox.filter_jit` function whose arguments are looked at first.
+
+    Outside of JAX's transforms, a call that compiles for more than two seconds says so: two
+    warnings of the logger `mvedge_jax`, which Python shows unless it is told otherwise. What memory
+    the compiler leaves behind is given back.
 
     Attributes:
         check: takes the arguments and returns them, positional and named, with Python numbers among
             the leaves of the parameters made arrays, so that no value compiles anew; raises where
             they cannot be right.
         compiled: the function.
+        traces: how often it was traced, as it is whenever it is compiled.
     """
 
     def __init__(self, check: Callable[..., tuple[Any, ...]], function: Callable[..., Any]):
-        self.check = check
-        self.compiled: Any = eqx.filter_jit(function)
+        @functools.wraps(function)
+        def traced(*arguments: Any, **options: Any) -> Any:
+            self.traces += 1
+            return function(*arguments, **options)
+
+        self.check, self.traces = check, 0
+        self.compiled: Any = eqx.filter_jit(traced)
         functools.update_wrapper(self, function)
 
     def __call__(self, *arguments: Any, **options: Any) -> Any:
         arguments, options = self.check(*arguments, **options)
-        return self.compiled(*arguments, **options)
+        if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves((arguments, options))):
+            return self.compiled(*arguments, **options)
+        with self._announced():
+            return self.compiled(*arguments, **options)
+
+    @contextlib.contextmanager
+    def _announced(self) -> Iterator[None]:
+        """Says that the body compiles, if it takes long, and how long it took."""
+        start, before, said = time.perf_counter(), self.traces, threading.Event()
+
+        def announce() -> None:
+            if self.traces > before:
+                said.set()
+                _LOG.warning("%s is being compiled for arguments of this shape, once.", name)
+
+        name = self.compiled.__name__
+        timer = threading.Timer(_PATIENCE, announce)
+        timer.daemon = True
+        timer.start()
+        try:
+            yield
+        finally:
+            timer.cancel()
+        if said.is_set():
+            _LOG.warning("%s was compiled in %.0f s.", name, time.perf_counter() - start)
+        if self.traces > before:
+            release_memory()
 
     def lower(self, *arguments: Any, **options: Any) -> Any:
         """See `equinox.filter_jit`."""

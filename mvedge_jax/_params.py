@@ -50,6 +50,54 @@ def number(default: float | tuple[float, ...] | Callable[[], Any], unit: str = "
     return eqx.field(converter=as_number, default_factory=factory, metadata={"unit": unit})
 
 
+def at_least(sizes: Any, **least: int) -> None:
+    """Refuses static sizes that are too small.
+
+    Args:
+        sizes: with a field of each name.
+        **least: by name, the smallest value.
+
+    Raises:
+        ValueError: naming the field, its value and the smallest.
+    """
+    for name, bound in least.items():
+        value = getattr(sizes, name)
+        if value < bound:
+            raise ValueError(f"`{name}` must be at least {bound}, got {value}.")
+
+
+def positive(sizes: Any, *names: str) -> None:
+    """Refuses fields of static sizes that are not above 0, NaN included.
+
+    Args:
+        sizes: with a field of each name.
+        *names: of the fields.
+
+    Raises:
+        ValueError: naming the field and its value.
+    """
+    for name in names:
+        value = getattr(sizes, name)
+        if not value > 0:
+            raise ValueError(f"`{name}` must be positive, got {value}.")
+
+
+def one_of(sizes: Any, **options: tuple[Any, ...]) -> None:
+    """Refuses modes that do not exist.
+
+    Args:
+        sizes: with a field of each name.
+        **options: by name, what there is.
+
+    Raises:
+        ValueError: naming the field, its value and what there is.
+    """
+    for name, known in options.items():
+        value = getattr(sizes, name)
+        if value not in known:
+            raise ValueError(f"`{name}` must be one of {known}, got {value!r}.")
+
+
 def described(params: Any, prefix: str = "") -> list[str]:
     """Names, values and units of a parameter module, one line each; for people.
 

@@ -1,11 +1,15 @@
 """Numbers in parameters: checked outside of `jit`, told inside, never compiled anew."""
 
+import logging
+import time
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import pytest
 from jaxtyping import Array, Float
 
+from mvedge_jax import _checks
 from mvedge_jax._checks import checked_jit, expect, sound, with_numbers
 from mvedge_jax._params import number
 
@@ -27,19 +31,35 @@ def _look(params, scale):
 
 @checked_jit(_look)
 def _product(params: _Outer, scale: float) -> Array:
-    _product.traces += 1
     return jnp.where(sound(params), params.inner.sigma * scale, 0)
 
 
-_product.traces = 0
-
-
 def test_a_python_number_compiles_once():
-    _product.traces = 0
+    before = _product.traces
     for value in (1.0, 2.0, 3, jnp.asarray(4.0), jnp.float64(5.0)):
         params = eqx.tree_at(lambda p: p.inner.sigma, _Outer(), value)
         assert float(_product(params, jnp.asarray(2.0))) == 2 * float(value)
-    assert _product.traces == 1
+    assert _product.traces == before + 1
+
+
+def test_a_call_that_compiles_for_long_says_so_once(monkeypatch, caplog):
+    monkeypatch.setattr(_checks, "_PATIENCE", 0.05)
+
+    @checked_jit(_look)
+    def slow(params: _Outer, scale: Array) -> Array:
+        time.sleep(0.3)
+        return params.inner.sigma * scale
+
+    with caplog.at_level(logging.WARNING, "mvedge_jax"):
+        slow(_Outer(), jnp.asarray(1.0))
+        first, second = (record.getMessage() for record in caplog.records)
+        assert first == "slow is being compiled for arguments of this shape, once."
+        assert second.startswith("slow was compiled in ")
+        caplog.clear()
+        slow(_Outer(), jnp.asarray(2.0))
+        # Within `jit` whoever compiles that has the say.
+        jax.jit(lambda scale: slow(_Outer(), scale))(jnp.ones(2))
+        assert not caplog.records
 
 
 @pytest.mark.parametrize("value", [float("nan"), float("inf"), -float("inf"), -1.0])

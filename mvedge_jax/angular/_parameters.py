@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import equinox as eqx
 from jaxtyping import Array, Float
 
-from mvedge_jax._params import described, number
+from mvedge_jax._params import at_least, described, number, positive
 from mvedge_jax.centre import SmoothnessParams
 from mvedge_jax.edges import scene_range
 from mvedge_jax.lightfield import LightField
@@ -63,18 +63,8 @@ class ViewSizes:
     tolerance: float = 1e-4
 
     def __post_init__(self) -> None:
-        for name, least in (
-            ("capacity", 1),
-            ("radius", 1),
-            ("hypotheses", 2),
-            ("solves", 1),
-            ("passes", 0),
-        ):
-            value = getattr(self, name)
-            if value < least:
-                raise ValueError(f"`{name}` must be at least {least}, got {value}.")
-        if not self.tolerance > 0:
-            raise ValueError(f"`tolerance` must be positive, got {self.tolerance}.")
+        at_least(self, capacity=1, radius=1, hypotheses=2, solves=1, passes=0)
+        positive(self, "tolerance")
 
     @staticmethod
     def for_light_field(light_field: LightField, **choices) -> "ViewSizes":

@@ -131,7 +131,9 @@ def _measured_in(
     known = samples.disparity[drawing.sample]
     # Pixels that the front covers only because samples fill whole pixels are new, too.
     new = drawing.hole | (samples.disparity[first.sample] - known > STEP)
-    doubt = jnp.minimum(samples.error[drawing.sample], jnp.std(known))
+    # Steps make errors wide, which is no doubt about either surface; that nothing was measured is.
+    doubt = samples.error[drawing.sample]
+    doubt = jnp.minimum(doubt, jnp.maximum(jnp.std(known), jnp.min(doubt)))
 
     guess = _guess(reference, known, new, params, sizes)
 
@@ -195,7 +197,9 @@ def _guess(
 
 
 def _halved(planes: Float[Array, "*c y x"]) -> Float[Array, "*c h w"]:
-    """Means over 2x2 pixels; an odd row or column at the end is left out."""
+    """Means over 2x2 pixels; an odd row or column at the end is left out, a single one kept."""
+    lacking = [(0, 0)] * (planes.ndim - 2) + [(0, max(0, 2 - size)) for size in planes.shape[-2:]]
+    planes = jnp.pad(planes, lacking, mode="edge")
     height, width = planes.shape[-2] // 2, planes.shape[-1] // 2
     even = planes[..., : 2 * height, : 2 * width]
     return jnp.mean(even.reshape(*planes.shape[:-2], height, 2, width, 2), axis=(-3, -1))

@@ -3,6 +3,7 @@
 Room: `kmeans` (superpixels by k-means).
 """
 
+from ._joint_filter import joint_filter as joint_filter
 from ._reproject import reproject_views as reproject_views
 from ._sparse_depth import (
     SparseDepth as SparseDepth,

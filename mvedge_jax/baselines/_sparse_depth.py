@@ -10,7 +10,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from mvedge_jax._crosshair import crosshair
 from mvedge_jax._fence import recomputed, staged
-from mvedge_jax._params import cast, number
+from mvedge_jax._params import at_least, cast, number, one_of, positive
 from mvedge_jax.centre import MedianParams, Sharpening, SmoothnessParams, edge_smoothness, sharpen
 from mvedge_jax.color import srgb_to_gray, srgb_to_lab
 from mvedge_jax.diffusion import AutoSolver, System, diffuse
@@ -87,15 +87,9 @@ class SparseSizes:
     tolerance: float = 1e-5
 
     def __post_init__(self) -> None:
-        for name, least in (("radius", 1), ("solves", 1), ("median_radius", 1), ("levels", 2)):
-            value = getattr(self, name)
-            if value < least:
-                raise ValueError(f"`{name}` must be at least {least}, got {value}.")
-        if not self.tolerance > 0:
-            raise ValueError(f"`tolerance` must be positive, got {self.tolerance}.")
-        for name, options in (("side", get_args(SideChoice)), ("sharpening", get_args(Sharpening))):
-            if getattr(self, name) not in options:
-                raise ValueError(f"`{name}` must be one of {options}, got {getattr(self, name)!r}.")
+        at_least(self, radius=1, solves=1, median_radius=1, levels=2)
+        positive(self, "tolerance")
+        one_of(self, side=get_args(SideChoice), sharpening=get_args(Sharpening))
 
     @staticmethod
     def for_light_field(light_field: LightField, **choices: Any) -> "SparseSizes":

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from mvedge_jax._crosshair import crosshair
-from mvedge_jax._params import cast
+from mvedge_jax._params import at_least, cast
 from mvedge_jax.color import srgb_to_lab
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.photometry import VolumeParams
@@ -28,10 +28,7 @@ class SweepSizes:
     window: int = 2
 
     def __post_init__(self) -> None:
-        if self.planes < 2:
-            raise ValueError(f"`planes` must be at least 2, got {self.planes}.")
-        if self.window < 0:
-            raise ValueError(f"`window` must be at least 0, got {self.window}.")
+        at_least(self, planes=2, window=0)
 
 
 class Sweep(NamedTuple):

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
-from mvedge_jax._params import cast, number
+from mvedge_jax._params import at_least, cast, number
 from mvedge_jax.color import srgb_to_lab
 from mvedge_jax.lightfield import LightField
 
@@ -46,9 +46,7 @@ class KMeansSizes:
     radius: int = 20
 
     def __post_init__(self) -> None:
-        for name in ("size", "rounds", "radius"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"`{name}` must be at least 1, got {getattr(self, name)}.")
+        at_least(self, size=1, rounds=1, radius=1)
 
 
 @eqx.filter_jit

@@ -13,6 +13,7 @@ from ._parameters import (
     Parameters as Parameters,
     Sizes as Sizes,
 )
+from ._problems import map_problems as map_problems
 from ._sharpen import (
     MedianParams as MedianParams,
     Sharpening as Sharpening,

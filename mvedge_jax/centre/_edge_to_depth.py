@@ -55,8 +55,8 @@ class DepthStats(NamedTuple):
     converged: Bool[Array, ""]
     noise: Noise
     exposure: Exposure
-    sound: Bool[Array, ""] | None = None
-    searched: Float[Array, "2"] | None = None
+    sound: Bool[Array, ""]
+    searched: Float[Array, "2"]
 
 
 class DepthResult(NamedTuple):
@@ -66,8 +66,9 @@ class DepthResult(NamedTuple):
         disparity: px per view step, larger is nearer, `[y, x]`.
         error: standard error of the disparity, px, `[y, x]`: of the labels that a pixel was made
             from, its own and, where these are weak, those of its surroundings, which far from any
-            label give way to the spread of the whole map; and what half a pixel of doubt about the
-            place of a depth step amounts to. Infinite if there is no label at all.
+            label give way to the spread of the whole map or, where little was measured at all, to
+            the width of the range that was tried; and what half a pixel of doubt about the place of
+            a depth step amounts to. Infinite if there is no label at all.
         depth_edge: depth-edge confidence (Thesis, Section 4.3), px per px, `[y, x]`.
         points: the multi-view edges.
         surface: their surface vectors, scores and probabilities.
@@ -209,7 +210,8 @@ def edge_to_depth(light_field: LightField, params: Parameters, sizes: Sizes) -> 
         levels=sizes.levels,
         mode=sizes.sharpening,
     )
-    found = dense_map(from_points, views, scene.lab, first, sharper, params, sizes)
+    span = disparities[-1] - disparities[0]
+    found = dense_map(from_points, views, scene.lab, first, span, sharper, params, sizes)
     stats = DepthStats(
         edges.stats,
         jnp.sum(from_points.weight > 0),

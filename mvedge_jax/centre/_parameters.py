@@ -8,7 +8,7 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
-from mvedge_jax._params import described, number
+from mvedge_jax._params import at_least, described, number, one_of, positive
 from mvedge_jax.edges import EdgeParams, EdgeSizes, scene_range
 from mvedge_jax.edges.sides import BidirectionalParams, SurfaceParams
 from mvedge_jax.lightfield import LightField
@@ -106,26 +106,10 @@ class Sizes:
     tolerance: float = 1e-5
 
     def __post_init__(self) -> None:
-        for name, least in (
-            ("hypotheses", 2),
-            ("radius", 1),
-            ("solves", 1),
-            ("window", 0),
-            ("passes", 0),
-            ("median_radius", 1),
-            ("levels", 2),
-        ):
-            value = getattr(self, name)
-            if value < least:
-                raise ValueError(f"`{name}` must be at least {least}, got {value}.")
-        if not self.tolerance > 0:
-            raise ValueError(f"`tolerance` must be positive, got {self.tolerance}.")
-        for name, options in (
-            ("views", get_args(LabelViews)),
-            ("sharpening", get_args(Sharpening)),
-        ):
-            if getattr(self, name) not in options:
-                raise ValueError(f"`{name}` must be one of {options}, got {getattr(self, name)!r}.")
+        at_least(self, hypotheses=2, radius=1, solves=1, window=0, passes=0)
+        at_least(self, median_radius=1, levels=2)
+        positive(self, "tolerance")
+        one_of(self, views=get_args(LabelViews), sharpening=get_args(Sharpening))
 
     @staticmethod
     def for_light_field(light_field: LightField, **choices) -> "Sizes":

@@ -14,6 +14,9 @@ from mvedge_jax.image import window_sum
 
 Sharpening = Literal["clip", "median", "quantised", "none"]
 
+# Levels of a flat map are this far apart: derivatives hold its inverse squared.
+_CLOSEST = 1e-9
+
 
 class MedianParams(eqx.Module):
     """Parameters of the weighted median.
@@ -111,7 +114,7 @@ def weighted_median(
     """
     model = _local_model(guide, epsilon, radius)
     low, high = jnp.min(values), jnp.max(values)
-    spacing = jnp.maximum((high - low) / (levels - 1), jnp.finfo(values.dtype).tiny)
+    spacing = jnp.maximum((high - low) / (levels - 1), _CLOSEST)
 
     @jax.checkpoint
     def cross(

@@ -49,6 +49,9 @@ _SHARED = 1.2
 # Beyond this distance from any label, px, a map tells no more about a surface than its own spread.
 # From cotton, backgammon, room, bench and the nine rendered scenes.
 _FORGOTTEN = 55.0
+# The map's own spread is believed as far as perfect labels outnumber these, which a window of 7x7
+# pixels shares. With fewer, anything within the range that was tried may be true.
+_ALIKE = 49.0
 # A depth step is found to half a pixel.
 _MISPLACED = 0.5
 # Solves whose labels are measured in all views, where these are asked for.
@@ -129,6 +132,7 @@ def dense_map(
     views: Sight | PosedSight,
     lab: Float[Array, "c y x"],
     first: Float[Array, "y x"],
+    span: Float[Array, ""],
     sharper: Callable[[Array], Array],
     params: SolveParams,
     sizes: SolveSizes,
@@ -140,6 +144,7 @@ def dense_map(
         views: of a light field or of posed photographs, made ready.
         lab: the reference view in CIELAB, denoised.
         first: where to start, `[y, x]`.
+        span: width of the range that was tried, px: the standard error of a map without evidence.
         sharper: moves blurred steps of a map, see `sharpen`.
         params: `smoothness` and `centre` are read.
         sizes: see `SolveSizes`.
@@ -195,7 +200,14 @@ def dense_map(
         smooth = _smooth(disparity)
         edges = edge_smoothness(lab, smooth, params.smoothness)
         return _solved(
-            both, edges, disparity, params.centre, sizes, sloped=turn > 0, last=turn == turns - 1
+            both,
+            edges,
+            disparity,
+            span,
+            params.centre,
+            sizes,
+            sloped=turn > 0,
+            last=turn == turns - 1,
         )
 
     state = (first, jnp.zeros_like(first))
@@ -241,6 +253,7 @@ def _solved(
     labels: Labels,
     edges: tuple[Array, Array],
     start: Array,
+    span: Array,
     params: CentreParams,
     sizes: SolveSizes,
     *,
@@ -262,7 +275,7 @@ def _solved(
     slope, whole, nothing = params.slant, params.smoothness, jnp.zeros_like(start)
     forgotten = whole / _FORGOTTEN**2
     doubted = labels.weight + forgotten
-    doubt = (labels.weight * uncertain + forgotten * root(jnp.var(start))) / doubted
+    doubt = (labels.weight * uncertain + forgotten * _spread(start, labels.weight, span)) / doubted
     solves = _Solve(
         which=jnp.arange(4),
         wanted=jnp.stack([sloped, sloped, jnp.asarray(True), last]),
@@ -293,6 +306,13 @@ def _solved(
 
     found, (iterations, converged) = lax.scan(solve, jnp.zeros_like(solves.label), solves)
     return (found[_MAP], found[_ERROR]), (iterations[_MAP], jnp.all(converged))
+
+
+def _spread(disparity: Array, weight: Array, span: Array) -> Array:
+    """How far from the map a surface without labels may be: by the map, or else by the range."""
+    evidence = jnp.sum(weight)
+    variance = evidence * jnp.var(disparity) + _ALIKE * span**2
+    return root(variance / (evidence + _ALIKE))
 
 
 def _with_dense(

@@ -15,7 +15,7 @@ from mvedge_jax.datasets import load_light_field
 from mvedge_jax.edges import scene_range
 from mvedge_jax.lightfield import LightField
 
-from ._common import compiled, note, stage, warn
+from ._common import compiled, missing_views, note, stage, warn
 from ._depth import depth_report, score_depth, write_depth
 from ._output import MARKER, output_folder, write_json
 from ._paths import scenes_and_out
@@ -125,7 +125,10 @@ def _run(
                 report = depth_report(found, estimate.params, sizes, result, seconds)
                 write_depth(folder, found, result)
                 report["scores"] = score_depth(folder, found, result)
-                report["warnings"] = list(result.problems())
+                report["warnings"] = [
+                    *result.problems(),
+                    *(missing_views(found) if options.all_views else []),
+                ]
                 write_json(folder / "report.json", report)
             rows[name] = _row(out / name / "report.json", "done")
         except (ValueError, OSError, MemoryError) as reason:
@@ -209,6 +212,7 @@ def _row(report: Path, state: str) -> dict[str, Any]:
             "seconds": content["seconds"]["estimation"],
             "compilation": content["seconds"]["compilation"],
             "converged": content["converged"],
+            "warnings": content.get("warnings", []),
             **{name: scores.get(name) for name in _SCORES},
         }
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
@@ -216,16 +220,19 @@ def _row(report: Path, state: str) -> dict[str, Any]:
 
 
 def _summary(rows: dict[str, dict[str, Any]], out: Path) -> int:
-    columns = ["name", "state", "seconds", "compilation", "converged", *_SCORES, "reason"]
+    first = ("name", "state", "seconds", "compilation", "converged")
+    columns = [*first, *_SCORES, "warnings", "reason"]
     with (out / "summary.csv").open("w", newline="", encoding="utf-8") as file:
         writer = csv.DictWriter(file, fieldnames=columns)
         writer.writeheader()
-        writer.writerows({"name": name, **row} for name, row in rows.items())
+        for name, row in rows.items():
+            row = {"name": name, **row, "warnings": " ".join(row.get("warnings", []))}
+            writer.writerow(row)
     write_json(out / "summary.json", rows)
     failed = {name: row for name, row in rows.items() if row["state"] == "failed"}
     for name, row in rows.items():
-        if row.get("converged") is False:
-            warn(f"{name}: a diffusion stopped before its tolerance.")
+        for doubt in row.get("warnings", []):
+            warn(f"{name}: {doubt}")
     for name, row in failed.items():
         warn(f"{name} failed: {row['reason']}")
     note(f"{len(rows) - len(failed)} of {len(rows)} light fields done; summary.csv in {out}")

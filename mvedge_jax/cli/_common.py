@@ -1,7 +1,6 @@
 """What the commands share: progress, messages that print anywhere, memory."""
 
 import contextlib
-import ctypes
 import os
 import sys
 import time
@@ -12,6 +11,7 @@ import numpy as np
 from rich.console import Console
 from rich.text import Text
 
+from mvedge_jax._memory import release_memory
 from mvedge_jax.lightfield import LightField
 
 from ._interruption import GUARD
@@ -79,13 +79,3 @@ def compiled(function: Any, *arguments: Any) -> Callable[..., Any]:
     program = function.lower(*arguments).compile()
     release_memory()
     return program
-
-
-def release_memory() -> None:
-    """Returns freed memory to the system, where the C library would keep it (glibc).
-
-    The compiler leaves almost a gigabyte behind after the whole chain, beside which the arrays of
-    the first run would otherwise be put.
-    """
-    with contextlib.suppress(OSError, AttributeError):
-        ctypes.CDLL("libc.so.6").malloc_trim(0)

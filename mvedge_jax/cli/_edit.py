@@ -12,9 +12,9 @@ from mvedge_jax import plotting
 from mvedge_jax.datasets import load_light_field, write_hci
 from mvedge_jax.edit import insert_picture, paint, remove
 
-from ._common import note, stage
+from ._common import note, stage, warn
 from ._every_view import every_view
-from ._output import output_folder
+from ._output import output_folder, write_json
 
 # How far around what is removed pixels blend with it, px.
 _BLENDED = 2
@@ -37,7 +37,7 @@ def edit(
 
     One of three: --insert puts a picture with alpha on a plane; --mask with --colour paints a
     surface of the centre view; --mask alone removes what it marks. OUT is a light field in the
-    layout of the HCI benchmark, with views.png.
+    layout of the HCI benchmark, with views.png and report.json.
 
     Args:
         scene: folder or file of a light field; `mvedge info` tells what it is.
@@ -63,7 +63,8 @@ def edit(
             f"{given.shape[1]}x{given.shape[0]}."
         )
     with output_folder(out, inputs=inputs, overwrite=overwrite) as folder:
-        depths = every_view(light_field)[0].disparity
+        found, _, doubts = every_view(light_field)
+        depths = found.disparity
         with stage("editing"):
             white = jnp.asarray(given[..., :3].mean(-1) > 0.5)
             if mask is None:
@@ -80,6 +81,9 @@ def edit(
         with stage("writing"):
             write_hci(edited, folder)
             plotting.plot_views(edited).savefig(folder / "views.png")
+            write_json(folder / "report.json", {"scene": light_field.name, "warnings": doubts})
+    for doubt in doubts:
+        warn(doubt)
     note(f"written to {out}")
 
 

@@ -1,4 +1,4 @@
-"""What `mvedge views` and `mvedge edit` share: the depth of every view, with progress."""
+"""Depth of every view with progress, for `mvedge views`, `edit` and `superpixels`."""
 
 import time
 
@@ -8,17 +8,18 @@ from mvedge_jax.angular import ViewDepths, ViewParams, ViewSizes, depth_of_views
 from mvedge_jax.centre import Parameters, Sizes, edge_to_depth
 from mvedge_jax.lightfield import LightField
 
-from ._common import compiled, stage, warn
+from ._common import compiled, missing_views, stage
 
 
-def every_view(light_field: LightField) -> tuple[ViewDepths, float]:
+def every_view(light_field: LightField) -> tuple[ViewDepths, float, list[str]]:
     """Depth of every view of a light field, stage by stage.
 
     Args:
         light_field: without ground truth.
 
     Returns:
-        The maps, and the seconds from the centre view's map to all of them.
+        The maps, the seconds from the centre view's map to all of them, and what speaks against
+        them, one sentence each.
     """
     params, every = Parameters(), ViewParams()
     with stage("choosing sizes"):
@@ -33,6 +34,7 @@ def every_view(light_field: LightField) -> tuple[ViewDepths, float]:
     with stage("estimating depth of all views"):
         found = jax.block_until_ready(program(light_field, result, every, sizes[1]))
     seconds = time.perf_counter() - start
+    doubts = [*result.problems(), *missing_views(light_field)]
     if int(found.overflow):
-        warn(f"{int(found.overflow)} hidden samples found no slot and were left out.")
-    return found, seconds
+        doubts.append(f"{int(found.overflow)} hidden samples found no slot and were left out.")
+    return found, seconds, doubts

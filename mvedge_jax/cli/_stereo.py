@@ -106,8 +106,6 @@ def _one(
     index = photographs.index(name)
     stem = Path(photographs.names[index]).with_suffix("")
     _write(folder, "_".join(stem.parts), result)
-    if not bool(result.stats.converged):
-        warn(f"{name}: a diffusion stopped before its tolerance.")
     depth, error = np.asarray(result.depth), np.asarray(result.error)
     row: dict[str, Any] = {
         "seconds, compilation included": round(seconds, 3),
@@ -120,7 +118,10 @@ def _one(
         "measured in": list(photographs.names),
         "points": 0 if photographs.points is None else int(photographs.points.shape[0]),
         "hypotheses": sizes.hypotheses,
+        "warnings": list(result.problems()),
     }
+    for doubt in row["warnings"]:
+        warn(f"{name}: {doubt}")
     if photographs.depth is not None and bool((photographs.depth[index] > 0).any()):
         scores = depth_errors(result.depth, photographs.depth[index])
         row["scores"] = {

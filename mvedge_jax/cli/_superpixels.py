@@ -11,8 +11,6 @@ import tyro
 from PIL import Image
 
 from mvedge_jax import plotting
-from mvedge_jax.angular import ViewDepths, ViewParams, ViewSizes, depth_of_views
-from mvedge_jax.centre import Parameters, Sizes, edge_to_depth
 from mvedge_jax.datasets import load_light_field, write_hci
 from mvedge_jax.edit import paint
 from mvedge_jax.lightfield import LightField
@@ -25,6 +23,7 @@ from mvedge_jax.superpixels import (
 )
 
 from ._common import note, stage, warn
+from ._every_view import every_view
 from ._output import output_folder, write_json
 
 
@@ -74,8 +73,7 @@ def superpixels(
         raise ValueError(f"--pick must lie in the centre view, {width}x{height} px, got {pick}.")
     blind = light_field.without_truth()
     with output_folder(out, inputs=[scene], overwrite=overwrite) as folder:
-        with stage("estimating depth of all views"):
-            depths = _depths(blind)
+        depths, _, doubts = every_view(blind)
         with stage("cutting"):
             room = max(
                 SuperpixelSizes.for_depths(depths).capacity, int(4 * height * width / size**2)
@@ -96,16 +94,14 @@ def superpixels(
                     paint(blind, depths.disparity, mask, jnp.asarray(colour)), folder / "edited"
                 )
                 report["picked"] = label
+            if int(found.number) > sizes.capacity:
+                lost = int(found.number) - sizes.capacity
+                doubts.append(f"{lost} superpixels found no slot and have no label.")
+            report["warnings"] = doubts
             write_json(folder / "report.json", report)
-    if int(found.number) > sizes.capacity:
-        warn(f"{int(found.number) - sizes.capacity} superpixels found no slot and have no label.")
+    for doubt in doubts:
+        warn(doubt)
     note(f"{int(found.number)} superpixels; written to {out}")
-
-
-def _depths(light_field: LightField) -> ViewDepths:
-    result = edge_to_depth(light_field, Parameters(), Sizes.for_light_field(light_field))
-    sizes = ViewSizes.for_light_field(light_field)
-    return jax.block_until_ready(depth_of_views(light_field, result, ViewParams(), sizes))
 
 
 def _write(folder: Path, light_field: LightField, found: Superpixels) -> None:

@@ -15,7 +15,7 @@ from mvedge_jax.lightfield import LightField
 from mvedge_jax.metrics import view_consistency
 from mvedge_jax.metrics.depth import bad_pixels, mse
 
-from ._common import note, stage
+from ._common import note, stage, warn
 from ._every_view import every_view
 from ._output import output_folder, write_json
 
@@ -44,13 +44,16 @@ def views(
     with stage("reading"):
         light_field = load_light_field(scene, views=views)
     with output_folder(out, inputs=[scene], overwrite=overwrite) as folder:
-        found, seconds = every_view(light_field.without_truth())
+        found, seconds, doubts = every_view(light_field.without_truth())
         with stage("writing"):
             _write(folder, found)
             report = {"scene": light_field.name, "seconds": round(seconds, 3), **_report(found)}
             report["scores"] = _score(folder, light_field, found)
             report["source"] = {"path": str(scene.resolve()), "views": views}
+            report["warnings"] = doubts
             write_json(folder / "report.json", report)
+    for doubt in doubts:
+        warn(doubt)
     for name, value in report["scores"].items():
         note(f"{name} {value:.4g}")
     note(f"{seconds:.1f} s for all views; written to {out}")

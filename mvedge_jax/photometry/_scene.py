@@ -32,7 +32,7 @@ class Scene(NamedTuple):
         noise: of the views, in their units now.
         guide: the centre view, denoised, `[c, y, x]`.
         lab: the same in CIELAB.
-        first: per pixel, the disparity at which the views agree best; None if not asked for.
+        first: per pixel, the disparity at which the views agree best; None after `recentred`.
     """
 
     arms: tuple[Arm, Arm]
@@ -101,7 +101,6 @@ def prepare(
     params: VolumeParams,
     *,
     window: int,
-    search: bool = True,
     every: bool = False,
 ) -> Scene:
     """Measures exposure, gains and noise, and finds the first map.
@@ -114,7 +113,6 @@ def prepare(
         disparities: what to try, px per view step, increasing, evenly spaced.
         params: of the hypotheses.
         window: half the width of their windows, px.
-        search: find a first map.
         every: measure the gains of all views along it, not of the crosshair alone.
 
     Returns:
@@ -126,8 +124,6 @@ def prepare(
     centre = arms[0].planes[arms[0].centre]
     noise = measure_noise(centre, exposure.scale, arms=arms, disparities=disparities)
     scene = _guided(arms, exposure, noise)
-    if not search:
-        return scene
 
     @staged
     def searched(
@@ -268,11 +264,11 @@ def first_labels(scene: Scene, seen: Sight, *, radius: int, passes: int) -> Phot
         Labels, shared between neighbours. Differentiable.
 
     Raises:
-        ValueError: the scene was prepared without a first map.
+        ValueError: the scene has no first map.
     """
     first, lab = scene.first, scene.lab
     if first is None:
-        raise ValueError("`scene` has no first map; prepare it with `search=True`.")
+        raise ValueError("`scene` has no first map; `prepare` finds one.")
     found = seen.look(first, radius=radius)
     measured = labels(found, lab, first, seen.params, passes=passes)
     return shared(measured, lab, seen.params, passes=passes)

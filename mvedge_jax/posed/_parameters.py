@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from mvedge_jax._params import as_number, described
+from mvedge_jax._params import as_number, at_least, described, one_of, positive
 from mvedge_jax.centre import CentreParams, MedianParams, Sharpening, SmoothnessParams
 from mvedge_jax.photometry import PhotometricParams, VolumeParams
 
@@ -192,23 +192,9 @@ class StereoSizes:
     tolerance: float = 1e-5
 
     def __post_init__(self) -> None:
-        for name, least in (
-            ("hypotheses", 2),
-            ("solves", 1),
-            ("window", 0),
-            ("passes", 0),
-            ("median_radius", 1),
-            ("levels", 2),
-        ):
-            value = getattr(self, name)
-            if value < least:
-                raise ValueError(f"`{name}` must be at least {least}, got {value}.")
-        if not self.tolerance > 0:
-            raise ValueError(f"`tolerance` must be positive, got {self.tolerance}.")
-        if self.sharpening not in get_args(Sharpening):
-            raise ValueError(
-                f"`sharpening` must be one of {get_args(Sharpening)}, got {self.sharpening!r}."
-            )
+        at_least(self, hypotheses=2, solves=1, window=0, passes=0, median_radius=1, levels=2)
+        positive(self, "tolerance")
+        one_of(self, sharpening=get_args(Sharpening))
 
     @property
     def radius(self) -> int:

@@ -10,7 +10,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from mvedge_jax._fence import staged
 from mvedge_jax._params import cast
-from mvedge_jax.centre import sharpen
+from mvedge_jax.centre import map_problems, sharpen
 from mvedge_jax.centre.solves import Labels, dense_map, standard_error
 from mvedge_jax.color import srgb_to_lab
 from mvedge_jax.photometry import Noise
@@ -37,12 +37,14 @@ class StereoStats(NamedTuple):
         noise: of the photographs, in their units after they were brightened.
         gain: brightness of each photograph relative to the reference, which was taken out; in the
             order of `Photographs`.
+        searched: lowest and highest disparity that was tried, px per baseline.
     """
 
     iterations: Int[Array, " solves"]
     converged: Bool[Array, ""]
     noise: Noise
     gain: Float[Array, " n"]
+    searched: Float[Array, "2"]
 
 
 class StereoResult(NamedTuple):
@@ -63,6 +65,11 @@ class StereoResult(NamedTuple):
     disparity_error: Float[Array, "y x"]
     first: Float[Array, "y x"]
     stats: StereoStats
+
+    def problems(self) -> tuple[str, ...]:
+        """What the statistics say against the depth, one sentence each; on the host."""
+        stats = self.stats
+        return map_problems(self.disparity, self.disparity_error, stats.converged, stats.searched)
 
 
 @eqx.filter_jit
@@ -122,12 +129,14 @@ def stereo(
     )
     nothing = jnp.zeros_like(scene.first)
     labels = Labels(nothing, nothing)
-    found = dense_map(labels, views, scene.lab, scene.first, sharper, params, sizes)
+    span = given.disparities[-1] - given.disparities[0]
+    found = dense_map(labels, views, scene.lab, scene.first, span, sharper, params, sizes)
     stats = StereoStats(
         found.iterations,
         found.converged,
         scene.noise,
         jnp.ones_like(scene.gain).at[given.order].set(scene.gain),
+        jnp.stack([given.disparities[0], given.disparities[-1]]),
     )
     disparity_error = standard_error(found.error, found.disparity)
     depth, error = _depth(found.disparity, disparity_error, given.scale, reference)

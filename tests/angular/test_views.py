@@ -13,7 +13,7 @@ from helpers import dot, random_like
 
 from mvedge_jax.angular import ViewParams, ViewSizes, depth_of_views
 from mvedge_jax.baselines import reproject_views
-from mvedge_jax.centre import DepthResult, DepthStats
+from mvedge_jax.centre import DepthResult, DepthStats, Parameters, Sizes, edge_to_depth
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.photometry import Exposure, Noise
 
@@ -24,9 +24,29 @@ def _known(field):
     exposure = Exposure(jnp.ones((), dtype), jnp.ones(field.views.shape[:2], dtype))
     unread: Any = None
     noise = Noise.of(jnp.zeros((), dtype))
-    stats = DepthStats(unread, unread, unread, unread, unread, noise, exposure)
+    stats = DepthStats(
+        edges=unread,
+        points=unread,
+        sided=unread,
+        iterations=unread,
+        converged=unread,
+        noise=noise,
+        exposure=exposure,
+        sound=unread,
+        searched=unread,
+    )
     error = jnp.full_like(field.truth.disparity, 0.01)
     return DepthResult(field.truth.disparity, error, unread, unread, unread, stats)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("shape", [(16, 16), (1, 40), (1, 1)])
+def test_views_that_show_nothing_have_errors_as_wide_as_the_range(shape):
+    field = LightField(jnp.full((3, 3, *shape, 3), 0.5), disparity_range=(-1.0, 2.0))
+    result = edge_to_depth(field, Parameters(), Sizes.for_light_field(field))
+    found = depth_of_views(field, result, ViewParams(), ViewSizes.for_light_field(field))
+    assert bool(jnp.isfinite(found.disparity).all())
+    assert float(found.error.min()) >= 3
 
 
 def _bad(maps, field):

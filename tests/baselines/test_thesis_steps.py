@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
+from mvedge_jax.baselines import joint_filter
 from mvedge_jax.baselines._alignment import (
     aligned_count,
     alignment,
@@ -13,7 +14,6 @@ from mvedge_jax.baselines._alignment import (
     longest_run,
 )
 from mvedge_jax.baselines._entropy import entropy_search, line_entropy
-from mvedge_jax.baselines._joint_filter import joint_filter
 from mvedge_jax.baselines._vote import spatial_vote
 from mvedge_jax.epi import EpiLines
 

@@ -62,6 +62,8 @@ def test_a_batch_goes_on_after_a_failure_and_from_where_it_was(tmp_path, capsys,
     assert "input_Cam004.png" in rows["corrupt"]["reason"]
     assert not (out / "corrupt").exists()
     assert json.loads((out / "summary.json").read_text())["near"]["converged"] is True
+    assert rows["near"]["warnings"] == ""
+    assert json.loads((out / "near" / "report.json").read_text())["warnings"] == []
     said = capsys.readouterr()
     assert "2 of 3 light fields done" in said.out
     assert "corrupt failed" in said.err

@@ -43,6 +43,7 @@ def test_views_writes_maps_of_all_views(scene, tmp_path):
     report = json.loads((out / "report.json").read_text())
     assert sum(report["share of pixels known from"].values()) == pytest.approx(1)
     assert report["scores"]["consistency*100"] < 0.01
+    assert report["warnings"] == []
     for name in ("views.png", "views.gif", "consistency.png"):
         assert (out / name).stat().st_size > 0
 
@@ -81,6 +82,29 @@ def test_edit_puts_a_picture_before_the_plane(scene, tmp_path):
     for v, u in np.ndindex(3, 3):
         place = 16 + 2 * (1 - v), 20 + 2 * (1 - u)
         np.testing.assert_allclose(edited.views[v, u][place], [1, 0, 0], atol=0.01)
+
+
+@pytest.mark.parametrize("command", ["views", "edit", "superpixels", "batch"])
+def test_what_speaks_against_the_depth_is_said(command, tmp_path, capsys):
+    """Black views tell nothing: on the screen, and in report.json."""
+    scene = write_hci(tmp_path / "black", np.zeros((3, 3, 32, 40, 3), np.uint8))
+    mask, out = tmp_path / "mask.png", tmp_path / "out"
+    cv2.imwrite(str(mask), np.full((32, 40), 255, np.uint8))
+    more = {
+        "edit": ["--mask", str(mask), "--colour", "1", "0", "0"],
+        "batch": ["--range", "-1", "1"],
+    }
+    assert _main.main([command, str(scene), str(out), *more.get(command, [])]) == 0
+    said = capsys.readouterr().err
+    folder = out / "black" if command == "batch" else out
+    warnings = json.loads((folder / "report.json").read_text())["warnings"]
+    assert len(warnings) >= 2
+    for sentence in warnings:
+        assert sentence in said
+    assert any("no edge was found" in sentence for sentence in warnings)
+    assert any(
+        "half of the pixels have a standard error above" in sentence for sentence in warnings
+    )
 
 
 def test_a_mask_of_another_size_is_refused(scene, tmp_path, capsys):

@@ -21,10 +21,10 @@ from mvedge_jax.photometry.measuring import Measuring, PhotometricLabels, view_w
 from mvedge_jax.photometry.measuring._measure import shared
 
 
-def _prepared(light_field, low, high, **choices):
+def _prepared(light_field, low, high):
     tried = jnp.linspace(low, high, hypothesis_count(high - low, max(light_field.centre)))
     tried = tried.astype(light_field.views.dtype)
-    scene = prepare(light_field, tried, cast(VolumeParams(), tried.dtype), window=2, **choices)
+    scene = prepare(light_field, tried, cast(VolumeParams(), tried.dtype), window=2)
     return scene, sight(scene, cast(PhotometricParams(), tried.dtype)), tried
 
 
@@ -39,9 +39,9 @@ def test_the_first_measurement_finds_a_plane():
 
 
 def test_a_scene_without_a_first_map_is_told():
-    scene, seen, _ = _prepared(plane(0.37), 0.0, 0.7, search=False)
-    with pytest.raises(ValueError, match=r"`scene` has no first map; prepare it with `search"):
-        first_labels(scene, seen, radius=3, passes=2)
+    scene, seen, _ = _prepared(plane(0.37), 0.0, 0.7)
+    with pytest.raises(ValueError, match="`scene` has no first map; `prepare` finds one"):
+        first_labels(scene._replace(first=None), seen, radius=3, passes=2)
 
 
 def test_neighbours_share_labels_on_their_surface_only():

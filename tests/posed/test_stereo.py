@@ -54,6 +54,18 @@ def test_finds_the_wall_from_every_photograph_with_one_program(small):
     assert traces() == 1
 
 
+@pytest.mark.parametrize("level", [0.0, 0.5, 1.0])
+def test_photographs_that_show_nothing_leave_the_whole_range(small, level):
+    run, _ = small
+    plain = Photographs(jnp.full(IMAGES.shape, level), POSES, MATRIX)
+    wanted = reference_of(plain, 0, depth_range=RANGE)
+    found = run(plain, wanted)
+    assert bool(jnp.isfinite(found.depth).all())
+    low, high = wanted.disparity_range
+    assert float(found.disparity_error.min()) >= float(high - low)
+    assert any("half of the pixels have a standard error" in text for text in found.problems())
+
+
 def test_units_are_those_of_the_poses(small):
     """A scene ten times as large has ten times the depth, and the same disparity."""
     run, _ = small
