@@ -33,8 +33,8 @@ class Ends(NamedTuple):
         """Of segments on the host; equals in their order."""
         rank = np.empty(len(epi), np.int32)
         rank[np.argsort(np.minimum(left[:, 1], right[:, 1]), kind="stable")] = np.arange(len(epi))
-        whole = (jnp.asarray(a, jnp.asarray(left).dtype) for a in (epi, left, right))
-        return Ends(*whole, jnp.asarray(rank))
+        first, last = jnp.asarray(left), jnp.asarray(right)
+        return Ends(jnp.asarray(epi, first.dtype), first, last, jnp.asarray(rank))
 
 
 def width_of(ends: Ends, reach: int) -> int:
@@ -88,8 +88,7 @@ def smoothed_labels(labels: Int[Array, "e x"], *, middle: bool) -> Int[Array, "e
     With `middle`, as the authors have it, the middle one of the three numbers, and 0 beyond the
     frame.
     """
-    mode = {"constant_values": 0} if middle else {"mode": "edge"}
-    padded = jnp.pad(labels, ((1, 1), (0, 0)), **mode)
+    padded = jnp.pad(labels, ((1, 1), (0, 0)), mode="constant" if middle else "edge")
     before, after = padded[:-2], padded[2:]
     if middle:
         return jnp.median(jnp.stack([before, labels, after]), axis=0).astype(labels.dtype)

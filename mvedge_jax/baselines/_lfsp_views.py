@@ -55,9 +55,11 @@ def painted_views(
         label = smoothed_labels(jnp.where(known, field.label[index], 0), middle=median)
         return label, jnp.where(known, field.disparity[index], jnp.nan)
 
+    turned = shape[1], shape[0]
+
     def view(step: Array) -> tuple[Array, Array]:
         across, near = of(fields[0], widths[0], step, shape)
-        down, other = (a.T for a in of(fields[1], widths[1], step[::-1], shape[::-1]))
+        down, other = (a.T for a in of(fields[1], widths[1], step[::-1], turned))
         disparity = jnp.where((across > 0) & jnp.isfinite(near), near, other)
         return agreed(across, down), disparity
 

@@ -114,7 +114,8 @@ def _clusters(lab: Array, disparity: Array, params: KMeansParams, sizes: KMeansS
     y, x = (a.astype(disparity.dtype) for a in jnp.indices(disparity.shape))
     weights = params.position, params.disparity, params.colour
     features = weighted(jnp.stack([x, y], axis=-1), scaled(disparity), lab, weights)
-    rows, columns = seed_grid(*disparity.shape, sizes.size)
+    height, width = disparity.shape
+    rows, columns = seed_grid(height, width, sizes.size)
     seeds = features[rows[:, None], columns[None]].reshape(-1, 6)
     found = k_means(features.reshape(-1, 6), seeds, rounds=sizes.rounds)
     return 1 + found.reshape(disparity.shape)

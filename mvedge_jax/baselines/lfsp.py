@@ -116,7 +116,7 @@ def thesis_superpixels(
         [1, 2]
     """
     views = light_field.views
-    grid, shape = views.shape[:2], views.shape[2:4]
+    grid, shape = views.shape[:2], (views.shape[2], views.shape[3])
     if min(grid) < 3 or grid[0] % 2 == 0 or grid[1] % 2 == 0:
         raise ValueError(
             f"`light_field` must have odd numbers of rows and columns of views, 3 or more, got "
@@ -181,7 +181,7 @@ def _coloured(
 
 
 def _parallel(segments: Segments) -> Segments:
-    """Moves the nearer border of each segment out to where it is at most, with the other's slope."""
+    """Moves the nearer border of each segment as far out as it comes, with the other's slope."""
     reach, farther = segments.views // 2, segments.disparity
     left, right = (
         np.stack([line[:, 0] + side * reach * (line[:, 1] - farther), farther], axis=1)
