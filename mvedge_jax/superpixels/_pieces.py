@@ -63,8 +63,13 @@ def joined(
     return pieces
 
 
-def fewer(pieces: Pieces, surface: Surface, wanted: Float[Array, ""]) -> Pieces:
-    """Joins the smallest pieces to neighbours on their surface until about so many are left."""
+def fewer(
+    pieces: Pieces, surface: Surface, wanted: Float[Array, ""], most: Float[Array, ""]
+) -> Pieces:
+    """Joins the smallest pieces to neighbours on their surface until about so many are left.
+
+    Pieces of `most` pixels and more stay, however many are wanted.
+    """
     right, down = surface.links[0], surface.links[1]
 
     def join(pieces: Pieces) -> tuple[Pieces, Array]:
@@ -78,6 +83,7 @@ def fewer(pieces: Pieces, surface: Surface, wanted: Float[Array, ""]) -> Pieces:
         excess = jnp.sum(area > 0, dtype=jnp.int32) - jnp.round(wanted).astype(jnp.int32)
         order = jnp.sort(jnp.where(beside, area, jnp.inf))
         least = jnp.where(excess > 0, order[jnp.maximum(excess - 1, 0)] + 0.5, 0)
+        least = jnp.minimum(least, most)
         return _join(pieces, right, down, least)
 
     return _repeated(join, pieces)

@@ -24,6 +24,9 @@ _MORE = 0.03
 # Rounds of attempts that only look for the number; how near to that aim, relatively, a full one
 # follows; and how many more than wanted are good enough.
 _SHORT, _NEAR, _ENOUGH = 3, 0.04, 0.08
+# Logarithms of how much smaller and larger than asked for cells may become; and the share of the
+# area asked for that pieces may have which join others to make the number right.
+_SMALLER, _LARGER, _HALF = 1.0, 0.4, 0.5
 
 
 class Superpixels(NamedTuple):
@@ -179,7 +182,9 @@ def _counted(
         measured = (off - state.off) / jnp.where(moved == 0, 1, moved)
         known = (moved != 0) & jnp.isfinite(state.off)
         slope = jnp.where(known, jnp.clip(measured, -2.0, -0.7), state.slope)
-        following = state.following - jnp.clip((off - _MORE) / slope, -1.0, 1.0)
+        # A scene of many small surfaces has more superpixels than wanted, not large ones beside.
+        following = state.following - (off - _MORE) / slope
+        following = jnp.clip(following, size - _SMALLER, size + _LARGER)
         least = jnp.minimum(badness, state.badness)
         return _Search(state.tried + 1, state.following, following, slope, off, best, least)
 
@@ -191,4 +196,4 @@ def _counted(
     first = jnp.asarray(0, jnp.int32)
     start = _Search(first, size, size, jnp.full_like(size, -1.5), endless, nothing, endless)
     best = lax.while_loop(going, attempt, start).best
-    return numbered(fewer(best, surface, wanted).root, sizes.capacity)
+    return numbered(fewer(best, surface, wanted, _HALF * params.size**2).root, sizes.capacity)

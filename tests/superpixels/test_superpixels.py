@@ -126,6 +126,21 @@ def test_the_size_sets_the_number():
         assert abs(int(found.number) * size**2 / 64**2 - 1) < 0.15
 
 
+def test_many_small_surfaces_do_not_make_the_others_large():
+    y, x = np.mgrid[:64, :64]
+    spots = (np.abs(y % 8 - 3) < 2) & (np.abs(x % 8 - 3) < 2) & (x < 40)
+    maps = jnp.asarray(np.where(spots, 1.0, 0.0), jnp.float32)[None, None]
+    depths = ViewDepths(maps, 0 * maps, jnp.zeros(maps.shape, jnp.int8), jnp.asarray(0))
+    field = LightField(jnp.full((1, 1, 64, 64, 3), 0.5, jnp.float32))
+    found = _found(field, depths, 16.0, attempts=4)
+    # Forty spots are many more than the sixteen that such a size aims at; the wall between them
+    # is still cut into cells of at most one and a half times the size.
+    wall = np.asarray(found.labels[0, 0])[~spots]
+    assert len(np.unique(wall)) >= wall.size / (1.5 * 16) ** 2 - 1
+    assert int(found.number) == 40 + len(np.unique(wall))
+    assert int(found.area.max()) < 4 * 16**2
+
+
 def test_the_same_twice_and_one_program_for_all_sizes():
     field, depths, _ = _cards()
     sizes = SuperpixelSizes.for_depths(depths, rounds=2, attempts=1)
