@@ -1,7 +1,8 @@
 """Figures 5.4, 5.8, 5.9 and Appendix A: superpixels of all views, six metrics in both forms.
 
 python experiments/figure_5_4.py --scenes demo edges --sizes 15 20 25 30 35 40
-python experiments/figure_5_4.py --scenes edges --sweep colour 3.5 7 14   (Figs. A.1 to A.3)
+python experiments/figure_5_4.py --scenes edges --sweep colour 3.5 7 14   (as Figs. A.1 to A.3)
+python experiments/figure_5_4.py --scenes edges --methods ours --sweep thesis.colour 1 2 4
 python experiments/figure_5_4.py --scenes edges --strides 1 2 4           (Fig. A.4)
 python experiments/figure_5_4.py --scenes edges --methods thesis --bugs   (faults, one by one)
 python experiments/figure_5_4.py --scenes edges --methods ours --noise 0.02
@@ -59,7 +60,8 @@ def main() -> None:
     parser.add_argument("--sizes", type=float, nargs="+", default=[20.0])
     parser.add_argument("--methods", nargs="+", default=METHODS, choices=METHODS)
     parser.add_argument("--strides", type=int, nargs="+", default=[1], help="views left out")
-    parser.add_argument("--sweep", nargs="+", default=[], help="parameter of ours, and its values")
+    help_ = "parameter of ours, or thesis.position, .disparity, .colour, and its values"
+    parser.add_argument("--sweep", nargs="+", default=[], help=help_)
     parser.add_argument("--bugs", action="store_true", help="those of the authors, one by one")
     parser.add_argument("--noise", type=float, help="standard deviation in one view, sRGB")
     parser.add_argument("--repeats", type=int, default=1, help="the least time of so many")
@@ -108,7 +110,8 @@ def _timed(repeats: int, method: str, *given: Any) -> tuple[Array, float]:
     return labels, min(times)
 
 
-def _runs(arguments: Any) -> Iterator[tuple[str, float, str, SuperpixelParams]]:
+def _runs(arguments: Any) -> Iterator[tuple[str, float, str, SuperpixelParams | LfspParams]]:
+    """Name, size, method and parameters of every row."""
     for size in arguments.sizes:
         for method in arguments.methods:
             yield method, size, method, SuperpixelParams(size=jnp.asarray(size))
@@ -116,9 +119,14 @@ def _runs(arguments: Any) -> Iterator[tuple[str, float, str, SuperpixelParams]]:
             yield f"thesis, {bug}", size, f"thesis, {bug}", SuperpixelParams()
         if arguments.sweep:
             field, *values = arguments.sweep
+            kind, field = field.split(".") if "." in field else ("ours", field)
             for value in values:
-                chosen = {"size": jnp.asarray(size), field: jnp.asarray(float(value))}
-                yield f"ours, {field} {value}", size, "ours", SuperpixelParams(**chosen)
+                chosen: dict[str, Any] = {field: jnp.asarray(float(value))}
+                if kind == "ours":
+                    params = SuperpixelParams(**{"size": jnp.asarray(size), **chosen})
+                else:
+                    params = LfspParams(**chosen)
+                yield f"{kind}, {field} {value}", size, kind, params
 
 
 def _case(arguments: Any, name: str, stride: int) -> Case:
@@ -175,13 +183,14 @@ def _scene(arguments: Any, name: str) -> tuple[LightField, np.ndarray, np.ndarra
     return light_field, np.asarray(truth.view_ids), np.asarray(truth.view_disparity)
 
 
-def _cut(method: str, case: Case, size: float, params: SuperpixelParams) -> Array:
+def _cut(method: str, case: Case, size: float, params: SuperpixelParams | LfspParams) -> Array:
     """Labels of all views."""
     light_field, depths = case.light_field, case.depths
     centre = depths.disparity[light_field.centre]
     if method.startswith("thesis"):
+        chosen = params if isinstance(params, LfspParams) else LfspParams()
         bugs = tuple(method.split(", ")[1:])
-        return thesis_superpixels(light_field, LfspParams(), LfspSizes(round(size), bugs=bugs))
+        return thesis_superpixels(light_field, chosen, LfspSizes(round(size), bugs=bugs))
     if method == "k-means":
         sizes = KMeansSizes(size=round(size))
         return kmeans_superpixels(light_field, centre, KMeansParams(), sizes)
@@ -189,8 +198,8 @@ def _cut(method: str, case: Case, size: float, params: SuperpixelParams) -> Arra
         return _projected(_slic(light_field.centre_view, size), centre, light_field.steps)
     if method == "grid and true ids":
         return _perfect(case, size)
-    sizes = SuperpixelSizes.for_depths(depths)
-    return superpixels(light_field, depths, params, sizes).labels
+    own = params if isinstance(params, SuperpixelParams) else SuperpixelParams()
+    return superpixels(light_field, depths, own, SuperpixelSizes.for_depths(depths)).labels
 
 
 def _slic(image: Array, size: float) -> Array:
