@@ -26,7 +26,7 @@ _MORE = 0.03
 _SHORT, _NEAR, _ENOUGH = 3, 0.04, 0.08
 # Logarithms of how much smaller and larger than asked for cells may become; and the share of the
 # area asked for that pieces may have which join others to make the number right.
-_SMALLER, _LARGER, _HALF = 1.0, 0.4, 0.5
+_SMALLER, _LARGER, _SHARE = 1.0, 0.4, 0.75
 
 
 class Superpixels(NamedTuple):
@@ -196,4 +196,4 @@ def _counted(
     first = jnp.asarray(0, jnp.int32)
     start = _Search(first, size, size, jnp.full_like(size, -1.5), endless, nothing, endless)
     best = lax.while_loop(going, attempt, start).best
-    return numbered(fewer(best, surface, wanted, _HALF * params.size**2).root, sizes.capacity)
+    return numbered(fewer(best, surface, wanted, _SHARE * params.size**2).root, sizes.capacity)
