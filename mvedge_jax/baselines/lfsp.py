@@ -57,8 +57,8 @@ class LfspSizes:
             are drawn with 1/(views - 1) more slope; "strict", segments are coloured by the pixels
             strictly between their lines; "scale", disparities are divided by the largest sum of
             themselves and the least magnitude; "median", fields are smoothed by the middle number
-            of a label; "swapped", the propagation in one arm reads the centre's disparity of the
-            other direction; "clamped", what is pushed beyond the frame lands on its border.
+            of a label; "swapped", the propagation reads the disparity of the
+            other arm's view; "clamped", what is pushed beyond the frame lands on its border.
     """
 
     size: int = 20
@@ -80,8 +80,9 @@ def thesis_superpixels(
 ) -> Int[Array, "v u y x"]:
     """Superpixels of all views by the thesis' own method: the peer of `superpixels`.
 
-    1. Lines are found in the EPIs of the centre row and column of views, and matched into segments
-       (`match_segments`); wide ones are split at the disparity of the vertical direction.
+    1. Lines are found in the EPIs of the centre row and column of views; those that no gradient is
+       aligned with are dropped (4.3). They are matched into segments (`match_segments`); wide ones
+       are split at the disparity of the vertical direction.
     2. Segments get the mean colour of the pixels that show them, and the farther line's slope; a
        nearer border moves out as far as it ever is, so that a surface goes on beneath its occluder.
     3. k-means clusters the segments of both directions by place, disparity and colour.
