@@ -23,6 +23,13 @@ class Item(NamedTuple):
 
 ITEMS = (
     Item(
+        "figure_5_4",
+        "figure_5_4.py",
+        "--scenes edges --pixels 96 --sizes 12 --methods ours k-means",
+        "--scenes demo edges --sizes 15 20 25 30 35 40",
+        "Figures 5.4, 5.8, 5.9: superpixels",
+    ),
+    Item(
         "table_6_1",
         "table_6_1.py",
         "--scenes edges --size 96",

@@ -1,6 +1,6 @@
 """What the method is compared with: the thesis' own chains, points alone, plane sweep.
 
-Room: `kmeans` (superpixels by k-means).
+Rooms: `kmeans` (superpixels by k-means), `lfsp` (the thesis' superpixels).
 """
 
 from ._joint_filter import joint_filter as joint_filter

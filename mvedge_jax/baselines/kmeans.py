@@ -5,14 +5,13 @@ from dataclasses import dataclass
 import equinox as eqx
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float, Int
 
 from mvedge_jax._params import at_least, cast, number
 from mvedge_jax.color import srgb_to_lab
 from mvedge_jax.lightfield import LightField
 
-# Holes that are filled at a time.
-_CHUNK = 512
+from ._clustering import alike, k_means, scaled, seed_grid, weighted
 
 
 class KMeansParams(eqx.Module):
@@ -99,7 +98,9 @@ def kmeans_superpixels(
     def one(item: tuple[Array, Array]) -> Array:
         view, step = item
         moved = _moved(labels, disparity, step)
-        return _filled(moved, srgb_to_lab(view), params.fill, sizes.radius)
+        one = jnp.ones_like(params.fill)
+        source = alike(moved > 0, srgb_to_lab(view), one, params.fill, radius=sizes.radius)
+        return jnp.where(source < 0, 0, moved.ravel()[source])
 
     views = light_field.views.reshape(grid, *light_field.views.shape[2:])
     maps = lax.map(one, (views, light_field.steps.reshape(grid, 2)))
@@ -107,42 +108,15 @@ def kmeans_superpixels(
 
 
 def _clusters(lab: Array, disparity: Array, params: KMeansParams, sizes: KMeansSizes) -> Array:
-    """k-means with all centres tried for every pixel."""
+    """k-means of the pixels of the centre view."""
+    y, x = (a.astype(disparity.dtype) for a in jnp.indices(disparity.shape))
+    weights = params.position, params.disparity, params.colour
+    features = weighted(jnp.stack([x, y], axis=-1), scaled(disparity), lab, weights)
     height, width = disparity.shape
-    dtype = disparity.dtype
-    low, high = jnp.min(disparity), jnp.max(disparity)
-    depth = (disparity - low) / jnp.where(high > low, high - low, 1)
-    y, x = (a.astype(dtype) for a in jnp.indices(disparity.shape))
-    weight = jnp.stack([params.position] * 2 + [params.disparity] + [params.colour] * 3)
-    features = weight[None, None] * jnp.concatenate(
-        [jnp.stack([x, y, depth], axis=-1), lab], axis=-1
-    )
-    rows, columns = (
-        (jnp.arange(max(n // sizes.size, 1)) * sizes.size + sizes.size // 2).clip(0, n - 1)
-        for n in (height, width)
-    )
+    rows, columns = seed_grid(height, width, sizes.size)
     seeds = features[rows[:, None], columns[None]].reshape(-1, 6)
-
-    def nearest(centres: Array) -> Array:
-        def row(pixels: Array) -> Array:
-            away = (pixels[:, None] - centres[None]) ** 2
-            place, colour = jnp.sum(away[..., :2], axis=-1), jnp.sum(away[..., 3:], axis=-1)
-            distance = jnp.sqrt(place) + jnp.sqrt(away[..., 2]) + jnp.sqrt(colour)
-            return jnp.argmin(distance, axis=1).astype(jnp.int32)
-
-        return lax.map(row, features)
-
-    def update(centres: Array, _) -> tuple[Array, None]:
-        label = nearest(centres)
-        ones = jnp.ones_like(features[..., :1])
-        values = jnp.concatenate([features, ones], axis=-1)
-        sums = jnp.zeros((centres.shape[0], 7), dtype).at[label].add(values)
-        mass = sums[:, 6:]
-        # A cluster without pixels is as far away as can be, for good.
-        return jnp.where(mass > 0, sums[:, :6] / jnp.where(mass > 0, mass, 1), jnp.inf), None
-
-    centres, _ = lax.scan(update, seeds, length=sizes.rounds - 1)
-    return 1 + nearest(centres)
+    found = k_means(features.reshape(-1, 6), seeds, rounds=sizes.rounds)
+    return 1 + found.reshape(disparity.shape)
 
 
 def _moved(labels: Array, disparity: Array, step: Array) -> Array:
@@ -161,33 +135,3 @@ def _moved(labels: Array, disparity: Array, step: Array) -> Array:
     near = jnp.full(height * width + 1, -jnp.inf, dtype).at[place].max(disparity[None])
     wins = jnp.where(disparity[None] == near[place], labels[None], 0)
     return jnp.zeros(height * width + 1, jnp.int32).at[place].max(wins)[:-1].reshape(labels.shape)
-
-
-def _filled(labels: Array, lab: Float[Array, "y x 3"], weight: Array, radius: int) -> Array:
-    """Fills holes from the labels there are, some holes at a time."""
-    height, width = labels.shape
-    hole: Bool[Array, "y x"] = labels == 0
-    count = jnp.sum(hole, dtype=jnp.int32)
-    (index,) = jnp.nonzero(hole.ravel(), size=labels.size + _CHUNK, fill_value=labels.size)
-    index = index.astype(jnp.int32)
-    reach = jnp.arange(-radius, radius + 1, dtype=jnp.int32)
-    dy, dx = (a.ravel() for a in jnp.meshgrid(reach, reach, indexing="ij"))
-    far = (dy**2 + dx**2).astype(lab.dtype)
-    flat, known = lab.reshape(-1, 3), labels.ravel()
-
-    def some(state: tuple[Array, Array]) -> tuple[Array, Array]:
-        start, filled = state
-        own = lax.dynamic_slice(index, (start,), (_CHUNK,))
-        row, column = own[None] // width + dy[:, None], own[None] % width + dx[:, None]
-        inside = (row >= 0) & (row < height) & (column >= 0) & (column < width)
-        other = jnp.where(inside, row * width + column, 0)
-        away = jnp.sum((flat[jnp.minimum(own, labels.size - 1)][None] - flat[other]) ** 2, axis=-1)
-        cost = jnp.where(inside & (known[other] > 0), far[:, None] + weight * away, jnp.inf)
-        best = jnp.argmin(cost, axis=0)
-        label = known[other[best, jnp.arange(_CHUNK)]]
-        found = jnp.where(jnp.isfinite(jnp.min(cost, axis=0)), label, 0)
-        return start + _CHUNK, filled.at[own].set(found, mode="drop")
-
-    start = jnp.asarray(0, jnp.int32), known
-    _, filled = lax.while_loop(lambda state: state[0] < count, some, start)
-    return filled.reshape(labels.shape)

@@ -206,7 +206,12 @@ def means(clusters: Clusters, sums: Float[Array, "k 15"], params: SuperpixelPara
 
 
 def clustered(
-    surface: Surface, grid: Grid, params: SuperpixelParams, *, capacity: int, rounds: int
+    surface: Surface,
+    grid: Grid,
+    params: SuperpixelParams,
+    rounds: Int[Array, ""],
+    *,
+    capacity: int,
 ) -> tuple[Int[Array, "y x"], Clusters]:
     """Clusters pixels by place, colour and plane, with short contours.
 
@@ -218,7 +223,7 @@ def clustered(
     odd = (jnp.indices((height, width)).sum(0) % 2).astype(bool)
     neighbours = list(zip(_HALF, surface.links, strict=True))
 
-    def one(state: tuple[Array, Clusters], _) -> tuple[tuple[Array, Clusters], None]:
+    def one(_, state: tuple[Array, Clusters]) -> tuple[Array, Clusters]:
         labels, clusters = state
 
         def cost(offset: Array) -> tuple[Array, Array]:
@@ -232,11 +237,11 @@ def clustered(
             around = _around(labels, neighbours, params.contour)
             labels = jnp.where(now, _best(costs, names, around), labels)
         sums = updated(surface, clusters, jnp.ones_like(surface.disparity), labels, params)
-        return (labels, means(clusters, sums, params)), None
+        return labels, means(clusters, sums, params)
 
     first, _ = cell_of(grid, jnp.zeros(2, jnp.int32))
     start = first, seeded(surface, grid, capacity)
-    return lax.scan(one, start, length=rounds)[0]
+    return lax.fori_loop(0, rounds, one, start)
 
 
 def _best(costs: Array, names: Array, around: list[tuple[Array, Array]]) -> Array:

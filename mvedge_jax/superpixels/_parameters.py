@@ -20,7 +20,8 @@ class SuperpixelParams(eqx.Module):
 
     Attributes:
         size: side of a superpixel in the centre view, px: the views' area over its square is the
-            number of superpixels that is aimed at.
+            number of superpixels that is aimed at. A scene with many surfaces that are smaller
+            than that has more.
         colour: difference of colour, CIE Lab, that counts as much as a distance of `size`.
         depth: difference from the plane of a superpixel that counts as much, px per view step.
         limit: most that either difference counts, in units of `size`, squared.

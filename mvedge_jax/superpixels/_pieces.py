@@ -1,5 +1,6 @@
 """Connected pieces of one surface, the small ones joined to what they belong to."""
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -55,18 +56,23 @@ def joined(
     pieces, every = Pieces(sums, root), jnp.ones_like(right)
     for along, below, limit in ((right, down, least), (every, every, params.speck)):
 
-        def join(_, pieces: Pieces, along=along, below=below, limit=limit) -> Pieces:
+        def join(pieces: Pieces, along=along, below=below, limit=limit) -> tuple[Pieces, Array]:
             return _join(pieces, along, below, limit)
 
-        pieces = lax.fori_loop(0, _JOINS, join, pieces)
+        pieces = _repeated(join, pieces)
     return pieces
 
 
-def fewer(pieces: Pieces, surface: Surface, wanted: Float[Array, ""]) -> Pieces:
-    """Joins the smallest pieces to neighbours on their surface until about so many are left."""
+def fewer(
+    pieces: Pieces, surface: Surface, wanted: Float[Array, ""], most: Float[Array, ""]
+) -> Pieces:
+    """Joins the smallest pieces to neighbours on their surface until about so many are left.
+
+    Pieces of `most` pixels and more stay, however many are wanted.
+    """
     right, down = surface.links[0], surface.links[1]
 
-    def join(_, pieces: Pieces) -> Pieces:
+    def join(pieces: Pieces) -> tuple[Pieces, Array]:
         root, area = pieces.root, pieces.sums[:, 0]
         beside = jnp.zeros(area.size, bool)
         for links, offset in ((right, (0, 1)), (down, (1, 0))):
@@ -77,9 +83,23 @@ def fewer(pieces: Pieces, surface: Surface, wanted: Float[Array, ""]) -> Pieces:
         excess = jnp.sum(area > 0, dtype=jnp.int32) - jnp.round(wanted).astype(jnp.int32)
         order = jnp.sort(jnp.where(beside, area, jnp.inf))
         least = jnp.where(excess > 0, order[jnp.maximum(excess - 1, 0)] + 0.5, 0)
+        least = jnp.minimum(least, most)
         return _join(pieces, right, down, least)
 
-    return lax.fori_loop(0, _JOINS, join, pieces)
+    return _repeated(join, pieces)
+
+
+def _repeated(join: Callable[[Pieces], tuple[Pieces, Array]], pieces: Pieces) -> Pieces:
+    """Joins until nothing does any more, `_JOINS` times at most."""
+
+    def again(state: tuple[Array, Pieces, Array]) -> tuple[Array, Pieces, Array]:
+        return state[0] + 1, *join(state[1])
+
+    def going(state: tuple[Array, Pieces, Array]) -> Array:
+        return (state[0] < _JOINS) & state[2]
+
+    start = jnp.asarray(0, jnp.int32), pieces, jnp.asarray(True)
+    return lax.while_loop(going, again, start)[1]
 
 
 def _join(
@@ -87,8 +107,8 @@ def _join(
     right: Bool[Array, "y x"],
     down: Bool[Array, "y x"],
     least: Float[Array, ""],
-) -> Pieces:
-    """Joins each piece of less than some pixels to the most similar larger neighbour."""
+) -> tuple[Pieces, Array]:
+    """Joins each piece of less than some pixels to the most similar larger neighbour; if any."""
     sums, root = pieces
     count, area = sums.shape[0], sums[:, 0]
     mean = sums[:, 1:] / jnp.maximum(area, 1)[:, None]
@@ -111,7 +131,8 @@ def _join(
     target = jnp.where(target < count, target, own)
     # Chains end after doublings: a chain is shorter than 2**16 as areas grow along it.
     target = lax.fori_loop(0, 16, lambda _, t: t[t], target)
-    return Pieces(jnp.zeros_like(sums).at[target].add(sums), target[root])
+    joined = Pieces(jnp.zeros_like(sums).at[target].add(sums), target[root])
+    return joined, jnp.any(allowed)
 
 
 def numbered(root: Int[Array, "y x"], capacity: int) -> tuple[Int[Array, "y x"], Int[Array, ""]]:

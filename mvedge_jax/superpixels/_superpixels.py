@@ -1,6 +1,6 @@
 """Superpixels of a light field: one label per surface patch in every view (Thesis Ch. 5)."""
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -21,6 +21,12 @@ from ._views import canvas_of, continued, labelled
 
 # How many more pieces than wanted are aimed at, relatively: the smallest then join others.
 _MORE = 0.03
+# Rounds of attempts that only look for the number; how near to that aim, relatively, a full one
+# follows; and how many more than wanted are good enough.
+_SHORT, _NEAR, _ENOUGH = 3, 0.04, 0.08
+# Logarithms of how much smaller and larger than asked for cells may become; and the share of the
+# area asked for that pieces may have which join others to make the number right.
+_SMALLER, _LARGER, _SHARE = 1.0, 0.4, 0.75
 
 
 class Superpixels(NamedTuple):
@@ -129,6 +135,28 @@ def check_depths(light_field: LightField, depths: ViewDepths) -> None:
         )
 
 
+class _Search(NamedTuple):
+    """For the size of cells, as logarithms, that makes the number of superpixels right.
+
+    Attributes:
+        tried: attempts so far.
+        size: of cells at the last attempt.
+        following: at the next one.
+        slope: of the number over the size.
+        off: the number over the one wanted, at the last attempt.
+        best: pieces of the full attempt that came closest.
+        badness: of that one.
+    """
+
+    tried: Int[Array, ""]
+    size: Float[Array, ""]
+    following: Float[Array, ""]
+    slope: Float[Array, ""]
+    off: Float[Array, ""]
+    best: Pieces
+    badness: Float[Array, ""]
+
+
 def _counted(
     surface: Surface, params: SuperpixelParams, sizes: SuperpixelSizes
 ) -> tuple[Array, Array]:
@@ -137,27 +165,35 @@ def _counted(
     pixels = jnp.asarray(shape[0] * shape[1], surface.disparity.dtype)
     wanted = pixels / params.size**2
 
-    def attempt(state: tuple[Any, ...], _) -> tuple[tuple[Any, ...], None]:
-        size, slope, before, best, gap = state
-        grid = grid_over(shape, jnp.exp(size), sizes.capacity)
-        labels, _ = clustered(surface, grid, params, capacity=sizes.capacity, rounds=sizes.rounds)
+    def attempt(state: _Search) -> _Search:
+        # A few rounds tell the number well enough to look for it.
+        full = (state.tried == sizes.attempts - 1) | (jnp.abs(state.off - _MORE) < _NEAR)
+        rounds = jnp.where(full, sizes.rounds, min(_SHORT, sizes.rounds)).astype(jnp.int32)
+        grid = grid_over(shape, jnp.exp(state.following), sizes.capacity)
+        labels, _ = clustered(surface, grid, params, rounds, capacity=sizes.capacity)
         pieces = joined(surface, labels, params.size, params)
         off = jnp.log(numbered(pieces.root, sizes.capacity)[1].astype(wanted.dtype) / wanted)
         # Too many are made fewer afterwards; too few stay.
-        badness = jnp.where(off < 0, -4 * off, off)
-        better = badness < gap
-        best = jax.tree.map(lambda new, old: jnp.where(better, new, old), pieces, best)
+        badness = jnp.where(full, jnp.where(off < 0, -4 * off, off), jnp.inf)
+        better = badness < state.badness
+        best = jax.tree.map(lambda new, old: jnp.where(better, new, old), pieces, state.best)
         # The number falls with the square of the size of cells; less, where pieces make it up.
-        moved = size - before[0]
-        measured = (off - before[1]) / jnp.where(moved == 0, 1, moved)
-        slope = jnp.where(moved == 0, slope, jnp.clip(measured, -2.0, -0.7))
-        following = size - jnp.clip((off - _MORE) / slope, -1.0, 1.0)
-        gap = jnp.minimum(gap, badness)
-        return (following, slope, jnp.stack([size, off]), best, gap), None
+        moved = state.following - state.size
+        measured = (off - state.off) / jnp.where(moved == 0, 1, moved)
+        known = (moved != 0) & jnp.isfinite(state.off)
+        slope = jnp.where(known, jnp.clip(measured, -2.0, -0.7), state.slope)
+        # A scene of many small surfaces has more superpixels than wanted, not large ones beside.
+        following = state.following - (off - _MORE) / slope
+        following = jnp.clip(following, size - _SMALLER, size + _LARGER)
+        least = jnp.minimum(badness, state.badness)
+        return _Search(state.tried + 1, state.following, following, slope, off, best, least)
 
-    size = jnp.log(params.size)
+    def going(state: _Search) -> Array:
+        return (state.tried < sizes.attempts) & (state.badness > _ENOUGH)
+
+    size, endless = jnp.log(params.size), jnp.full_like(wanted, jnp.inf)
     nothing = Pieces(jnp.zeros((shape[0] * shape[1], 5), wanted.dtype), jnp.zeros(shape, jnp.int32))
-    first = jnp.stack([size, jnp.zeros_like(size)])
-    start = size, jnp.full_like(size, -1.5), first, nothing, jnp.full_like(size, jnp.inf)
-    (*_, best, _), _ = lax.scan(attempt, start, length=sizes.attempts)
-    return numbered(fewer(best, surface, wanted).root, sizes.capacity)
+    first = jnp.asarray(0, jnp.int32)
+    start = _Search(first, size, size, jnp.full_like(size, -1.5), endless, nothing, endless)
+    best = lax.while_loop(going, attempt, start).best
+    return numbered(fewer(best, surface, wanted, _SHARE * params.size**2).root, sizes.capacity)

@@ -11,6 +11,7 @@ from mvedge_jax.warping import forward_warp, holes
 
 from ._clusters import shifted
 
+_BESIDE = ((0, 1), (0, -1), (1, 0), (-1, 0))
 _AROUND = tuple((dy, dx) for dy in (-1, 0, 1) for dx in (-1, 0, 1) if dy or dx)
 # Pixels of a view that match nothing take what is around them this often.
 _FILLS = 3
@@ -217,24 +218,50 @@ def whole(
         fragment: pixels that a piece apart from the largest one of its label needs to stay.
         count: of labels, 0 included.
     """
-    root = components(*(labels == shifted(labels, *offset, -1) for offset in ((0, 1), (1, 0))))
-    root, name = root.ravel(), labels.ravel()
-    area = jnp.zeros(root.size, jnp.int32).at[root].add(1)[root]
+    root, area = _small_pieces(labels, fragment)
+    name = labels.ravel()
     most = jnp.zeros(count, jnp.int32).at[name].max(area)[name]
     apart = (area < most) & (area.astype(fragment.dtype) < fragment)
     apart = apart.reshape(labels.shape)
     # The neighbour that the fragment as a whole is closest to, so that it is not cut again.
-    gap = jnp.full(root.size, jnp.inf, disparity.dtype)
-    options = []
-    for offset in ((0, 1), (0, -1), (1, 0), (-1, 0)):
+    gap, options = jnp.full_like(disparity, jnp.inf), []
+    for offset in _BESIDE:
         difference = jnp.abs(shifted(disparity, *offset, jnp.nan) - disparity)
         label = jnp.where(shifted(apart, *offset, True), 0, shifted(labels, *offset, 0))
-        difference = jnp.where(apart & (label > 0), difference, jnp.inf).ravel()
-        options.append((difference, label.ravel()))
-        gap = gap.at[root].min(difference)
-    best = jnp.full(root.size, count, jnp.int32)
+        difference = jnp.where(apart & (label > 0), difference, jnp.inf)
+        options.append((difference, label))
+        gap = jnp.minimum(gap, difference)
+    gap = jnp.full(root.size, jnp.inf, disparity.dtype).at[root].min(gap.ravel())[root]
+    least, gap = jnp.full_like(labels, count), gap.reshape(labels.shape)
     for difference, label in options:
-        chosen = jnp.isfinite(difference) & (difference == gap[root])
-        best = best.at[root].min(jnp.where(chosen, label, count))
+        chosen = jnp.isfinite(difference) & (difference == gap)
+        least = jnp.where(chosen, jnp.minimum(label, least), least)
+    best = jnp.full(root.size, count, jnp.int32).at[root].min(least.ravel())
     found = best[root].reshape(labels.shape)
     return jnp.where(apart & (found < count), found, labels)
+
+
+def _small_pieces(labels: Int[Array, "y x"], fragment: Float[Array, ""]) -> tuple[Array, Array]:
+    """Connected pieces of fewer pixels than `fragment`: a number for each, and its pixels; flat.
+
+    Numbers spread only as far as such a piece can reach. A number that has not come to its end
+    then belongs to a larger piece, whose pixels count as all of the view's.
+    """
+    size, fill = labels.size, labels.size
+    links = [(offset, labels == shifted(labels, *offset, -1)) for offset in _BESIDE]
+
+    def spread(_, least: Array) -> Array:
+        for offset, link in links:
+            other = shifted(least, *offset, fill)
+            least = jnp.where(link, jnp.minimum(least, other), least)
+        return least
+
+    steps = jnp.clip(jnp.ceil(fragment), 1, size).astype(jnp.int32)
+    start = jnp.arange(size, dtype=jnp.int32).reshape(labels.shape)
+    least = lax.fori_loop(0, steps, spread, start)
+    going_on = jnp.zeros_like(labels, bool)
+    for offset, link in links:
+        going_on |= link & (shifted(least, *offset, fill) != least)
+    root = least.ravel()
+    pixels = jnp.zeros(size, jnp.int32).at[root].add(jnp.where(going_on, size, 1).ravel())
+    return root, jnp.minimum(pixels, size)[root]

@@ -15,6 +15,7 @@ from mvedge_jax.angular import ViewDepths
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.metrics.superpixels import superpixel_scores
 from mvedge_jax.superpixels import SuperpixelParams, SuperpixelSizes, superpixels
+from mvedge_jax.superpixels._views import whole
 
 _NEAR, _FAR = 1.0, -1.0
 _LABEL: Any = measure.label
@@ -125,6 +126,21 @@ def test_the_size_sets_the_number():
         assert abs(int(found.number) * size**2 / 64**2 - 1) < 0.15
 
 
+def test_many_small_surfaces_do_not_make_the_others_large():
+    y, x = np.mgrid[:64, :64]
+    spots = (np.abs(y % 8 - 3) < 2) & (np.abs(x % 8 - 3) < 2) & (x < 40)
+    maps = jnp.asarray(np.where(spots, 1.0, 0.0), jnp.float32)[None, None]
+    depths = ViewDepths(maps, 0 * maps, jnp.zeros(maps.shape, jnp.int8), jnp.asarray(0))
+    field = LightField(jnp.full((1, 1, 64, 64, 3), 0.5, jnp.float32))
+    found = _found(field, depths, 16.0, attempts=4)
+    # Forty spots are many more than the sixteen that such a size aims at; the wall between them
+    # is still cut into cells of at most one and a half times the size.
+    wall = np.asarray(found.labels[0, 0])[~spots]
+    assert len(np.unique(wall)) >= wall.size / (1.5 * 16) ** 2 - 1
+    assert int(found.number) == 40 + len(np.unique(wall))
+    assert int(found.area.max()) < 4 * 16**2
+
+
 def test_the_same_twice_and_one_program_for_all_sizes():
     field, depths, _ = _cards()
     sizes = SuperpixelSizes.for_depths(depths, rounds=2, attempts=1)
@@ -144,6 +160,44 @@ def test_missing_views_have_labels_and_change_none():
     views = field.views.at[0, 0].set(0.0)
     part = _found(LightField(views, available=available), depths)
     np.testing.assert_array_equal(part.labels, _found(field, depths).labels)
+
+
+@pytest.mark.parametrize("fragment", [1.0, 4.0, 12.0])
+def test_fragments_join_what_is_closest_in_disparity(fragment):
+    rng = np.random.default_rng(2)
+    labels = np.kron(rng.integers(1, 5, (6, 7)), np.ones((4, 4), int))
+    speckled = rng.random(labels.shape) < 0.2
+    labels[speckled] = rng.integers(1, 5, speckled.sum())
+    disparity = rng.normal(size=labels.shape)
+    found = whole(jnp.asarray(labels, jnp.int32), jnp.asarray(disparity), jnp.asarray(fragment), 5)
+    wanted, apart = labels.copy(), np.zeros(labels.shape, bool)
+    pieces = []
+    for name in np.unique(labels):
+        numbers, count = _LABEL(labels == name, connectivity=1, return_num=True)
+        areas = np.bincount(numbers.ravel())
+        for k in range(1, count + 1):
+            if areas[k] < fragment and areas[k] < areas[1:].max():
+                pieces.append(numbers == k)
+                apart |= numbers == k
+    for piece in pieces:
+        options = []
+        for y, x in zip(*np.nonzero(piece), strict=True):
+            for b, a in ((y, x + 1), (y, x - 1), (y + 1, x), (y - 1, x)):
+                inside = 0 <= b < labels.shape[0] and 0 <= a < labels.shape[1]
+                if inside and not apart[b, a]:
+                    options.append((abs(disparity[b, a] - disparity[y, x]), labels[b, a]))
+        if options:
+            wanted[piece] = min(options)[1]
+    np.testing.assert_array_equal(found, wanted)
+
+
+def test_noise_in_one_view_changes_no_label_but_through_the_centre():
+    field, depths, _ = _cards()
+    rng = np.random.default_rng(3)
+    noise = jnp.asarray(0.02 * rng.normal(size=(36, 44, 3)), jnp.float32)
+    labels = _found(field, depths).labels
+    corner = _found(LightField(field.views.at[0, 0].add(noise)), depths).labels
+    np.testing.assert_array_equal(corner, labels)
 
 
 def test_overflow_is_counted_and_has_no_label():
