@@ -100,12 +100,13 @@ def _extreme(disparity: Array, index: Array, sign: int) -> tuple[Array, Array]:
 
 
 def _rise(disparity: Array) -> Array:
-    """What a surface rises by from pixel to pixel: to the more alike of either two neighbours."""
+    """What a surface rises by from pixel to pixel, the less of both sides; 0 on crests, in cracks."""
     rise = jnp.zeros_like(disparity)
     for axis in (0, 1):
         padded = _padded(disparity, axis)
-        before, after = (jnp.abs(_part(padded, offset, axis) - disparity) for offset in (0, 2))
-        rise = jnp.maximum(rise, jnp.minimum(before, after))
+        before, after = disparity - _part(padded, 0, axis), _part(padded, 2, axis) - disparity
+        less = jnp.minimum(jnp.abs(before), jnp.abs(after))
+        rise = jnp.maximum(rise, jnp.where(before * after > 0, less, 0))
     return rise
 
 
