@@ -58,7 +58,7 @@ def picture(view: np.ndarray, quality: int) -> str:
 
     Args:
         view: sRGB in [0, 1], `[y, x, 3]`.
-        quality: 1 to 100; 100 is nearly, not exactly, the view.
+        quality: 1 to 100; 100 keeps the view's 8 bits, less halves the resolution of colour, too.
 
     Returns:
         The file, in base 64.
@@ -72,7 +72,9 @@ def picture(view: np.ndarray, quality: int) -> str:
             "16383 px a side; --scale makes them smaller."
         )
     levels = np.round(255 * np.clip(view, 0, 1)).astype(np.uint8)[..., ::-1]
-    done, data = cv2.imencode(".webp", levels, [cv2.IMWRITE_WEBP_QUALITY, quality])
+    # Above 100, OpenCV writes without loss.
+    options = [cv2.IMWRITE_WEBP_QUALITY, quality if quality < 100 else 101]
+    done, data = cv2.imencode(".webp", levels, options)
     if not done:
         raise ValueError("OpenCV could not write a view as WebP; another build of it may.")
     return text_of(data.tobytes())

@@ -28,7 +28,7 @@ def page(light_field: LightField, *results: Result, quality: int = 90) -> str:
     Args:
         light_field: the views; ground truth and camera are shown if known.
         results: maps of its centre view, compared if there are two.
-        quality: of the views, WebP, 1 to 100; maps keep 16 bits.
+        quality: of the views, WebP, 1 to 100, which is without loss; maps keep 16 bits.
 
     Returns:
         HTML.

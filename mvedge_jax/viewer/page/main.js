@@ -15,7 +15,8 @@ mvedge.ready = (async () => {
   loadMaps(gl, data);
   const field = new Field(gl, data), space = new Space(gl, data);
   state.at = [Math.floor(width / 2), Math.floor(height / 2)];
-  let image = cardOf(data.name), turn = 0, waiting = false;
+  let image = cardOf(data.name), turn = 0, waiting = false, drawn = {};
+  gl.clearColor(0.086, 0.094, 0.114, 1);
   loadPicture(gl, image);
   const list = controls(data);
   const elements = build(find("form"), list, state, (name, value) => (name === "file" ? choosePicture(value) : mvedge.set(name, value)));
@@ -61,20 +62,26 @@ mvedge.ready = (async () => {
     const w = mode === "F" ? width + 4 + rows * STRIP : mode === "G" ? 960 : side ? 2 * width + 4 : width;
     const h = mode === "F" ? height + 4 + columns * STRIP : mode === "G" ? 720 : height;
     resize(w, h);
-    gl.clearColor(0.086, 0.094, 0.114, 1);
-    gl.clear(gl.COLOR_BUFFER_BIT);
-    pen.clearRect(0, 0, w, h);
-    if (mode === "F") drawField(layer, h);
+    if (mode !== "F" || mode !== drawn.mode) {
+      gl.clear(gl.COLOR_BUFFER_BIT);
+      pen.clearRect(0, 0, w, h);
+      drawn = { mode };
+    }
+    if (mode === "F") drawField(layer, w, h);
     if (mode === "G") drawSpace(layer, w, h);
     if (mode === "C") drawCompared(side, h);
     if (mode === "E") field.draw({ ...state, aperture: 0, opacity: 0, card: [...state.at, state.cardSize, state.cardDisparity] }, common(layer, 0, -1), 0, h);
     describe(layer);
   };
-  function drawField(layer, h) {
+  function drawField(layer, w, h) {
     const kind = COLOURS.indexOf(state.colour || "picture"), reference = reference_of(layer);
     field.draw({ ...state, card: [0, 0, 0, 0] }, common(layer, kind, reference), 0, h);
+    const marks = state.marks && `${state.p}`, lines = [state.at, layer, state.edgeLines, marks, layer < 0 && state.focus].join();
+    if (drawn.lines === lines) return; // the viewpoint moves the picture alone
+    drawn.lines = lines;
     field.drawSlices(state, common(layer, 0, -1), h);
     const result = data.results[resultOf(state.result)], points = result && result.points;
+    pen.clearRect(0, 0, w, h);
     field.drawLines(pen, state, layer < 0 ? null : data.maps[layer], points, colourOf);
     if (points && state.marks) for (let i = 0; i < points.x.length; i++) {
       pen.fillStyle = colourOf(points.disparity[i]);
