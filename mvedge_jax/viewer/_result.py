@@ -22,7 +22,7 @@ class Result(NamedTuple):
         points: their disparity and its standard error.
         normals: their normals, unit length.
         surfaces: their surface vectors, px.
-        states: earlier maps, first to last, of an optimisation for example; `disparity` is the last.
+        states: maps of an optimisation, first to last; `disparity` is the last.
         labels: superpixels of the centre view, 0 for none.
     """
 

@@ -38,10 +38,7 @@ class Inline(NamedTuple):
 
 def show(
     light_field: LightField,
-    result: DepthResult | Result | None = None,
-    /,
-    *,
-    other: DepthResult | Result | None = None,
+    *results: DepthResult | Result,
     quality: int = 80,
     height: int = 720,
 ) -> Inline:
@@ -51,18 +48,15 @@ def show(
 
     Args:
         light_field: the views.
-        result: of `edge_to_depth`, or a map as a `Result`.
-        other: what to compare it with.
+        results: of `edge_to_depth`, or maps as `Result`, which have names; two are compared.
         quality: of the views, 1 to 100.
         height: of the frame, px.
 
     Returns:
         What the cell shows.
     """
-    given = {"result": result, "other": other}
-    results = [
-        result_of(found, name=name) if isinstance(found, DepthResult) else found
-        for name, found in given.items()
-        if found is not None
+    shown = [
+        found if isinstance(found, Result) else result_of(found, name=f"result {number}")
+        for number, found in enumerate(results, 1)
     ]
-    return Inline(page(light_field, *results, quality=quality), height)
+    return Inline(page(light_field, *shown, quality=quality), height)

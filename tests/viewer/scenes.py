@@ -1,4 +1,4 @@
-"""A light field whose every pixel is known: a square at disparity 1 before a plane at disparity 0."""
+"""A light field whose every pixel is known: a square at disparity 1 before a plane at 0."""
 
 import jax.numpy as jnp
 import numpy as np

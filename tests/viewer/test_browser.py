@@ -59,14 +59,18 @@ def look(chromium, tmp_path):
 
 
 def _set(tab, **values):
-    tab.evaluate("v => { Object.entries(v).forEach(e => mvedge.set(...e)); mvedge.draw(); }", values)
+    tab.evaluate(
+        "v => { Object.entries(v).forEach(e => mvedge.set(...e)); mvedge.draw(); }", values
+    )
 
 
 def _slide(tab, name, value):
     """As a hand does: the element, not the program."""
     code = "(e, v) => { e.value = v; e.dispatchEvent(new Event('input', {bubbles: true})); }"
     tab.locator(f"input[name={name}]").evaluate(code, str(value))
-    tab.evaluate("() => new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))")
+    tab.evaluate(
+        "() => new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))"
+    )
 
 
 def _pixel(tab, x, y):
@@ -80,7 +84,9 @@ def _is(colour, expected):
 
 def _click(tab, x, y):
     box = tab.locator("canvas.picture").bounding_box()
-    size = tab.evaluate("[document.querySelector('.picture').width, document.querySelector('.picture').height]")
+    size = tab.evaluate(
+        "[document.querySelector('.picture').width, document.querySelector('.picture').height]"
+    )
     tab.mouse.click(
         box["x"] + (x + 0.5) * box["width"] / size[0],
         box["y"] + (y + 0.5) * box["height"] / size[1],
@@ -209,8 +215,11 @@ def test_geometry_hides_what_is_uncertain(look, html):
     tab = look(html)
     tab.get_by_role("button", name="Geometry").click()
     count = """() => { const g = document.querySelector('.picture').getContext('webgl2');
-      const a = new Uint8Array(960 * 720 * 4); g.readPixels(0, 0, 960, 720, g.RGBA, g.UNSIGNED_BYTE, a);
-      let n = 0; for (let i = 0; i < a.length; i += 4) n += a[i] + a[i + 1] + a[i + 2] > 120; return n; }"""
+      const a = new Uint8Array(960 * 720 * 4);
+      g.readPixels(0, 0, 960, 720, g.RGBA, g.UNSIGNED_BYTE, a);
+      let n = 0;
+      for (let i = 0; i < a.length; i += 4) n += a[i] + a[i + 1] + a[i + 2] > 120;
+      return n; }"""
     _set(tab, yaw=0, pitch=0)
     everything = tab.evaluate(count)
     assert everything > 50_000
@@ -252,7 +261,9 @@ def test_a_history_is_gone_through(look):
     assert tab.evaluate("mvedge.state.focus") == pytest.approx(0, abs=1e-4)
 
 
-@pytest.mark.parametrize("case", ["nothing known", "one row", "missing views", "labels", "truth alone"])
+@pytest.mark.parametrize(
+    "case", ["nothing known", "one row", "missing views", "labels", "truth alone"]
+)
 def test_it_works_with_less(look, case):
     if case == "nothing known":
         field, results = square_field(known=False), ()
