@@ -95,10 +95,12 @@ class Field {
       pen.rect(...clip);
       pen.clip();
       pen.lineWidth = 0.4;
+      pen.globalAlpha = 0.6;
       if (points && state.edgeLines) for (let i = 0; i < points.x.length; i++) {
         if (Math.abs(row ? points.y[i] - y : points.x[i] - x) <= 0.5)
           line(row ? points.x[i] : points.y[i], points.disparity[i], row, colour(points.disparity[i]));
       }
+      pen.globalAlpha = 1;
       const index = Math.round(y) * width + Math.round(x), d = map ? map.disparity[index] : state.focus;
       const error = map && map.error ? map.error[index] : -1, place = row ? x : y;
       if (error > 0) for (const sign of [-2, 2]) line(place, d + sign * error, row, "#fff", [2, 2]);

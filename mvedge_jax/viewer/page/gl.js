@@ -2,7 +2,7 @@
 // The little of WebGL that the page needs: programs whose uniforms are set by name, textures, readings.
 
 function makeGl(canvas) {
-  const gl = canvas.getContext("webgl2", { antialias: false, preserveDrawingBuffer: true });
+  const gl = canvas.getContext("webgl2", { alpha: false, antialias: false, preserveDrawingBuffer: true });
   if (!gl) throw new Error("This browser shows no WebGL 2, which the page needs.");
   return gl;
 }

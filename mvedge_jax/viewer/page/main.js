@@ -1,7 +1,6 @@
 "use strict";
 // Modes, drawing, pointer and keys. `mvedge` is for scripts: `await mvedge.ready`, then `set`, `click`, `state`, `measure`.
 
-const FINE = 3; // lines are drawn in so many pixels for one of the picture
 const MODES = { F: "Light field", G: "Geometry", C: "Compare", E: "Edit" };
 const mvedge = { state: { mode: "F", at: [0, 0], card: [0, 0, 0, 0], yaw: 0.2, pitch: 0.12, distance: 2.6 } };
 
@@ -43,15 +42,19 @@ mvedge.ready = (async () => {
   }
   function resize(w, h) {
     if (canvas.width === w && canvas.height === h) return; // setting them clears
-    [canvas.width, canvas.height, over.width, over.height] = [w, h, w * FINE, h * FINE];
-    pen.setTransform(FINE, 0, 0, FINE, 0, 0);
-    fit();
+    [canvas.width, canvas.height] = [w, h];
+    const scale = fit(), fine = Math.min(Math.max(Math.ceil(scale * devicePixelRatio - 0.3), 1), 3);
+    // Lines are thinner than a pixel of the picture.
+    [over.width, over.height] = [w * fine, h * fine];
+    pen.setTransform(fine, 0, 0, fine, 0, 0);
   }
 
   // As large as the window lets it be, pixels up to three times their size.
   function fit() {
     const { width: w, height: h } = canvas, tall = Math.max(window.innerHeight - 130, 240);
-    stage.style.width = `${Math.min(3 * w, (tall * w) / h)}px`;
+    const wide = Math.min(3 * w, (tall * w) / h, find("section").clientWidth);
+    stage.style.width = `${wide}px`;
+    return wide / w;
   }
 
   mvedge.draw = () => {
