@@ -1,19 +1,21 @@
 """Pictures of the gallery and of the viewer's page, from a generated scene.
 
-`python experiments/gallery.py [OUT]` writes them into `docs/images/gallery`; those of the viewer need Chromium and
-`pip install mvedge_jax[test]`.
+Those of the viewer need Chromium and playwright (`pip install mvedge_jax[test]`).
+
+    python experiments/gallery.py --out docs/images/gallery
 """
 
-import argparse
 import os
 import shutil
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import cv2
 import jax
 import numpy as np
+import tyro
 from matplotlib.figure import Figure
 
 from mvedge_jax import Parameters, Sizes, edge_to_depth, plotting, viewer
@@ -38,12 +40,21 @@ _SHOTS: dict[str, dict[str, Any]] = {
 }
 
 
-def main() -> None:
+@dataclass(frozen=True)
+class Arguments:
+    """Options.
+
+    Attributes:
+        out: folder for the pictures.
+        size: side of a view, px.
+    """
+
+    out: Path = Path("docs/images/gallery")
+    size: int = 192
+
+
+def main(options: Arguments) -> None:
     """Renders the scene, estimates its depth, and draws."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("out", nargs="?", type=Path, default=Path("docs/images/gallery"))
-    parser.add_argument("--size", type=int, default=192, help="px of a view's side")
-    options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
     shape = (9, 9, options.size, options.size)
     scene = synthetic.scene("demo")
@@ -135,4 +146,4 @@ def screenshots(html: str, out: Path) -> Iterator[Path]:
 
 
 if __name__ == "__main__":
-    main()
+    main(tyro.cli(Arguments))
