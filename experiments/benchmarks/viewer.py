@@ -2,8 +2,8 @@
 
     python experiments/benchmarks/viewer.py --result RESULT --scene SCENE
 
-RESULT is what `mvedge depth` wrote of SCENE. Needs Chromium and playwright. Without a graphics card, Chromium draws with
-the processor, and the figures are of that; the first column tells which it was.
+RESULT is what `mvedge depth` wrote of SCENE. Needs Chromium and playwright. Chromium draws with the
+processor here, not with a graphics card; each row says so.
 """
 
 import os

@@ -70,14 +70,7 @@ def depth(
             scene, views=views, scale=scale, flip_u=flip_u, flip_v=flip_v
         )
     if range is not None:
-        light_field = LightField(
-            light_field.views,
-            available=light_field.available,
-            disparity_range=range,
-            truth=light_field.truth,
-            camera=light_field.camera,
-            name=light_field.name,
-        )
+        light_field = _within(light_field, range)
     params = Parameters()
     with output_folder(out, inputs=[scene], overwrite=overwrite) as folder:
         blind = light_field.without_truth()
@@ -118,6 +111,18 @@ def depth(
     note(f"{found} edge points, {spent:.1f} s; written to {out}")
     if view:
         show(light_field, [viewer.result_of(result, name=out.name)])
+
+
+def _within(light_field: LightField, limits: tuple[float, float]) -> LightField:
+    """The light field with another disparity range, which is checked."""
+    return LightField(
+        light_field.views,
+        available=light_field.available,
+        disparity_range=limits,
+        truth=light_field.truth,
+        camera=light_field.camera,
+        name=light_field.name,
+    )
 
 
 def write_depth(folder: Path, light_field: LightField, result: DepthResult) -> None:

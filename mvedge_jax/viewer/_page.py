@@ -15,7 +15,7 @@ from mvedge_jax.metrics import depth_scores
 from ._encode import packed, packed_labels, picture, text_of
 from ._result import Result
 
-_SCRIPTS = ("data", "shaders", "gl", "field", "space", "controls", "main")
+_SCRIPTS = ("data", "shaders", "gl", "field", "space", "controls", "panel", "pointer", "main")
 # The colours of `plotting`: disparity, error, difference.
 _COLOURS = ("viridis", "inferno", "RdBu_r")
 # Disparities to focus at where nothing is known of the scene, px per view step.
