@@ -5,6 +5,7 @@ Those of the viewer need Chromium and playwright (`pip install mvedge_jax[test]`
     python experiments/gallery.py --out docs/images/gallery
 """
 
+import io
 import os
 import shutil
 from collections.abc import Iterator
@@ -12,11 +13,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import cv2
 import jax
 import numpy as np
 import tyro
 from matplotlib.figure import Figure
+from PIL import Image
 
 from mvedge_jax import Parameters, Sizes, edge_to_depth, plotting, viewer
 from mvedge_jax.baselines import plane_sweep
@@ -120,13 +121,11 @@ def pictures(
 def screenshots(html: str, out: Path) -> Iterator[Path]:
     """The viewer's page in its modes; nothing where there is no browser."""
     chromium = shutil.which("chromium") or shutil.which("google-chrome")
-    try:
-        from playwright.sync_api import sync_playwright
-    except ImportError:
-        chromium = None
     if chromium is None:
-        print("no pictures of the viewer: Chromium or playwright is not installed")
+        print("no pictures of the viewer: Chromium is not installed")
         return
+    from playwright.sync_api import sync_playwright
+
     flags = ["--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
     flags += ["--no-sandbox"] * (os.geteuid() == 0)
     with sync_playwright() as started:
@@ -137,10 +136,8 @@ def screenshots(html: str, out: Path) -> Iterator[Path]:
         for name, settings in _SHOTS.items():
             tab.evaluate("s => Object.entries(s).forEach(e => mvedge.set(...e))", settings)
             tab.wait_for_timeout(300)
-            image = cv2.imdecode(np.frombuffer(tab.screenshot(), np.uint8), cv2.IMREAD_COLOR)
             path = out / f"viewer_{name}.webp"
-            data = cv2.imencode(".webp", image, [cv2.IMWRITE_WEBP_QUALITY, 70])[1]
-            path.write_bytes(data.tobytes())
+            Image.open(io.BytesIO(tab.screenshot())).save(path, quality=70)
             yield path
         browser.close()
 

@@ -38,6 +38,7 @@ def test_maps_and_points_keep_sixteen_bits():
     rng = np.random.default_rng(0)
     given = result()._replace(disparity=rng.normal(size=(48, 64)))
     given.disparity[3, 4:6] = np.nan, np.inf
+    assert given.error is not None
     found = _data(page(square_field(), given))["results"][0]
     known = np.isfinite(given.disparity)
     step = np.ptp(given.disparity[known]) / 65534
@@ -45,7 +46,6 @@ def test_maps_and_points_keep_sixteen_bits():
     assert np.array_equal(np.isfinite(read), known)
     assert np.abs(read - given.disparity)[known].max() <= 0.5001 * step
     error = _unpacked(found["error"])
-    assert given.error is not None
     assert np.isnan(error[0, 0])
     np.testing.assert_allclose(error[1:], given.error[1:], rtol=1e-4)
     np.testing.assert_allclose(_unpacked(found["points"]["x"]), [24, 24, 43], atol=1e-3)
@@ -57,8 +57,9 @@ def test_views_are_pictures_and_the_best_quality_loses_nothing():
     views = _data(page(field, quality=100))["views"]
     assert views[0] is None
     raw = np.frombuffer(base64.b64decode(views[1]), np.uint8)
-    seen = cv2.imdecode(raw, cv2.IMREAD_COLOR)[..., ::-1]
-    np.testing.assert_array_equal(seen, np.round(255 * np.asarray(field.views[0, 1])))
+    seen = cv2.imdecode(raw, cv2.IMREAD_COLOR)
+    assert seen is not None
+    np.testing.assert_array_equal(seen[..., ::-1], np.round(255 * np.asarray(field.views[0, 1])))
     noise = jax.random.uniform(jax.random.key(0), field.views.shape)
     noisy = type(field)(noise)
     small, large = (_data(page(noisy, quality=q))["views"] for q in (50, 95))
