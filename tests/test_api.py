@@ -163,7 +163,7 @@ _FLOORS = (
     ("model", "baselines", "angular"),
     ("edit", "posed", "superpixels"),
     ("_cache", "datasets", "plotting"),
-    ("sweep",),
+    ("sweep", "viewer"),
     ("cli",),
     ("__init__", "__main__"),
 )
@@ -242,7 +242,7 @@ def test_packages_give_away_few_names():
 
 
 # Where files are read, written and shown, and people are spoken to.
-_HOST_ROOMS = {"cli", "datasets", "plotting", "sweep"}
+_HOST_ROOMS = {"cli", "datasets", "plotting", "sweep", "viewer"}
 _HOST_LIBRARIES = {"cv2", "h5py", "matplotlib", "rich", "tyro", "tqdm"}
 
 

@@ -11,7 +11,7 @@ import jax
 import numpy as np
 import tyro
 
-from mvedge_jax import plotting
+from mvedge_jax import plotting, viewer
 from mvedge_jax.centre import DepthResult, DepthStats, Parameters, Sizes, edge_to_depth
 from mvedge_jax.datasets import load_light_field, write_pfm
 from mvedge_jax.lightfield import LightField
@@ -20,6 +20,7 @@ from mvedge_jax.metrics import boundary_scores, calibration, depth_scores
 from ._common import compiled, missing_views, note, stage, warn
 from ._output import output_folder, write_json
 from ._points import valid_points, write_points
+from ._view import show
 
 _COLUMNS = {
     "mse": "MSE*100",
@@ -41,6 +42,7 @@ def depth(
     flip_v: bool = False,
     range: tuple[float, float] | None = None,
     all_views: bool = False,
+    view: bool = False,
     overwrite: bool = False,
 ) -> None:
     """Estimates the disparity of every pixel of a light field's centre view.
@@ -60,6 +62,7 @@ def depth(
         range: lowest and highest disparity, px per view step; measured if not given or known.
         all_views: measure disparity in all views at the end, not in the central row and column
             alone: more accurate, twice as slow.
+        view: show the result in a browser until Ctrl-C, as `mvedge view` does.
         overwrite: replace OUT if it is an earlier result of mvedge, with nothing else in it.
     """
     with stage(f"reading {scene}"):
@@ -67,14 +70,7 @@ def depth(
             scene, views=views, scale=scale, flip_u=flip_u, flip_v=flip_v
         )
     if range is not None:
-        light_field = LightField(
-            light_field.views,
-            available=light_field.available,
-            disparity_range=range,
-            truth=light_field.truth,
-            camera=light_field.camera,
-            name=light_field.name,
-        )
+        light_field = _within(light_field, range)
     params = Parameters()
     with output_folder(out, inputs=[scene], overwrite=overwrite) as folder:
         blind = light_field.without_truth()
@@ -113,6 +109,20 @@ def depth(
         note(f"{crop}: {figures}")
     found, spent = int(result.stats.edges.valid), seconds["estimation"]
     note(f"{found} edge points, {spent:.1f} s; written to {out}")
+    if view:
+        show(light_field, [viewer.result_of(result, name=out.name)])
+
+
+def _within(light_field: LightField, limits: tuple[float, float]) -> LightField:
+    """The light field with another disparity range, which is checked."""
+    return LightField(
+        light_field.views,
+        available=light_field.available,
+        disparity_range=limits,
+        truth=light_field.truth,
+        camera=light_field.camera,
+        name=light_field.name,
+    )
 
 
 def write_depth(folder: Path, light_field: LightField, result: DepthResult) -> None:

@@ -25,6 +25,7 @@ _COMMANDS = {
     "eval": ("._eval", "evaluate"),
     "edges": ("._edges", "edges"),
     "depth": ("._depth", "depth"),
+    "view": ("._view", "view"),
     "views": ("._views", "views"),
     "stereo": ("._stereo", "stereo"),
     "edit": ("._edit", "edit"),

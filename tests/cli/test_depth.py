@@ -26,10 +26,16 @@ def scene(tmp_path_factory):
     return write_hci(tmp_path_factory.mktemp("depth") / "plane", views, disparity=truth)
 
 
-def test_depth_writes_everything_and_is_right(scene, tmp_path, capsys):
-    out = tmp_path / "out"
-    assert _main.main(["depth", str(scene), str(out), "--range", "-0.5", "1"]) == 0
+def test_depth_writes_everything_and_is_right(scene, tmp_path, capsys, monkeypatch):
+    out, viewed = tmp_path / "out", []
+    monkeypatch.setattr(_depth, "show", lambda *given: viewed.append(given))
+    words = ["depth", str(scene), str(out), "--range", "-0.5", "1", "--view"]
+    assert _main.main(words) == 0
     found = read_pfm(out / "disparity.pfm")
+    ((field, (shown,)),) = viewed
+    assert field.views.shape == (3, 3, 32, 40, 3)
+    np.testing.assert_array_equal(shown.disparity, found)
+    assert len(shown.xy) == len(shown.points) > 50
     assert found.shape == (32, 40)
     assert np.median(np.abs(found - 0.4)) < 0.01
     report = json.loads((out / "report.json").read_text())

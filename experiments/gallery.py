@@ -1,0 +1,146 @@
+"""Pictures of the gallery and of the viewer's page, from a generated scene.
+
+Those of the viewer need Chromium and playwright (`pip install mvedge_jax[test]`).
+
+    python experiments/gallery.py --out docs/images/gallery
+"""
+
+import io
+import os
+import shutil
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+import tyro
+from matplotlib.figure import Figure
+from PIL import Image
+
+from mvedge_jax import Parameters, Sizes, edge_to_depth, plotting, viewer
+from mvedge_jax.baselines import plane_sweep
+from mvedge_jax.centre import DepthResult
+from mvedge_jax.color import srgb_to_gray
+from mvedge_jax.datasets import synthetic
+from mvedge_jax.edges.sides import BidirectionalParams, bidirectional
+from mvedge_jax.lightfield import LightField
+from mvedge_jax.metrics import boundary_scores, calibration
+
+# What each picture of the viewer shows: the settings, by name.
+_SHOTS: dict[str, dict[str, Any]] = {
+    "field": {"mode": "F", "at": [42, 118], "focus": 0.0},
+    "refocus": {"mode": "F", "aperture": 4, "focus": 0.6},
+    "overlay": {"mode": "F", "aperture": 0, "colour": "standard error", "opacity": 0.9, "u": 3},
+    "geometry": {"mode": "G", "u": 0, "yaw": 0.25},
+    "uncertain": {"mode": "G", "colours": "standard error", "byError": True, "normals": True},
+    "compare": {"mode": "C", "compare": "side by side"},
+    "difference": {"mode": "C", "compare": "difference"},
+    "edit": {"mode": "E", "at": [70, 95], "cardDisparity": 0.0},
+}
+
+
+@dataclass(frozen=True)
+class Arguments:
+    """Options.
+
+    Attributes:
+        out: folder for the pictures.
+        size: side of a view, px.
+    """
+
+    out: Path = Path("docs/images/gallery")
+    size: int = 192
+
+
+def main(options: Arguments) -> None:
+    """Renders the scene, estimates its depth, and draws."""
+    options.out.mkdir(parents=True, exist_ok=True)
+    shape = (9, 9, options.size, options.size)
+    scene = synthetic.scene("demo")
+    light_field = synthetic.render(scene, shape=shape, key=jax.random.key(0))
+    blind = light_field.without_truth()
+    result = edge_to_depth(blind, Parameters(), Sizes.for_light_field(blind))
+    swept = plane_sweep(blind).disparity
+    for name, figure in pictures(light_field, result, swept):
+        figure.savefig(options.out / f"{name}.webp", dpi=130, pil_kwargs={"quality": 80})
+        print(options.out / f"{name}.webp")
+    shown = [
+        viewer.result_of(result, name="edges"),
+        viewer.Result("plane sweep", np.asarray(swept)),
+    ]
+    for path in screenshots(viewer.page(light_field, *shown), options.out):
+        print(path)
+
+
+def pictures(
+    light_field: LightField, result: DepthResult, swept: jax.Array
+) -> Iterator[tuple[str, Figure]]:
+    """The figures of `plotting`, one by one with their names."""
+    assert light_field.truth is not None
+    truth = np.asarray(light_field.truth.disparity)
+    points, limits = result.points, plotting.disparity_limits([truth])
+    names = ["plane sweep", "edges"]
+    row = light_field.views.shape[2] // 2
+    yield "views", plotting.plot_views(light_field)
+    yield "epi", plotting.plot_epi(light_field, row=row)
+    yield (
+        "edges",
+        plotting.plot_edges(
+            light_field.centre_view, points.xy, points.disparity, valid=points.valid, limits=limits
+        ),
+    )
+    yield (
+        "disparity",
+        plotting.plot_disparity(
+            [truth, swept, result.disparity], names=["truth", *names], limits=limits
+        ),
+    )
+    yield (
+        "comparison",
+        plotting.plot_comparison(
+            [swept, result.disparity], truth, names=names, image=light_field.centre_view
+        ),
+    )
+    yield "error", plotting.plot_error(result.disparity, truth, kind="signed")
+    gray = srgb_to_gray(light_field.centre_view)
+    passes = bidirectional(points, gray, BidirectionalParams())
+    yield (
+        "passes",
+        plotting.plot_disparity(
+            [passes.forward, passes.backward], names=["+ normal", "- normal"], limits=limits
+        ),
+    )
+    found = calibration(result.disparity, result.error, light_field.truth.disparity)
+    yield "calibration", plotting.plot_calibration([found], names=["edges"])
+    scores = [boundary_scores(m, light_field.truth.disparity) for m in (swept, result.disparity)]
+    yield "boundaries", plotting.plot_precision_recall(scores, names=names)
+
+
+def screenshots(html: str, out: Path) -> Iterator[Path]:
+    """The viewer's page in its modes; nothing where there is no browser."""
+    chromium = shutil.which("chromium") or shutil.which("google-chrome")
+    if chromium is None:
+        print("no pictures of the viewer: Chromium is not installed")
+        return
+    from playwright.sync_api import sync_playwright
+
+    flags = ["--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+    flags += ["--no-sandbox"] * (os.geteuid() == 0)
+    with sync_playwright() as started:
+        browser = started.chromium.launch(executable_path=chromium, args=flags)
+        tab = browser.new_page(viewport={"width": 1100, "height": 800})
+        tab.set_content(html)
+        tab.evaluate("mvedge.ready")
+        for name, settings in _SHOTS.items():
+            tab.evaluate("s => Object.entries(s).forEach(e => mvedge.set(...e))", settings)
+            tab.wait_for_timeout(300)
+            path = out / f"viewer_{name}.webp"
+            Image.open(io.BytesIO(tab.screenshot())).save(path, quality=70)
+            yield path
+        browser.close()
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Arguments))

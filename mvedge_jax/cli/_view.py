@@ -1,0 +1,136 @@
+"""`mvedge view`: a light field and what was computed from it, in a browser."""
+
+import json
+import webbrowser
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import tyro
+
+from mvedge_jax import viewer
+from mvedge_jax.datasets import load_light_field
+from mvedge_jax.lightfield import LightField
+
+from ._common import note, stage
+
+# What tells a folder of results from a light field.
+_MAP, _REPORT, _LABELS = "disparity.pfm", "report.json", "labels.npy"
+# How a scene is read again as it was for the result.
+_READING = ("views", "scale", "flip_u", "flip_v")
+
+
+def view(
+    path: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="SCENE|RESULT")],
+    /,
+    *,
+    other: Annotated[Path | None, tyro.conf.arg(metavar="RESULT")] = None,
+    scene: Annotated[Path | None, tyro.conf.arg(metavar="SCENE")] = None,
+    superpixels: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")] = None,
+    html: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
+    quality: int = 90,
+    views: int | None = None,
+    scale: float = 1.0,
+    host: str = "127.0.0.1",
+    port: int = 8765,
+    no_browser: bool = False,
+    overwrite: bool = False,
+) -> None:
+    """Shows a light field, and what was computed from it, in a browser.
+
+    Parallax, refocusing with a synthetic aperture, EPIs with their lines, the map and its error,
+    points in space, two results compared, a picture put into the scene. The page loads nothing from
+    elsewhere; without --html it is served to this machine alone until Ctrl-C.
+
+    Args:
+        path: folder or file of a light field, or what `mvedge depth` or `optimize` wrote.
+        other: a second result of the same scene, to compare; a folder or a .pfm map.
+        scene: the light field, where the result does not tell or it has moved.
+        superpixels: what `mvedge superpixels` wrote of the scene, to show as colours.
+        html: write one self-contained file instead of serving it.
+        quality: of the views, 1 to 100, which is without loss; less makes the page smaller.
+        views: of a SCENE, the central VIEWS x VIEWS only; odd.
+        scale: of a SCENE, shrink the views by this factor, at most 1.
+        host: address to serve at; others than 127.0.0.1 let other machines look.
+        port: first port to try.
+        no_browser: do not open a browser.
+        overwrite: replace FILE.
+    """
+    if html is not None and html.exists() and not overwrite:
+        raise FileExistsError(f"{html} is there already; choose another file or pass --overwrite.")
+    is_result = path.suffix == ".pfm" or (path / _MAP).is_file()
+    reading = {"views": views, "scale": scale}
+    source = path if scene is None else scene
+    if is_result and scene is None:
+        source, reading = _source(path)
+    with stage(f"reading {source}"):
+        light_field = load_light_field(source, **reading)
+        results = _results([path] if is_result else [], other, superpixels, light_field)
+    show(light_field, results, html=html, quality=quality, host=host, port=port, quiet=no_browser)
+
+
+def show(
+    light_field: LightField,
+    results: list[viewer.Result],
+    *,
+    html: Path | None = None,
+    quality: int = 90,
+    host: str = "127.0.0.1",
+    port: int = 8765,
+    quiet: bool = False,
+) -> None:
+    """Writes the page into a file, or serves it until Ctrl-C."""
+    with stage("making the page"):
+        page = viewer.page(light_field, *results, quality=quality)
+    size = f"{len(page.encode()) / 1e6:.1f} MB"
+    if html is not None:
+        html.write_text(page, encoding="utf-8")
+        note(f"{size}; written to {html}")
+        return
+    with viewer.serve(page, host=host, port=port) as server:
+        note(f"{size}; at {server.url} until Ctrl-C")
+        if not quiet:
+            webbrowser.open(server.url)
+        server.serve_forever()
+
+
+def _source(result: Path) -> tuple[Path, dict[str, Any]]:
+    """The light field that a result is of, and how it was read."""
+    try:
+        report = json.loads((result / _REPORT).read_text(encoding="utf-8"))
+        source = report["source"]
+        found, reading = Path(source["path"]), {name: source[name] for name in _READING}
+    except (OSError, ValueError, KeyError, TypeError):
+        raise ValueError(f"{result} does not tell its light field; name it: --scene.") from None
+    if not found.exists():
+        raise FileNotFoundError(f"{found}, the light field of {result}, is gone; --scene names it.")
+    return found, reading
+
+
+def _results(
+    paths: list[Path], other: Path | None, superpixels: Path | None, light_field: LightField
+) -> list[viewer.Result]:
+    paths = [*paths, *([] if other is None else [other])]
+    results = [viewer.read_result(path) for path in paths]
+    if len({result.name for result in results}) < len(results):
+        results = [viewer.read_result(path, name=str(path)) for path in paths]
+    if superpixels is None:
+        return results
+    if not results:
+        raise ValueError("--superpixels needs a RESULT, whose map they are shown on.")
+    labels = _labels(superpixels, light_field)
+    return [result._replace(labels=labels) for result in results]
+
+
+def _labels(folder: Path, light_field: LightField) -> np.ndarray:
+    path = folder / _LABELS
+    try:
+        labels = np.load(path)
+    except ValueError as reason:
+        raise ValueError(f"{path} could not be read: {reason}.") from None
+    if labels.shape != light_field.views.shape[:4] or labels.dtype.kind not in "iu":
+        raise ValueError(
+            f"{path} must hold whole numbers of shape {light_field.views.shape[:4]}, got "
+            f"{labels.dtype} of shape {labels.shape}."
+        )
+    return labels[light_field.centre]

@@ -1,0 +1,111 @@
+"""What was computed, as the page takes it: from memory or from a folder."""
+
+import zipfile
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from mvedge_jax.centre import DepthResult
+from mvedge_jax.datasets import read_pfm
+
+
+class Result(NamedTuple):
+    """A disparity map with what belongs to it; what is None is not shown.
+
+    Attributes:
+        name: what to call it.
+        disparity: px per view step, larger is nearer, of the centre view; not finite where unknown.
+        error: its standard error, px.
+        xy: edge points, `(x, y)` px in the centre view.
+        points: their disparity and its standard error.
+        normals: their normals, unit length.
+        surfaces: their surface vectors, px.
+        states: maps of an optimisation, first to last; `disparity` is the last.
+        labels: superpixels of the centre view, 0 for none.
+    """
+
+    name: str
+    disparity: Float[np.ndarray, "y x"]
+    error: Float[np.ndarray, "y x"] | None = None
+    xy: Float[np.ndarray, "n 2"] | None = None
+    points: Float[np.ndarray, "n 2"] | None = None
+    normals: Float[np.ndarray, "n 2"] | None = None
+    surfaces: Float[np.ndarray, "n 2"] | None = None
+    states: Float[np.ndarray, "k y x"] | None = None
+    labels: Int[np.ndarray, "y x"] | None = None
+
+
+def result_of(depth: DepthResult, *, name: str = "result") -> Result:
+    """What `edge_to_depth` gives, for the page.
+
+    Args:
+        depth: the map, its error, points and surface vectors.
+        name: what to call it.
+
+    Returns:
+        The same on the host, without empty slots.
+    """
+    points, keep = depth.points, np.asarray(depth.points.valid)
+    return Result(
+        name,
+        np.asarray(depth.disparity),
+        np.asarray(depth.error),
+        np.asarray(points.xy)[keep],
+        np.stack([np.asarray(points.disparity)[keep], np.asarray(points.error)[keep]], 1),
+        np.asarray(points.normal)[keep],
+        np.asarray(depth.surface.offset)[keep],
+    )
+
+
+def read_result(folder: Path, *, name: str | None = None) -> Result:
+    """Reads what `mvedge depth` or `mvedge optimize` wrote, or a lone map.
+
+    Args:
+        folder: the folder, or a disparity map (.pfm).
+        name: what to call it; the folder's name by default.
+
+    Returns:
+        All that is there of it.
+
+    Raises:
+        FileNotFoundError: there is no map.
+        ValueError: a file is damaged, or two of them do not fit.
+    """
+    folder = Path(folder)
+    name = folder.stem if name is None else name
+    if folder.is_file():
+        return Result(name, read_pfm(folder))
+    disparity = read_pfm(folder / "disparity.pfm")
+
+    def optional(file: str) -> np.ndarray | None:
+        path = folder / file
+        found = read_pfm(path) if path.is_file() else None
+        if found is not None and found.shape != disparity.shape:
+            raise ValueError(
+                f"{path} must have the size of disparity.pfm, {disparity.shape}, got {found.shape}."
+            )
+        return found
+
+    before = optional("before.pfm")
+    states = None if before is None else np.stack([before, disparity])
+    result = Result(name, disparity, optional("standard_error.pfm"), states=states)
+    points = folder / "points.npz"
+    return _with_points(result, points) if points.is_file() else result
+
+
+def _with_points(result: Result, path: Path) -> Result:
+    try:
+        with np.load(path) as stored:
+            columns = {key: np.asarray(stored[key], np.float32) for key in stored.files}
+        xy, disparity = columns["xy"], columns["disparity"]
+        error = columns.get("error", np.full_like(disparity, np.nan))
+        count = (len(disparity), 2)
+        pairs = [columns.get(key) for key in ("normal", "surface_vector")]
+        if any(pair is not None and pair.shape != count for pair in (xy, *pairs)):
+            raise ValueError("its columns differ in length")
+        both = np.stack([disparity, error], 1)
+    except (KeyError, ValueError, OSError, EOFError, zipfile.BadZipFile) as reason:
+        raise ValueError(f"{path} could not be read as points: {reason}.") from None
+    return result._replace(xy=xy, points=both, normals=pairs[0], surfaces=pairs[1])

@@ -1,0 +1,131 @@
+"use strict";
+// Positions are pixels with their centres at integers, y down. `p` is the viewpoint in view steps from the
+// centre: a point at c of the centre view with disparity d is at c - p d, and in view s at c - s d.
+
+const COMMON = `#version 300 es
+precision highp float; precision highp int; precision highp sampler2D; precision highp sampler2DArray;
+uniform sampler2DArray views, maps; uniform sampler2D lut;
+uniform ivec2 size; uniform vec2 range, errors; uniform float span; uniform int layer, other, kind;
+const float UNKNOWN = -1e8;
+vec3 shade(float t, int row) { return texelFetch(lut, ivec2(clamp(t, 0., 1.) * 255. + .5, row), 0).rgb; }
+vec4 mapped(int which, vec2 c) {
+  return texelFetch(maps, ivec3(clamp(ivec2(floor(c + .5)), ivec2(0), size - 1), which), 0);
+}
+vec4 seen(vec2 c, float view) { return texture(views, vec3((c + .5) / vec2(size), view)); }
+vec3 srgb(vec3 c) { return mix(12.92 * c, 1.055 * pow(max(c, 1e-6), vec3(1. / 2.4)) - .055, step(.0031308, c)); }
+vec3 meaning(int what, float disparity, float error, float label, float reference) {
+  if (what == 1) return shade((disparity - range.x) / (range.y - range.x), 0);
+  if (what == 2) return error < 0. ? vec3(.9, .3, .7)
+    : shade((log(error) - errors.x) / (errors.y - errors.x), 1);
+  if (what == 3) return reference < UNKNOWN ? vec3(.5) : shade(.5 + .5 * (disparity - reference) / span, 2);
+  vec3 hue = fract(label * vec3(.6180340, .7548777, .5698403));
+  return label <= 0. ? vec3(.1) : .25 + .7 * hue;
+}
+`;
+
+const SCREEN = `#version 300 es
+void main() { gl_Position = vec4(4 * (gl_VertexID & 1) - 1, 4 * (gl_VertexID >> 1) - 1, 0, 1); }`;
+
+const FIELD = COMMON + `
+uniform sampler2D taps, picture; uniform int tapped; uniform vec2 origin, p;
+uniform float focus, sharp, opacity; uniform vec4 card; uniform float height;
+out vec4 result;
+// The disparity seen at x from p: from near to far, the first surface that the ray meets.
+float depth(vec2 x) {
+  if (layer < 0) return focus;
+  float reach = max(abs(p.x), abs(p.y));
+  if (reach < 1e-3) return mapped(layer, x).x;
+  int steps = clamp(int(ceil(1.5 * reach * (range.y - range.x))) + 1, 2, 96);
+  float pace = (range.y - range.x) / float(steps), thick = 1.5 * pace + .05;
+  float best = range.x, miss = 1e9;
+  for (int i = 0; i <= steps; i++) {
+    float d = range.y - pace * float(i), there = mapped(layer, x + p * d).x, past = there - d;
+    if (there < UNKNOWN) continue;
+    if (past >= -1e-4 && past < thick) return there;
+    if (abs(past) < miss) { miss = abs(past); best = there; }
+  }
+  return best;
+}
+void main() {
+  vec2 x = vec2(gl_FragCoord.x - .5, height - .5 - gl_FragCoord.y) - origin;
+  float d = depth(x), off = d - focus;
+  if (d < UNKNOWN) { d = focus; off = 0.; }
+  float at = focus + clamp(off, -sharp, sharp); // blurred as far as the depth is not sharp
+  vec3 sum = vec3(0); float total = 0.;
+  for (int i = 0; i < tapped; i++) {
+    vec4 tap = texelFetch(taps, ivec2(i, 0), 0);
+    sum += tap.w * seen(x + (p - tap.xy) * at, tap.z).rgb; total += tap.w;
+  }
+  vec3 colour = srgb(sum / max(total, 1e-6));
+  vec2 c = x + p * d;
+  if (kind > 0 && layer >= 0) {
+    vec4 here = mapped(layer, c);
+    float reference = other < 0 ? -1e9 : mapped(other, c).x;
+    colour = mix(colour, meaning(kind, here.x, here.y, here.z, reference), opacity);
+  }
+  // A card on a plane: centre x and y, half a width, disparity; what is nearer hides it.
+  if (card.z > 0. && (layer < 0 || card.w > d)) {
+    vec2 extent = vec2(textureSize(picture, 0));
+    vec2 q = (x + p * card.w - card.xy) / card.z * vec2(1, extent.x / extent.y);
+    vec4 ink = texture(picture, .5 + .5 * q);
+    if (max(abs(q.x), abs(q.y)) <= 1.) colour = mix(colour, ink.rgb, ink.a);
+  }
+  result = vec4(colour, 1);
+}`;
+
+// Slices through the views: of a row below the picture, of a column beside it.
+const SLICE = COMMON + `
+uniform vec2 origin; uniform float height, line, thick; uniform int column; uniform ivec2 grid;
+out vec4 result;
+void main() {
+  vec2 x = vec2(gl_FragCoord.x - .5, height - .5 - gl_FragCoord.y) - origin;
+  int view = int(floor(((column == 1 ? x.x : x.y) + .5) / thick));
+  ivec2 s = column == 1 ? ivec2(grid.x / 2, view) : ivec2(view, grid.y / 2);
+  vec4 c = seen(column == 1 ? vec2(line, x.y) : vec2(x.x, line), float(s.y * grid.x + s.x));
+  result = vec4(c.a > .5 ? srgb(c.rgb) : vec3(.12), 1);
+}`;
+
+const SPACE = COMMON + `
+uniform mat4 pose; uniform vec4 camera; uniform vec4 frame; uniform float relief, dot_size, by_error, worst, typical;
+// Metres where the camera (focal length, baseline, 1 / focus distance) is known, else a relief.
+vec4 placed(vec2 c, float d) {
+  vec2 q = c - .5 * vec2(size - 1);
+  if (camera.x <= 0.) return pose * vec4(q.x * frame.x, -q.y * frame.x, relief * (d - frame.y) * frame.z, 1);
+  float inverse = d / (camera.x * camera.y) + camera.z;
+  if (inverse <= 0.) return vec4(0, 0, 9, 1);
+  float z = 1. / inverse;
+  return pose * vec4(vec3(q.x * z / camera.x, -q.y * z / camera.x, -relief * (z - frame.y)) * frame.x, 1);
+}
+float dotted(float error) { return by_error > .5 ? dot_size * clamp(sqrt(error / typical), .6, 5.) : dot_size; }
+`;
+const DENSE = SPACE + `
+out vec3 ink; uniform float centre;
+void main() {
+  vec2 c = vec2(gl_VertexID % size.x, gl_VertexID / size.x);
+  vec4 here = mapped(layer, c);
+  gl_Position = here.x < UNKNOWN || here.y > worst ? vec4(0, 0, 9, 1) : placed(c, here.x);
+  gl_PointSize = dotted(here.y);
+  ink = kind == 0 ? srgb(seen(c, centre).rgb)
+    : meaning(kind, here.x, here.y, here.z, other < 0 ? -1e9 : mapped(other, c).x);
+}`;
+const EDGES = SPACE + `
+layout(location = 0) in vec4 edge; layout(location = 1) in vec4 arrow; // x y disparity error, normal, surface
+out vec3 ink; uniform float centre, along; uniform int arrows;
+void main() {
+  vec2 c = edge.xy;
+  if (arrows == 1) c += along * float(gl_VertexID) * arrow.xy;
+  if (arrows == 2) c += along * float(gl_VertexID) * arrow.zw;
+  gl_Position = edge.w > worst ? vec4(0, 0, 9, 1) : placed(c, edge.z);
+  gl_PointSize = dotted(edge.w) + 1.;
+  ink = arrows == 1 ? vec3(.34, .71, .91) : arrows == 2 ? vec3(.9, .62, 0) : kind == 0 ? srgb(seen(edge.xy, centre).rgb)
+    : meaning(kind, edge.z, edge.w, mapped(layer, edge.xy).z, other < 0 ? -1e9 : mapped(other, edge.xy).x);
+}`;
+const CAMERAS = SPACE + `
+out vec3 ink; uniform ivec2 grid;
+void main() {
+  vec2 s = vec2(gl_VertexID % grid.x - grid.x / 2, gl_VertexID / grid.x - grid.y / 2);
+  gl_Position = pose * vec4(vec3(s.x * camera.y, -s.y * camera.y, relief * frame.y) * frame.x, 1);
+  gl_PointSize = 5.; ink = vec3(.84, .37, 0);
+}`;
+const INK = `#version 300 es
+precision highp float; in vec3 ink; out vec4 result; void main() { result = vec4(ink, 1); }`;

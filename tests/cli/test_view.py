@@ -1,0 +1,91 @@
+import json
+
+import numpy as np
+import pytest
+from viewer.scenes import disparity, square_field
+
+from mvedge_jax import viewer
+from mvedge_jax.cli import _main, _view
+from mvedge_jax.datasets import write_hci, write_pfm
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("view") / "square"
+    folder.mkdir()
+    write_hci(square_field(), folder)
+    return folder
+
+
+@pytest.fixture
+def result(scene, tmp_path):
+    folder = tmp_path / "result"
+    folder.mkdir()
+    write_pfm(folder / "disparity.pfm", disparity())
+    source = {"path": str(scene), "views": None, "scale": 1.0, "flip_u": False, "flip_v": False}
+    (folder / "report.json").write_text(json.dumps({"source": source}))
+    return folder
+
+
+def _data(path):
+    return json.loads(path.read_text("utf-8").split('id="data">')[1].split("</script>")[0])
+
+
+def test_a_scene_becomes_one_file(scene, tmp_path, capsys):
+    out = tmp_path / "page.html"
+    assert _main.main(["view", str(scene), "--html", str(out)]) == 0
+    assert f"written to {out}" in capsys.readouterr().out
+    data = _data(out)
+    assert data["shape"] == [5, 5, 48, 64]
+    assert data["results"] == []
+    assert _main.main(["view", str(scene), "--html", str(out)]) == 2
+    assert "is there already" in capsys.readouterr().err
+    small = ["view", str(scene), "--html", str(out), "--overwrite", "--views", "3"]
+    assert _main.main(small) == 0
+    assert _data(out)["shape"] == [3, 3, 48, 64]
+
+
+def test_a_result_finds_its_scene_and_another_is_compared(result, scene, tmp_path):
+    other = tmp_path / "other.pfm"
+    write_pfm(other, disparity() + 0.1)
+    labels = tmp_path / "superpixels"
+    labels.mkdir()
+    np.save(labels / "labels.npy", np.ones((5, 5, 48, 64), np.int32))
+    out = tmp_path / "page.html"
+    words = ["view", str(result), "--other", str(other), "--superpixels", str(labels)]
+    assert _main.main([*words, "--html", str(out)]) == 0
+    data = _data(out)
+    assert [r["name"] for r in data["results"]] == ["result", "other"]
+    assert data["results"][0]["scores"][0][1] == 0
+    assert data["results"][1]["scores"][0][1] == pytest.approx(1, abs=1e-3)
+    assert data["results"][0]["labels"] is not None
+    twins = ["view", str(result), "--other", str(result / "disparity.pfm"), "--scene", str(scene)]
+    assert _main.main([*twins, "--html", str(tmp_path / "twins.html")]) == 0
+
+
+def test_what_is_missing_is_named(result, scene, tmp_path, capsys):
+    (result / "report.json").write_text("{}")
+    assert _main.main(["view", str(result)]) == 2
+    assert "does not tell its light field; name it: --scene" in capsys.readouterr().err
+    source = {"path": "/gone", "views": None, "scale": 1.0, "flip_u": False, "flip_v": False}
+    (result / "report.json").write_text(json.dumps({"source": source}))
+    assert _main.main(["view", str(result)]) == 2
+    assert "/gone, the light field of" in capsys.readouterr().err
+    assert _main.main(["view", str(scene), "--superpixels", str(tmp_path)]) == 2
+    assert "--superpixels needs a RESULT" in capsys.readouterr().err
+
+
+def test_it_is_served_until_it_is_stopped(scene, monkeypatch, capsys):
+    opened = []
+    monkeypatch.setattr(_view.webbrowser, "open", opened.append)
+
+    def stop(self):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(viewer.Server, "serve_forever", stop)
+    assert _main.main(["view", str(scene), "--port", "0"]) == 130
+    assert len(opened) == 1
+    assert opened[0].startswith("http://127.0.0.1:")
+    assert "until Ctrl-C" in capsys.readouterr().out
+    assert _main.main(["view", str(scene), "--port", "0", "--no-browser"]) == 130
+    assert len(opened) == 1
