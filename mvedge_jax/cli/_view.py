@@ -13,6 +13,7 @@ from mvedge_jax.datasets import load_light_field
 from mvedge_jax.lightfield import LightField
 
 from ._common import note, stage
+from ._interruption import unfinished
 
 # What tells a folder of results from a light field.
 _MAP, _REPORT, _LABELS = "disparity.pfm", "report.json", "labels.npy"
@@ -47,7 +48,7 @@ def view(
         other: a second result of the same scene, to compare; a folder or a .pfm map.
         scene: the light field, where the result does not tell or it has moved.
         superpixels: what `mvedge superpixels` wrote of the scene, to show as colours.
-        html: write one self-contained file instead of serving it.
+        html: write one self-contained file, .html, instead of serving it.
         quality: of the views, 1 to 100, which is without loss; less makes the page smaller.
         views: of a SCENE, the central VIEWS x VIEWS only; odd.
         scale: of a SCENE, shrink the views by this factor, at most 1.
@@ -56,8 +57,8 @@ def view(
         no_browser: do not open a browser.
         overwrite: replace FILE.
     """
-    if html is not None and html.exists() and not overwrite:
-        raise FileExistsError(f"{html} is there already; choose another file or pass --overwrite.")
+    if html is not None:
+        _refuse(html, overwrite)
     is_result = path.suffix == ".pfm" or (path / _MAP).is_file()
     reading = {"views": views, "scale": scale}
     source = path if scene is None else scene
@@ -84,7 +85,10 @@ def show(
         page = viewer.page(light_field, *results, quality=quality)
     size = f"{len(page.encode()) / 1e6:.1f} MB"
     if html is not None:
-        html.write_text(page, encoding="utf-8")
+        part = html.with_name(f".{html.name}.part")
+        with unfinished(part):
+            part.write_text(page, encoding="utf-8")
+            part.replace(html)
         note(f"{size}; written to {html}")
         return
     with viewer.serve(page, host=host, port=port) as server:
@@ -92,6 +96,16 @@ def show(
         if not quiet:
             webbrowser.open(server.url)
         server.serve_forever()
+
+
+def _refuse(html: Path, overwrite: bool) -> None:
+    # So that no light field is replaced.
+    if html.suffix not in {".html", ".htm"}:
+        raise ValueError(f"--html must name a file that ends in .html, got {html}.")
+    if not html.parent.is_dir():
+        raise FileNotFoundError(f"{html.parent}, where --html is to be written, is no folder.")
+    if html.exists() and not overwrite:
+        raise FileExistsError(f"{html} is there already; choose another file or pass --overwrite.")
 
 
 def _source(result: Path) -> tuple[Path, dict[str, Any]]:

@@ -35,6 +35,7 @@ def test_a_scene_becomes_one_file(scene, tmp_path, capsys):
     out = tmp_path / "page.html"
     assert _main.main(["view", str(scene), "--html", str(out)]) == 0
     assert f"written to {out}" in capsys.readouterr().out
+    assert [path.name for path in tmp_path.iterdir()] == ["page.html"]
     data = _data(out)
     assert data["shape"] == [5, 5, 48, 64]
     assert data["results"] == []
@@ -73,6 +74,10 @@ def test_what_is_missing_is_named(result, scene, tmp_path, capsys):
     assert "/gone, the light field of" in capsys.readouterr().err
     assert _main.main(["view", str(scene), "--superpixels", str(tmp_path)]) == 2
     assert "--superpixels needs a RESULT" in capsys.readouterr().err
+    assert _main.main(["view", str(scene), "--html", str(scene / "a.png"), "--overwrite"]) == 2
+    assert "must name a file that ends in .html" in capsys.readouterr().err
+    assert _main.main(["view", str(scene), "--html", str(tmp_path / "no" / "a.html")]) == 2
+    assert "is no folder" in capsys.readouterr().err
 
 
 def test_it_is_served_until_it_is_stopped(scene, monkeypatch, capsys):

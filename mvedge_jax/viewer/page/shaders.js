@@ -96,7 +96,7 @@ vec4 placed(vec2 c, float d) {
   float z = 1. / inverse;
   return pose * vec4(vec3(q.x * z / camera.x, -q.y * z / camera.x, -relief * (z - frame.y)) * frame.x, 1);
 }
-float dotted(float error) { return by_error > .5 ? dot_size * clamp(sqrt(error / typical), .6, 5.) : dot_size; }
+float dotted(float error) { return by_error > .5 ? dot_size * clamp(sqrt(max(error, 0.) / typical), .6, 5.) : dot_size; }
 `;
 const DENSE = SPACE + `
 out vec3 ink; uniform float centre;
