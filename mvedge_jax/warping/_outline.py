@@ -100,7 +100,7 @@ def _extreme(disparity: Array, index: Array, sign: int) -> tuple[Array, Array]:
 
 
 def _rise(disparity: Array) -> Array:
-    """What a surface rises by from pixel to pixel, the less of both sides; 0 on crests, in cracks."""
+    """What a surface rises by per pixel, the less of both sides; 0 on crests and in cracks."""
     rise = jnp.zeros_like(disparity)
     for axis in (0, 1):
         padded = _padded(disparity, axis)
