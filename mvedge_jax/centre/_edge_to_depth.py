@@ -26,7 +26,8 @@ from mvedge_jax.warping import outline
 from ._parameters import Parameters, Sizes, check_covers
 from ._problems import problems
 from ._sharpen import sharpen
-from .solves import AGREEMENT, Labels, dense_map, precision_weight, standard_error
+from .error import standard_error
+from .solves import AGREEMENT, Labels, dense_map, precision_weight
 
 # Log odds that the map has a pixel beside a step on the right side. From all 13 scenes, which would
 # have less on the mean, but for cotton: silhouettes that are shaded darker than what is in front.

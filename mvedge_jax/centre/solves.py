@@ -9,7 +9,6 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from mvedge_jax._fence import recomputed
-from mvedge_jax._root import root
 from mvedge_jax.diffusion import AutoSolver, System, diffuse
 from mvedge_jax.image import gaussian
 from mvedge_jax.photometry import Sight
@@ -27,6 +26,7 @@ from ._parameters import CentreParams
 from ._sharpen import Sharpening
 from ._slant import rises, slope_labels
 from ._smoothness import SmoothnessParams, edge_smoothness
+from .error import spread, steepest
 
 # A point whose disparity differs by this from the map, px, has a quarter of its weight.
 AGREEMENT = 0.15
@@ -42,20 +42,15 @@ _STEEPEST = 0.3
 _FLAT = 1e-4
 # Standard deviation and reach, px, of the Gaussian that a map passes before its steps cut edges.
 _BLUR, _BLUR_REACH = 0.5, 2
-# Labels beside each other share views and windows, so that their mean is known less well than their
-# own standard errors say. From five scenes, in which 93 % of all pixels are then within twice the
-# error (`experiments/calibration.py`).
-_SHARED = 1.2
 # Beyond this distance from any label, px, a map tells no more about a surface than its own spread.
 # From cotton, backgammon, room, bench and the nine rendered scenes.
 _FORGOTTEN = 55.0
-# The map's own spread is believed as far as perfect labels outnumber these, which a window of 7x7
-# pixels shares. With fewer, anything within the range that was tried may be true.
-_ALIKE = 49.0
-# A depth step is found to half a pixel.
-_MISPLACED = 0.5
 # Solves whose labels are measured in all views, where these are asked for.
 _AROUND = 2
+# A step of this, px, within this distance of a pixel halves the share that all views have in its
+# label: the views of the corners look past an edge on two sides, and smear it. From cotton,
+# backgammon, bench and demo.
+_PARTED, _BESIDE = 0.1, 2
 # Which of the four diffusions is which; those of the slopes come first.
 _MAP, _ERROR = 2, 3
 
@@ -154,12 +149,16 @@ def dense_map(
     """
     every = views.grid if isinstance(views, Sight) else None
 
+    def everywhere(found: Look) -> Look:
+        return found._replace(views=jnp.broadcast_to(found.views, found.right.shape))
+
+    def look(disparity: Array) -> Look:
+        found = everywhere(views.look(disparity, radius=sizes.radius))
+        return found if every is None else found._replace(cross=jnp.zeros_like(disparity))
+
     def seen(disparity: Array) -> tuple[Look, Array]:
-        found = views.look(disparity, radius=sizes.radius)
-        residual = mismatch(found, lab, disparity, views.params, passes=sizes.passes)
-        if every is not None:
-            found = found._replace(cross=jnp.zeros_like(disparity))
-        return found, residual
+        found = look(disparity)
+        return found, mismatch(found, lab, disparity, views.params, passes=sizes.passes)
 
     def plain(disparity: Array, turn: Array) -> tuple[Array, Look]:
         return disparity, seen(disparity)[0]
@@ -170,12 +169,14 @@ def dense_map(
         slack = jnp.where(turn == 0, _WORSE_FIRST, _WORSE).astype(disparity.dtype)
         keep = after > slack * (before + 2 * views.params.noise**2)
         # What was seen of the chosen map need not be looked up again.
-        kept, shown = jax.tree.map(lambda pair: jnp.where(keep, pair[0], pair[1]), (both, found))
-        return kept, shown._replace(views=found.views[0])
+        return jax.tree.map(lambda pair: jnp.where(keep, pair[0], pair[1]), (both, found))
 
     def around(disparity: Array, turn: Array) -> tuple[Array, Look]:
         assert every is not None
-        return disparity, look_around(every, disparity, views.params, radius=sizes.radius)
+        whole = everywhere(look_around(every, disparity, views.params, radius=sizes.radius))
+        share = _whole(disparity)
+        mixed = jax.tree.map(lambda a, c: share * a + (1 - share) * c, whole, look(disparity))
+        return disparity, mixed
 
     # Sharpening inside of the loop, at its turn, keeps the program small: one solver, not two.
     if sizes.sharpening == "none":
@@ -195,7 +196,8 @@ def dense_map(
         if every is not None:
             # Points were measured in the crosshair, and have no say against all views.
             last = chosen[turn] == len(ways) - 1
-            sparse = sparse._replace(weight=jnp.where(last, 0, sparse.weight))
+            share = jnp.where(last, 1 - _whole(disparity), 1)
+            sparse = sparse._replace(weight=share * sparse.weight)
         both = _with_dense(sparse, measured, disparity, params.centre, views.params)
         smooth = _smooth(disparity)
         edges = edge_smoothness(lab, smooth, params.smoothness)
@@ -213,28 +215,6 @@ def dense_map(
     state = (first, jnp.zeros_like(first))
     state, (iterations, converged) = lax.scan(recomputed(solve), state, jnp.arange(turns))
     return Map(*state, iterations, jnp.all(converged))
-
-
-def standard_error(
-    of_labels: Float[Array, "y x"], disparity: Float[Array, "y x"]
-) -> Float[Array, "y x"]:
-    """That of the labels, and of the place of the map's steps; infinite without labels.
-
-    Args:
-        of_labels: `Map.error`.
-        disparity: the map.
-
-    Returns:
-        Standard error of the map. Differentiable.
-    """
-    across, down = jnp.abs(jnp.diff(disparity, axis=1)), jnp.abs(jnp.diff(disparity, axis=0))
-    steepest = jnp.zeros_like(disparity)
-    for side in ((0, 1), (1, 0)):
-        steepest = jnp.maximum(steepest, jnp.pad(across, ((0, 0), side)))
-        steepest = jnp.maximum(steepest, jnp.pad(down, (side, (0, 0))))
-    known = of_labels > 0
-    labels = _SHARED * jnp.where(known, of_labels, 1)
-    return jnp.where(known, jnp.sqrt(labels**2 + (_MISPLACED * steepest) ** 2), jnp.inf)
 
 
 class _Solve(NamedTuple):
@@ -275,7 +255,7 @@ def _solved(
     slope, whole, nothing = params.slant, params.smoothness, jnp.zeros_like(start)
     forgotten = whole / _FORGOTTEN**2
     doubted = labels.weight + forgotten
-    doubt = (labels.weight * uncertain + forgotten * _spread(start, labels.weight, span)) / doubted
+    doubt = (labels.weight * uncertain + forgotten * spread(start, labels.weight, span)) / doubted
     solves = _Solve(
         which=jnp.arange(4),
         wanted=jnp.stack([sloped, sloped, jnp.asarray(True), last]),
@@ -308,13 +288,6 @@ def _solved(
     return (found[_MAP], found[_ERROR]), (iterations[_MAP], jnp.all(converged))
 
 
-def _spread(disparity: Array, weight: Array, span: Array) -> Array:
-    """How far from the map a surface without labels may be: by the map, or else by the range."""
-    evidence = jnp.sum(weight)
-    variance = evidence * jnp.var(disparity) + _ALIKE * span**2
-    return root(variance / (evidence + _ALIKE))
-
-
 def _with_dense(
     from_points: Labels,
     measured: PhotometricLabels,
@@ -343,6 +316,13 @@ def precision_weight(variance: Array, params: CentreParams) -> Array:
     """
     precision = params.precision**2
     return precision / (precision + variance)
+
+
+def _whole(disparity: Array) -> Array:
+    """Share of all views against the crosshair in the label of a pixel: 1 far from steps."""
+    window = (2 * _BESIDE + 1,) * 2
+    step = lax.reduce_window(steepest(disparity), -jnp.inf, lax.max, window, (1, 1), "SAME")
+    return 1 / (1 + (step / _PARTED) ** 4)
 
 
 def _smooth(disparity: Array) -> Array:

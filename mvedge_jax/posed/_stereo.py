@@ -11,7 +11,8 @@ from jaxtyping import Array, Bool, Float, Int
 from mvedge_jax._fence import staged
 from mvedge_jax._params import cast
 from mvedge_jax.centre import map_problems, sharpen
-from mvedge_jax.centre.solves import Labels, dense_map, standard_error
+from mvedge_jax.centre.error import standard_error
+from mvedge_jax.centre.solves import Labels, dense_map
 from mvedge_jax.color import srgb_to_lab
 from mvedge_jax.photometry import Noise
 from mvedge_jax.photometry.photographs import (

@@ -34,6 +34,7 @@ class Look(NamedTuple):
         power: `sum r²`, `[y, x]`.
         freedom: views that see the pixel less the mean colours that they determine, `[y, x]`.
         views: how many there are whose gradients were averaged: of the crosshair, those of an arm.
+            A number, or one per pixel.
         spread: `sum k_x²` and `sum k_y²`, `[y, x]`.
         cross: `sum k_x k_y`, `[y, x]`; None for the crosshair, which has none.
         slope: `sum k_x (k . g)` and `sum k_y (k . g)`, per channel `[y, x]`.
