@@ -35,14 +35,30 @@ def standard_error(
 
 
 def spread(disparity: Array, weight: Array, span: Array) -> Array:
-    """How far from the map a surface without labels may be: by the map, or else by the range."""
+    """How far from the map a surface without labels may be: by the map, or else by the range.
+
+    Args:
+        disparity: the map, any shape.
+        weight: of the labels, 1/variance against a perfect one, broadcastable.
+        span: width of the range that was tried.
+
+    Returns:
+        A standard error, one number. Differentiable.
+    """
     evidence = jnp.sum(weight)
     variance = evidence * jnp.var(disparity) + _ALIKE * span**2
     return root(variance / (evidence + _ALIKE))
 
 
 def steepest(disparity: Array) -> Array:
-    """Largest difference from a direct neighbour."""
+    """Largest difference from a direct neighbour.
+
+    Args:
+        disparity: a map, [y, x].
+
+    Returns:
+        Of its shape. Differentiable.
+    """
     across, down = jnp.abs(jnp.diff(disparity, axis=1)), jnp.abs(jnp.diff(disparity, axis=0))
     most = jnp.zeros_like(disparity)
     for side in ((0, 1), (1, 0)):
