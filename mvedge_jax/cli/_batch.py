@@ -1,7 +1,6 @@
 """`mvedge batch`: depth of many light fields."""
 
 import csv
-import json
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -19,6 +18,7 @@ from ._common import compiled, missing_views, note, stage, warn
 from ._depth import depth_report, score_depth, write_depth
 from ._output import MARKER, output_folder, write_json
 from ._paths import scenes_and_out
+from ._source import read_json
 
 _SCORES = ("mse", "q25", "bad_01", "bad_03", "bad_07")
 
@@ -205,7 +205,7 @@ def _names(scenes: Sequence[Path]) -> list[str]:
 def _row(report: Path, state: str) -> dict[str, Any]:
     """What the summary says of a finished light field."""
     try:
-        content = json.loads(report.read_text(encoding="utf-8"))
+        content = read_json(report)
         scores = content["scores"].get("crop 0", {})
         return {
             "state": state,

@@ -16,6 +16,7 @@ from filelock import FileLock, Timeout
 
 from ._common import warn
 from ._interruption import GUARD, unfinished
+from ._source import read_json
 
 # Lists what a run wrote. A folder is replaced only if it has this and holds nothing else.
 MARKER = ".mvedge.json"
@@ -189,7 +190,7 @@ def _mark(folder: Path) -> None:
 def _earlier_result(folder: Path) -> set[str] | None:
     """What an earlier run wrote into `folder`, by its marker; None without a readable one."""
     try:
-        record = json.loads((folder / MARKER).read_text(encoding="utf-8"))
+        record = read_json(folder / MARKER)
         if record["program"] != "mvedge_jax":
             return None
         return {str(name) for name in record["written"]}
