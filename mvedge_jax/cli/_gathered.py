@@ -207,9 +207,8 @@ def _of_stereo(path: Path, report: dict[str, Any]) -> Gathered:
         told = told and isinstance(lens, list) and len(lens) == 4
         told = told and all(isinstance(value, int | float) for value in lens)
     if not told:
-        raise ValueError(
-            f"{path / 'report.json'} does not tell which photographs it is of; make the result again."
-        )
+        file = path / "report.json"
+        raise ValueError(f"{file} does not tell its photographs; make the result again.")
     if not Path(model).exists():
         raise FileNotFoundError(f"{model}, which {path} was made from, does not exist.")
     photographs = load_photographs(

@@ -18,8 +18,8 @@ GUARD = threading.RLock()
 _unfinished: set[Path] = set()
 # An entry of the compilation cache that was touched within so many seconds may be half-written.
 _FRESH = 3.0
-# Seconds to wait for the guard. Who holds it for longer writes into a pipe that nobody reads; were it
-# a result on a slow disk, the next run into the same place would put it right.
+# Seconds to wait for the guard. Who holds it for longer writes into a pipe that nobody reads; were
+# it a result on a slow disk, the next run into the same place would put it right.
 _HELD = 5.0
 
 

@@ -51,19 +51,15 @@ def scene_of(result: Path, *, advice: str) -> tuple[Path, dict[str, Any]]:
         ValueError: the report does not tell.
         FileNotFoundError: the light field is gone.
     """
+    file = result / "report.json"
     try:
-        source = read_json(result / "report.json").get("source")
-    except ValueError:
-        source = None
-    told = isinstance(source, dict) and isinstance(source.get("path"), str)
-    reading = {name: value for name, value in source.items() if name != "path"} if told else {}
-    if not told or any(
-        not isinstance(value, _READING.get(name, ())) for name, value in reading.items()
-    ):
-        raise ValueError(
-            f"{result / 'report.json'} does not tell which light field it is of; {advice}."
-        )
-    scene = Path(source["path"])
+        source = read_json(file)["source"]
+        scene = Path(source["path"])
+        reading = {name: value for name, value in source.items() if name != "path"}
+        if not all(isinstance(value, _READING[name]) for name, value in reading.items()):
+            raise ValueError(reading)
+    except (ValueError, KeyError, TypeError):
+        raise ValueError(f"{file} does not tell its light field; {advice}.") from None
     if not scene.exists():
         raise FileNotFoundError(f"{scene}, the light field of {result}, is gone; {advice}.")
     return scene, reading

@@ -102,6 +102,8 @@ def _refuse(html: Path, overwrite: bool) -> None:
         raise ValueError(f"--html must name a file that ends in .html, got {html}.")
     if not html.parent.is_dir():
         raise FileNotFoundError(f"{html.parent}, where --html is to be written, is no folder.")
+    if html.is_dir():
+        raise ValueError(f"{html} is a folder; --html must name a file to write.")
     if html.exists() and not overwrite:
         raise FileExistsError(f"{html} is there already; choose another file or pass --overwrite.")
 
