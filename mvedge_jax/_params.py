@@ -51,7 +51,7 @@ def number(default: float | tuple[float, ...] | Callable[[], Any], unit: str = "
 
 
 def at_least(sizes: Any, **least: int) -> None:
-    """Refuses static sizes that are too small.
+    """Refuses static sizes that are too small, or no whole numbers.
 
     Args:
         sizes: with a field of each name.
@@ -62,6 +62,8 @@ def at_least(sizes: Any, **least: int) -> None:
     """
     for name, bound in least.items():
         value = getattr(sizes, name)
+        if not hasattr(value, "__index__"):
+            raise ValueError(f"`{name}` must be a whole number, got {value!r}.")
         if value < bound:
             raise ValueError(f"`{name}` must be at least {bound}, got {value}.")
 

@@ -1,7 +1,6 @@
 """`mvedge batch`: depth of many light fields."""
 
 import csv
-import json
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -15,10 +14,11 @@ from mvedge_jax.datasets import load_light_field
 from mvedge_jax.edges import scene_range
 from mvedge_jax.lightfield import LightField
 
-from ._common import compiled, missing_views, note, stage, warn
+from ._common import compiled, finite, missing_views, note, stage, warn
 from ._depth import depth_report, score_depth, write_depth
-from ._output import MARKER, output_folder, write_json
+from ._output import MARKER, output_folder, refuse_inputs, write_json
 from ._paths import scenes_and_out
+from ._source import read_json
 
 _SCORES = ("mse", "q25", "bad_01", "bad_03", "bad_07")
 
@@ -75,6 +75,9 @@ def batch(
     """
     scenes, out = scenes_and_out(paths)
     names = _names(scenes)
+    _check(views, scale, range)
+    for name in names:
+        refuse_inputs((out / name).resolve(), scenes)
     if out.exists() and not out.is_dir():
         raise FileExistsError(f"{out} is a file, expected a folder to write into.")
     out.mkdir(parents=True, exist_ok=True)
@@ -103,6 +106,17 @@ def batch(
         # A program holds some 2400 memory maps, of which Linux allows 65530.
         jax.clear_caches()
     return _summary({name: rows[name] for name in names}, out)
+
+
+def _check(views: int | None, scale: float, ends: tuple[float, float] | None) -> None:
+    """Refuses options that would fail every light field."""
+    if views is not None and (views < 3 or views % 2 == 0):
+        raise ValueError(f"--views must be odd and at least 3, got {views}.")
+    if not 0 < scale <= 1:
+        raise ValueError(f"--scale must be in (0, 1], got {scale}.")
+    finite(range=ends)
+    if ends is not None and not ends[0] < ends[1]:
+        raise ValueError(f"--range must be lowest and highest disparity, got {ends}.")
 
 
 def _run(
@@ -205,7 +219,7 @@ def _names(scenes: Sequence[Path]) -> list[str]:
 def _row(report: Path, state: str) -> dict[str, Any]:
     """What the summary says of a finished light field."""
     try:
-        content = json.loads(report.read_text(encoding="utf-8"))
+        content = read_json(report)
         scores = content["scores"].get("crop 0", {})
         return {
             "state": state,

@@ -4,7 +4,7 @@ import contextlib
 import os
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -56,6 +56,33 @@ def warn(text: str) -> None:
 def _say(*parts: str | tuple[str, str]) -> None:
     with GUARD, contextlib.suppress(OSError):
         _PROGRESS.print(Text.assemble(*parts), soft_wrap=True)
+
+
+def finite(**options: Sequence[float] | float | None) -> None:
+    """Refuses numbers that are NaN or infinite.
+
+    Args:
+        **options: values by the name of their option; None is fine.
+
+    Raises:
+        ValueError: naming the option and its value.
+    """
+    for name, value in options.items():
+        if value is not None and not np.isfinite(value).all():
+            raise ValueError(f"--{name} must be finite, got {value}.")
+
+
+def in_unit_range(colour: Sequence[float] | None) -> None:
+    """Refuses a --colour that is none.
+
+    Args:
+        colour: red, green and blue, or None.
+
+    Raises:
+        ValueError: a value is not within 0 and 1.
+    """
+    if colour is not None and not all(0 <= value <= 1 for value in colour):
+        raise ValueError(f"--colour must be three numbers between 0 and 1, got {colour}.")
 
 
 def missing_views(light_field: LightField) -> list[str]:

@@ -12,7 +12,7 @@ from mvedge_jax import plotting
 from mvedge_jax.datasets import load_light_field, write_hci
 from mvedge_jax.edit import insert_picture, paint, remove
 
-from ._common import note, stage, warn
+from ._common import finite, in_unit_range, note, stage, warn
 from ._every_view import every_view
 from ._output import output_folder, write_json
 
@@ -52,6 +52,8 @@ def edit(
     """
     if (insert is None) == (mask is None):
         raise ValueError("name either --insert or --mask, not both or none.")
+    finite(at=at, disparity=disparity, slant=slant)
+    in_unit_range(colour)
     with stage("reading"):
         light_field = load_light_field(scene).without_truth()
         given = _read(insert or mask)

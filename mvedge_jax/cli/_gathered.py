@@ -1,6 +1,7 @@
 """What there is to export: photographs with cameras, and the depth that an earlier run found."""
 
-import json
+import zipfile
+import zlib
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -14,6 +15,8 @@ from mvedge_jax.datasets.photographs import load_photographs
 from mvedge_jax.lightfield import Camera, LightField
 from mvedge_jax.posed import Photographs
 from mvedge_jax.posed.cloud import photographs_of
+
+from ._source import read_json, scene_of
 
 
 class Gathered(NamedTuple):
@@ -53,13 +56,8 @@ def gather(path: Path, camera: tuple[float, float, float] | None) -> Gathered:
         return Gathered(photographs_of(field), {}, {})
     if "model" in report:
         return _of_stereo(path, report)
-    source = report.get("source")
-    if not isinstance(source, dict):
-        raise ValueError(
-            f"{path / 'report.json'} does not say which light field it was made from; make the "
-            "result again with this version of mvedge, or export the scene itself."
-        )
-    field = _with_camera(_again(path, source), camera, Path(source["path"]))
+    scene, reading = scene_of(path, advice="make the result again, or export the scene itself")
+    field = _with_camera(load_light_field(scene, **reading), camera, scene)
     assert field.camera is not None
     if (path / "views.h5").is_file():
         return _of_views(path, field, field.camera)
@@ -69,22 +67,8 @@ def gather(path: Path, camera: tuple[float, float, float] | None) -> Gathered:
 def _report(path: Path) -> dict[str, Any] | None:
     """The report of a result of ours; None for anything else."""
     file = path / "report.json"
-    if not (path / ".mvedge.json").is_file() or not file.is_file():
-        return None
-    try:
-        report = json.loads(file.read_text(encoding="utf-8"))
-    except ValueError:
-        report = None
-    if not isinstance(report, dict):
-        raise ValueError(f"{file} is no report of mvedge.")
-    return report
-
-
-def _again(path: Path, source: dict[str, Any]) -> LightField:
-    options = {key: value for key, value in source.items() if key != "path"}
-    if not Path(source["path"]).exists():
-        raise FileNotFoundError(f"{source['path']}, which {path} was made from, does not exist.")
-    return load_light_field(source["path"], **options)
+    ours = (path / ".mvedge.json").is_file() and file.is_file()
+    return read_json(file) if ours else None
 
 
 def _with_camera(
@@ -98,8 +82,8 @@ def _with_camera(
             )
         return light_field
     focal, baseline, focus = camera
-    if not (focal > 0 and baseline > 0 and focus > 0):
-        raise ValueError(f"--camera must be three positive numbers, got {camera}.")
+    if not (np.isfinite(camera).all() and focal > 0 and baseline > 0 and focus > 0):
+        raise ValueError(f"--camera must be three finite numbers above 0, got {camera}.")
     return eqx.tree_at(
         lambda field: field.camera,
         light_field,
@@ -112,11 +96,11 @@ def _of_depth(path: Path, field: LightField, camera: Camera) -> Gathered:
     photographs = photographs_of(field)
     vc, uc = field.centre
     index = int(np.asarray(field.available).ravel()[: vc * field.views.shape[1] + uc].sum())
-    disparity = read_pfm(path / "disparity.pfm")
-    depth, error = _metric(camera, disparity, read_pfm(path / "standard_error.pfm"))
-    with np.load(path / "points.npz") as stored:
-        xy, of_points = stored["xy"], stored["disparity"]
-        visible, spread = stored["visible"], stored["error"]
+    shape = field.views.shape[2:4]
+    depth, error = _metric(
+        camera, *(_map(path / f"{name}.pfm", shape) for name in ("disparity", "standard_error"))
+    )
+    xy, of_points, spread, visible = _points(path / "points.npz", sum(field.views.shape[:2]))
     z, doubt = _metric(camera, of_points, spread)
     matrix = np.asarray(photographs.intrinsics[index])
     local = np.stack([(xy[:, 0] - matrix[0, 2]) / matrix[0, 0] * z,
@@ -137,6 +121,32 @@ def _of_depth(path: Path, field: LightField, camera: Camera) -> Gathered:
     return Gathered(dense, {index: depth}, {index: error}, doubt[keep])
 
 
+def _map(path: Path, shape: tuple[int, ...]) -> Float[np.ndarray, "y x"]:
+    """A map of the size of the views."""
+    found = read_pfm(path)
+    if found.shape != shape:
+        raise ValueError(f"{path} must have the size of the views, {shape}, got {found.shape}.")
+    return found
+
+
+def _points(path: Path, views: int) -> list[np.ndarray]:
+    """Place, disparity, its standard error, and which view of the crosshair shows a point."""
+    try:
+        with np.load(path) as stored:
+            columns = [np.asarray(stored[n]) for n in ("xy", "disparity", "error", "visible")]
+        count = len(columns[1])
+        wanted = [(count, 2), (count,), (count,), (count, views)]
+        if [column.shape for column in columns] != wanted:
+            raise ValueError("its columns do not fit together or to the views")
+        if not all(column.dtype.kind in "fiub" for column in columns):
+            raise ValueError("its columns are not numbers")
+        return [*columns[:3], columns[3].astype(bool)]
+    except (
+        KeyError, TypeError, ValueError, OSError, EOFError, zipfile.BadZipFile, zlib.error
+    ) as reason:  # fmt: skip
+        raise ValueError(f"{path} could not be read as points: {reason}.") from None
+
+
 def _observed(field: LightField, visible: np.ndarray) -> np.ndarray:
     """Which of all available views saw which point: those of the crosshair were looked at."""
     rows, columns = field.views.shape[:2]
@@ -148,8 +158,7 @@ def _observed(field: LightField, visible: np.ndarray) -> np.ndarray:
 
 
 def _of_views(path: Path, field: LightField, camera: Camera) -> Gathered:
-    with h5py.File(path / "views.h5", "r") as file:
-        disparity, error = np.asarray(file["disparity"]), np.asarray(file["error"])
+    disparity, error = _maps(path / "views.h5", field.views.shape[:4])
     there = np.asarray(field.available)
     pairs = [_metric(camera, *pair) for pair in zip(disparity[there], error[there], strict=True)]
     return Gathered(
@@ -157,6 +166,26 @@ def _of_views(path: Path, field: LightField, camera: Camera) -> Gathered:
         {i: depth for i, (depth, _) in enumerate(pairs)},
         {i: error for i, (_, error) in enumerate(pairs)},
     )
+
+
+def _maps(path: Path, shape: tuple[int, ...]) -> list[np.ndarray]:
+    """Disparity and its standard error in every view."""
+    found = []
+    try:
+        with h5py.File(path, "r") as file:
+            for name in ("disparity", "error"):
+                stored = file.get(name)
+                own = isinstance(file.get(name, getlink=True), h5py.HardLink)
+                if not own or not isinstance(stored, h5py.Dataset):
+                    raise ValueError(f"it has no `{name}` of its own")
+                if stored.external or stored.is_virtual:
+                    raise ValueError(f"its `{name}` lies in other files")
+                if stored.shape != shape or stored.dtype.kind != "f":
+                    raise ValueError(f"its `{name}` is no map of every view, {shape}")
+                found.append(np.asarray(stored))
+    except (OSError, ValueError, RuntimeError) as reason:
+        raise ValueError(f"{path} could not be read: {reason}.") from None
+    return found
 
 
 def _metric(
@@ -170,16 +199,26 @@ def _metric(
 
 
 def _of_stereo(path: Path, report: dict[str, Any]) -> Gathered:
-    model = Path(report["model"])
-    if not model.exists():
+    model, images, lens = report["model"], report.get("images"), report.get("intrinsics")
+    told = isinstance(model, str) and isinstance(images, str | None)
+    told = told and isinstance(report.get("scale"), int | float)
+    told = told and isinstance(report.get("photographs"), dict)
+    if lens is not None:
+        told = told and isinstance(lens, list) and len(lens) == 4
+        told = told and all(isinstance(value, int | float) for value in lens)
+    if not told:
+        file = path / "report.json"
+        raise ValueError(f"{file} does not tell its photographs; make the result again.")
+    if not Path(model).exists():
         raise FileNotFoundError(f"{model}, which {path} was made from, does not exist.")
     photographs = load_photographs(
-        model, images=report["images"], intrinsics=report["intrinsics"], scale=report["scale"]
+        Path(model), images=images, intrinsics=lens, scale=report["scale"]
     )
+    shape = photographs.images.shape[1:3]
     depth, error = {}, {}
     for name in report["photographs"]:
         index = photographs.index(name)
         stem = "_".join(Path(photographs.names[index]).with_suffix("").parts)
-        depth[index] = read_pfm(path / f"{stem}_depth.pfm").astype(np.float64)
-        error[index] = read_pfm(path / f"{stem}_error.pfm").astype(np.float64)
+        depth[index] = _map(path / f"{stem}_depth.pfm", shape).astype(np.float64)
+        error[index] = _map(path / f"{stem}_error.pfm", shape).astype(np.float64)
     return Gathered(photographs, depth, error)

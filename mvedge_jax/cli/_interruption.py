@@ -18,6 +18,9 @@ GUARD = threading.RLock()
 _unfinished: set[Path] = set()
 # An entry of the compilation cache that was touched within so many seconds may be half-written.
 _FRESH = 3.0
+# Seconds to wait for the guard. Who holds it for longer writes into a pipe that nobody reads; were
+# it a result on a slow disk, the next run into the same place would put it right.
+_HELD = 5.0
 
 
 @contextlib.contextmanager
@@ -32,7 +35,7 @@ def unfinished(path: Path) -> Iterator[None]:
 
 def clean() -> None:
     """Removes what is unfinished; the process must end after it. Called by the signals' thread."""
-    GUARD.acquire()
+    GUARD.acquire(timeout=_HELD)
     for path in list(_unfinished):
         # The main thread may still be writing into it: until its folder is gone.
         for _ in range(100):

@@ -16,6 +16,7 @@ from filelock import FileLock, Timeout
 
 from ._common import warn
 from ._interruption import GUARD, unfinished
+from ._source import read_json
 
 # Lists what a run wrote. A folder is replaced only if it has this and holds nothing else.
 MARKER = ".mvedge.json"
@@ -115,15 +116,7 @@ def _refuse(path: Path, inputs: Sequence[Path], overwrite: bool) -> None:
         raise ValueError(f"{path} is a mount point; choose a folder inside of it as OUT.")
     if Path.cwd().resolve().is_relative_to(path):
         raise ValueError(f"{path} is or holds the working directory; choose another folder as OUT.")
-    for given in inputs:
-        # Both where the input's name is and, if that is a link, where what it stands for is.
-        for source in (Path(os.path.abspath(given)), Path(given).resolve()):
-            if source == path:
-                raise ValueError(f"OUT, {path}, is the input {given}; choose another folder.")
-            if source.is_relative_to(path):
-                raise ValueError(f"OUT, {path}, holds the input {given}; choose another folder.")
-            if path.is_relative_to(source):
-                raise ValueError(f"OUT, {path}, lies in the input {given}; choose another folder.")
+    refuse_inputs(path, inputs)
     if path.is_dir() and any(path.iterdir()):
         if not overwrite:
             raise FileExistsError(
@@ -143,6 +136,27 @@ def _refuse(path: Path, inputs: Sequence[Path], overwrite: bool) -> None:
                 f"{path} holds {foreign[0]}{more}, which mvedge did not write, so --overwrite does "
                 "not replace it; move that elsewhere or choose another folder."
             )
+
+
+def refuse_inputs(path: Path, inputs: Sequence[Path]) -> None:
+    """Raises where an output would touch an input.
+
+    Args:
+        path: the folder to make, resolved.
+        inputs: files and folders that the command reads.
+
+    Raises:
+        ValueError: `path` is, holds or lies in one of them.
+    """
+    for given in inputs:
+        # Both where the input's name is and, if that is a link, where what it stands for is.
+        for source in (Path(os.path.abspath(given)), Path(given).resolve()):
+            if source == path:
+                raise ValueError(f"OUT, {path}, is the input {given}; choose another folder.")
+            if source.is_relative_to(path):
+                raise ValueError(f"OUT, {path}, holds the input {given}; choose another folder.")
+            if path.is_relative_to(source):
+                raise ValueError(f"OUT, {path}, lies in the input {given}; choose another folder.")
 
 
 @contextlib.contextmanager
@@ -189,7 +203,7 @@ def _mark(folder: Path) -> None:
 def _earlier_result(folder: Path) -> set[str] | None:
     """What an earlier run wrote into `folder`, by its marker; None without a readable one."""
     try:
-        record = json.loads((folder / MARKER).read_text(encoding="utf-8"))
+        record = read_json(folder / MARKER)
         if record["program"] != "mvedge_jax":
             return None
         return {str(name) for name in record["written"]}

@@ -22,7 +22,7 @@ from mvedge_jax.superpixels import (
     superpixels as cut,
 )
 
-from ._common import note, stage, warn
+from ._common import in_unit_range, note, stage, warn
 from ._every_view import every_view
 from ._output import output_folder, write_json
 
@@ -57,6 +57,7 @@ def superpixels(
         views: use the central VIEWS x VIEWS views only; odd.
         overwrite: replace OUT if it is an earlier result of mvedge, with nothing else in it.
     """
+    in_unit_range(colour)
     with stage("reading"):
         light_field = load_light_field(scene, views=views)
     height, width = light_field.views.shape[2:4]

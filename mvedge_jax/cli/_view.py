@@ -1,9 +1,8 @@
 """`mvedge view`: a light field and what was computed from it, in a browser."""
 
-import json
 import webbrowser
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 import tyro
@@ -14,11 +13,10 @@ from mvedge_jax.lightfield import LightField
 
 from ._common import note, stage
 from ._interruption import unfinished
+from ._source import scene_of
 
 # What tells a folder of results from a light field.
-_MAP, _REPORT, _LABELS = "disparity.pfm", "report.json", "labels.npy"
-# How a scene is read again as it was for the result.
-_READING = ("views", "scale", "flip_u", "flip_v")
+_MAP, _LABELS = "disparity.pfm", "labels.npy"
 
 
 def view(
@@ -63,7 +61,7 @@ def view(
     reading = {"views": views, "scale": scale}
     source = path if scene is None else scene
     if is_result and scene is None:
-        source, reading = _source(path)
+        source, reading = scene_of(path, advice="name it: --scene")
     with stage(f"reading {source}"):
         light_field = load_light_field(source, **reading)
         results = _results([path] if is_result else [], other, superpixels, light_field)
@@ -104,21 +102,10 @@ def _refuse(html: Path, overwrite: bool) -> None:
         raise ValueError(f"--html must name a file that ends in .html, got {html}.")
     if not html.parent.is_dir():
         raise FileNotFoundError(f"{html.parent}, where --html is to be written, is no folder.")
+    if html.is_dir():
+        raise ValueError(f"{html} is a folder; --html must name a file to write.")
     if html.exists() and not overwrite:
         raise FileExistsError(f"{html} is there already; choose another file or pass --overwrite.")
-
-
-def _source(result: Path) -> tuple[Path, dict[str, Any]]:
-    """The light field that a result is of, and how it was read."""
-    try:
-        report = json.loads((result / _REPORT).read_text(encoding="utf-8"))
-        source = report["source"]
-        found, reading = Path(source["path"]), {name: source[name] for name in _READING}
-    except (OSError, ValueError, KeyError, TypeError):
-        raise ValueError(f"{result} does not tell its light field; name it: --scene.") from None
-    if not found.exists():
-        raise FileNotFoundError(f"{found}, the light field of {result}, is gone; --scene names it.")
-    return found, reading
 
 
 def _results(
@@ -140,8 +127,10 @@ def _labels(folder: Path, light_field: LightField) -> np.ndarray:
     path = folder / _LABELS
     try:
         labels = np.load(path)
-    except ValueError as reason:
+    except (ValueError, EOFError) as reason:
         raise ValueError(f"{path} could not be read: {reason}.") from None
+    if not isinstance(labels, np.ndarray):
+        raise ValueError(f"{path} must hold one array, got an archive.")
     if labels.shape != light_field.views.shape[:4] or labels.dtype.kind not in "iu":
         raise ValueError(
             f"{path} must hold whole numbers of shape {light_field.views.shape[:4]}, got "

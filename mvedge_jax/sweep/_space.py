@@ -9,6 +9,7 @@ import equinox as eqx
 import numpy as np
 
 from mvedge_jax.centre import Parameters, Sizes
+from mvedge_jax.edges import EdgeSizes
 
 CHOICE = "sizes."
 
@@ -48,7 +49,8 @@ class Space:
             "all")}`. Each combination is a program of its own.
 
     Raises:
-        ValueError: a name is not one of `Parameters` or `Sizes`, or nothing is varied.
+        ValueError: a name is not one of `Parameters` or `Sizes`, a choice is none of `Sizes`, or
+            nothing is varied.
 
     Example:
         >>> space = Space({"centre.precision": Interval(0.002, 0.02)}, {"solves": (1, 2)})
@@ -72,6 +74,9 @@ class Space:
                 raise ValueError(f"{name!r} is not a choice of `Sizes`; they are {sizes}.")
             if not values:
                 raise ValueError(f"choice {name!r} must have at least one value, got none.")
+            for value in values:
+                least = Sizes(EdgeSizes(0, 3, 1), hypotheses=2, radius=1)
+                dataclasses.replace(least, **{name: value})  # raises where there is no such choice
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -1,6 +1,7 @@
 """What was computed, as the page takes it: from memory or from a folder."""
 
 import zipfile
+import zlib
 from pathlib import Path
 from typing import NamedTuple
 
@@ -106,6 +107,14 @@ def _with_points(result: Result, path: Path) -> Result:
         if any(pair is not None and pair.shape != count for pair in (xy, *pairs)):
             raise ValueError("its columns differ in length")
         both = np.stack([disparity, error], 1)
-    except (KeyError, ValueError, OSError, EOFError, zipfile.BadZipFile) as reason:
+    except (
+        KeyError,
+        TypeError,
+        ValueError,
+        OSError,
+        EOFError,
+        zipfile.BadZipFile,
+        zlib.error,
+    ) as reason:
         raise ValueError(f"{path} could not be read as points: {reason}.") from None
     return result._replace(xy=xy, points=both, normals=pairs[0], surfaces=pairs[1])

@@ -155,7 +155,7 @@ def test_what_cannot_be_exported(scene, result, tmp_path, capsys):
     assert "has no depth to make points of; run mvedge depth" in capsys.readouterr().err
     (result / "report.json").write_text("{}")
     assert _main.main(["export", str(result), str(tmp_path / "b"), "--to", "ply"]) == 2
-    assert "does not say which light field it was made from" in capsys.readouterr().err
+    assert "does not tell its light field; make the result again" in capsys.readouterr().err
     views = np.zeros((3, 3, 16, 16, 3), np.uint8)
     plain = write_hci(tmp_path / "plain", views)
     (plain / "parameters.cfg").unlink(missing_ok=True)

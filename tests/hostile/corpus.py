@@ -12,7 +12,16 @@ import traceback
 from pathlib import Path
 from typing import NamedTuple
 
-from hostile import arguments, claims, commands, containers, folders, metadata, mutations
+from hostile import (
+    arguments,
+    claims,
+    commands,
+    containers,
+    folders,
+    metadata,
+    mutations,
+    readers,
+)
 from hostile.case import Case
 
 # Limits of a case.
@@ -21,7 +30,7 @@ SECONDS, BYTES = 120, 2 * 2**30
 
 def every_case() -> list[Case]:
     """All cases; their names are unique."""
-    rooms = (mutations, claims, metadata, containers, folders, arguments, commands)
+    rooms = (mutations, claims, metadata, containers, folders, arguments, commands, readers)
     found = [case for room in rooms for case in room.cases()]
     names = [case.name for case in found]
     twice = {name for name in names if names.count(name) > 1}

@@ -1,11 +1,13 @@
 """Signals at random moments of a command: `python tests/hostile/signals.py --moments 40`.
 
-Every run has to end with 128 plus the number of the signal or, if it was being put in place just
-then, with 0; it leaves no file and no folder behind, no traceback, and at most two lines. A run
-that was done before its signal does not count, and another moment is drawn.
+Every run has to end with 128 plus the number of the signal; it leaves no file and no folder behind,
+an earlier result as it was, no traceback, and at most two lines. A run that was done before its
+signal, or whose result was in place and the process ending just then, does not count: another
+moment is drawn.
 """
 
 import argparse
+import json
 import os
 import random
 import signal
@@ -23,8 +25,8 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 from datasets.layouts import write_hci
 
 _KINDS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-# Seconds that the process may take to end after a signal.
-_PATIENCE = 20.0
+# Seconds that the process may take to end after a signal; and one that was ending anyway, with 0.
+_PATIENCE, _ENDING = 20.0, 1.0
 
 
 class Moment(NamedTuple):
@@ -34,7 +36,7 @@ class Moment(NamedTuple):
         verdict: empty if all is well.
         code: exit code of the process, negative for the signal that killed it.
         delay: seconds from the signal to the end.
-        late: the run was done before the signal.
+        late: the run was done before the signal could matter.
     """
 
     verdict: str
@@ -50,9 +52,23 @@ def scene(folder: Path) -> Path:
     return write_hci(folder / "scene", views, settings=False)
 
 
+def stamp(out: Path) -> int:
+    """When the result was put together, in nanoseconds."""
+    return (out / ".mvedge.json").stat().st_mtime_ns if whole(out) else 0
+
+
+def whole(out: Path) -> bool:
+    """Whether all is there that a result lists, and nothing else."""
+    try:
+        listed = set(json.loads((out / ".mvedge.json").read_text())["written"])
+    except (OSError, ValueError):
+        return False
+    return listed == {path.relative_to(out).as_posix() for path in out.rglob("*")}
+
+
 def interrupted(words: list[str], kind: signal.Signals, after: float, out: Path) -> Moment:
     """Starts `mvedge`, sends a signal after some seconds, and looks at what is left."""
-    before = {path.name for path in out.parent.iterdir()}
+    before, earlier = {path.name for path in out.parent.iterdir()}, stamp(out)
     process = subprocess.Popen(
         [sys.executable, "-m", "mvedge", *words],
         stdout=subprocess.PIPE,
@@ -74,16 +90,18 @@ def interrupted(words: list[str], kind: signal.Signals, after: float, out: Path)
             return Moment(f"still running {_PATIENCE:g} s after {kind.name}", 0, _PATIENCE)
     delay = time.perf_counter() - start
     code = process.returncode
-    left = {path.name for path in out.parent.iterdir()} - before
+    left = {path.name for path in out.parent.iterdir()} ^ before
     complaints = [line for line in text.splitlines() if not line.startswith(("done", "warning"))]
+    fresh = stamp(out) != earlier
+    late = late or (code == 0 and fresh and delay < _ENDING)
     verdict = ""
-    if code not in (0, 128 + kind):
+    if code != (0 if late else 128 + kind):
         verdict = f"exit code {code}"
     elif "Traceback" in text or len(complaints) > 2:
         verdict = f"said {complaints[-3:]}"
-    elif left - {out.name}:
-        verdict = f"left {left}"
-    elif out.name in left and not (out / ".mvedge.json").is_file():
+    elif left:
+        verdict = f"left or lost {left}"
+    elif not whole(out):
         verdict = "left half a result"
     return Moment(verdict, code, delay, late)
 
@@ -94,29 +112,32 @@ def main() -> int:
     parser.add_argument("--moments", type=int, default=40)
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
+    for kind in _KINDS:
+        # A shell has what it runs in the background ignore some, and children inherit that.
+        signal.signal(kind, signal.default_int_handler)
     draw, bad, late, delays = random.Random(options.seed), 0, 0, []
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         field, out = scene(folder), folder / "out"
-        whole = {}
+        runs = {}
         for command, more in (("depth", []), ("optimize", ["--iterations", "8"])):
             words = [command, str(field), str(out), "--overwrite", *more]
             call = [sys.executable, "-m", "mvedge", *words]
             subprocess.run(call, check=True, capture_output=True)  # fills the compilation cache
             start = time.perf_counter()
             subprocess.run(call, check=True, capture_output=True)
-            whole[command] = time.perf_counter() - start, words
-            sys.stdout.write(f"{command}: {whole[command][0]:.1f} s\n")
+            runs[command] = time.perf_counter() - start, words
+            sys.stdout.write(f"{command}: {runs[command][0]:.1f} s\n")
         while len(delays) < options.moments:
-            command, index = draw.choice(sorted(whole)), len(delays)
-            seconds, words = whole[command]
+            command, index = draw.choice(sorted(runs)), len(delays)
+            seconds, words = runs[command]
             # Every second one falls into the first seconds, in which libraries are imported.
             after = draw.uniform(0.3, min(4.0, seconds)) if index % 2 else draw.random() * seconds
             kind = draw.choice(_KINDS)
             found = interrupted(words, kind, after, out)
             if found.late and not found.verdict:
                 # The machine was less busy than when the run was timed.
-                late, whole[command] = late + 1, (after, words)
+                late, runs[command] = late + 1, (after, words)
                 continue
             bad += bool(found.verdict)
             delays.append(found.delay)
