@@ -1,7 +1,9 @@
 """Colour spaces, differentiable: sRGB to linear light, CIE L*a*b* and grey."""
 
 from collections.abc import Sequence
+from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -113,9 +115,20 @@ def srgb_to_gray(image: Float[Array, "*s c"]) -> Float[Array, "*s"]:
     return image @ jnp.asarray(_LUMA, image.dtype)
 
 
-def factored(
-    moments: Sequence[Float[Array, "*s"]], floor: Float[Array, ""]
-) -> tuple[Float[Array, "*s"], ...]:
+class Factored(NamedTuple):
+    """A covariance of three colours and its triangular factors.
+
+    Attributes:
+        moments: covariances `rr, rg, rb, gg, gb, bb`, the variances raised.
+        factors: three variances, each after those before it explained what they can, and the slopes
+            of green on red, blue on red, blue on green.
+    """
+
+    moments: tuple[Float[Array, "*s"], ...]
+    factors: tuple[Float[Array, "*s"], ...]
+
+
+def factored(moments: Sequence[Float[Array, "*s"]], floor: Float[Array, ""]) -> Factored:
     """Factors covariances of three colours, each variance raised by some for safety.
 
     The triangular factors are exact enough in single precision where colours lie on a line, as they
@@ -126,29 +139,31 @@ def factored(
         floor: added to `rr`, `gg`, `bb`; positive.
 
     Returns:
-        What `solved` takes. Differentiable.
+        What `solved` takes.
     """
     rr, rg, rb, gg, gb, bb = moments
-    first = jnp.maximum(rr + floor, floor)
+    rr, gg, bb = rr + floor, gg + floor, bb + floor
+    first = jnp.maximum(rr, floor)
     g_r, b_r = rg / first, rb / first
     # What is left of a variance after the others explain it is no less than was added.
-    second = jnp.maximum(gg + floor - g_r * rg, floor)
+    second = jnp.maximum(gg - g_r * rg, floor)
     b_g = (gb - b_r * rg) / second
-    third = jnp.maximum(bb + floor - b_r * rb - b_g * b_g * second, floor)
-    return first, second, third, g_r, b_r, b_g
+    third = jnp.maximum(bb - b_r * rb - b_g * b_g * second, floor)
+    return Factored((rr, rg, rb, gg, gb, bb), (first, second, third, g_r, b_r, b_g))
 
 
+@jax.custom_jvp
 def solved(
-    factors: Sequence[Float[Array, "*s"]], colour: Sequence[Float[Array, "*s"]]
+    covariance: Factored, colour: Sequence[Float[Array, "*s"]]
 ) -> tuple[Float[Array, "*s"], ...]:
     """The inverse of a covariance times a vector.
 
     Args:
-        factors: of `factored`.
+        covariance: of `factored`.
         colour: a vector `r, g, b`.
 
     Returns:
-        A vector of the same shape. Differentiable.
+        A vector of the same shape. Differentiable in moments and colour.
 
     Example:
         >>> import jax.numpy as jnp
@@ -156,9 +171,20 @@ def solved(
         >>> [float(c) for c in solved(factored(moments, jnp.asarray(1.0)), (jnp.ones(()),) * 3)]
         [0.5, 0.25, 0.5]
     """
-    first, second, third, g_r, b_r, b_g = factors
+    first, second, third, g_r, b_r, b_g = covariance.factors
     r, g, b = colour
     g = g - g_r * r
     b = (b - b_r * r - b_g * g) / third
     g = g / second - b_g * b
     return r / first - g_r * g - b_r * b, g, b
+
+
+@solved.defjvp
+def _solved_jvp(primals: Any, tangents: Any) -> tuple[Any, Any]:
+    """By the system itself: slopes of its factors leave single precision where colours are flat."""
+    (covariance, _), (change, forcing) = primals, tangents
+    found = solved(*primals)
+    r, g, b = found
+    rr, rg, rb, gg, gb, bb = change.moments
+    pushed = (rr * r + rg * g + rb * b, rg * r + gg * g + gb * b, rb * r + gb * g + bb * b)
+    return found, solved(covariance, [f - p for f, p in zip(forcing, pushed, strict=True)])

@@ -68,3 +68,39 @@ def test_factors_solve_what_is_nearly_singular():
         factors = color.factored(moments, jnp.asarray(floor, dtype))
         found = color.solved(factors, [jnp.asarray(c, dtype) for c in vector])
         np.testing.assert_allclose(found, expected, rtol=tolerance)
+
+
+def test_the_slope_of_a_solution_is_that_of_the_inverse():
+    """Both modes and the second derivative, against differences and the dense inverse."""
+    moments = jnp.asarray([0.09, 0.074, 0.06, 0.0625, 0.049, 0.04])
+    vector = jnp.asarray([1.0, -0.5, 0.25])
+
+    def by_factors(tree):
+        moments, floor, vector = tree
+        return jnp.sum(
+            jnp.stack(color.solved(color.factored(list(moments), floor), list(vector))) ** 2
+        )
+
+    def by_inverse(tree):
+        (rr, rg, rb, gg, gb, bb), floor, vector = tree
+        matrix = jnp.asarray([[rr, rg, rb], [rg, gg, gb], [rb, gb, bb]]) + floor * jnp.eye(3)
+        return jnp.sum(jnp.linalg.solve(matrix, vector) ** 2)
+
+    tree = (moments, jnp.asarray(1e-2), vector)
+    for derivative in (jax.grad, jax.jacfwd, jax.hessian):
+        found, expected = derivative(by_factors)(tree), derivative(by_inverse)(tree)
+        for a, b in zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True):
+            np.testing.assert_allclose(a, b, rtol=1e-8, atol=1e-8 * float(jnp.abs(b).max()))
+
+
+def test_slopes_of_flat_colours_stay_in_single_precision():
+    """No intermediate is more than the inverse squared."""
+    moments = [jnp.asarray(0.0, jnp.float32)] * 6
+    floor = jnp.asarray(1e-6, jnp.float32)
+    large = jnp.asarray(1e24, jnp.float32)
+
+    def first(moments):
+        return large * color.solved(color.factored(moments, floor), [floor] * 3)[0]
+
+    slopes = jax.grad(first)(moments)
+    np.testing.assert_allclose(slopes, np.float32(1e24) * np.array([-1e6, -1e6, -1e6, 0, 0, 0]))

@@ -9,7 +9,7 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from mvedge_jax._params import cast, number
-from mvedge_jax.color import factored, solved
+from mvedge_jax.color import Factored, factored, solved
 from mvedge_jax.image import window_sum
 
 Sharpening = Literal["clip", "median", "quantised", "none"]
@@ -139,10 +139,10 @@ def weighted_median(
 
 
 class _LocalModel(NamedTuple):
-    """Mean of the guide around every pixel, factors of its covariance; the window's area."""
+    """Mean of the guide around every pixel, its covariance; the window's area."""
 
     mean: tuple[Array, ...]
-    factors: tuple[Array, ...]
+    covariance: Factored
     area: Array
 
 
@@ -155,8 +155,8 @@ def _local_model(guide: Array, epsilon: Array, radius: int) -> _LocalModel:
         return _box_sum(guide[i] * guide[j], radius) / area - mean[i] * mean[j]
 
     pairs = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
-    factors = factored([moment(i, j) for i, j in pairs], epsilon)
-    return _LocalModel(mean, factors, area)
+    covariance = factored([moment(i, j) for i, j in pairs], epsilon)
+    return _LocalModel(mean, covariance, area)
 
 
 def _guided(piece: Array, guide: Array, model: _LocalModel, radius: int) -> Array:
@@ -165,7 +165,7 @@ def _guided(piece: Array, guide: Array, model: _LocalModel, radius: int) -> Arra
     covariance = [
         _box_sum(guide[c] * piece, radius) / model.area - model.mean[c] * mean for c in range(3)
     ]
-    slope = solved(model.factors, covariance)
+    slope = solved(model.covariance, covariance)
     offset = mean
     for c in range(3):
         offset = offset - slope[c] * model.mean[c]

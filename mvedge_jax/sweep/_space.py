@@ -3,7 +3,7 @@
 import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, get_args, get_type_hints
 
 import equinox as eqx
 import numpy as np
@@ -74,9 +74,12 @@ class Space:
                 raise ValueError(f"{name!r} is not a choice of `Sizes`; they are {sizes}.")
             if not values:
                 raise ValueError(f"choice {name!r} must have at least one value, got none.")
+            named = get_args(get_type_hints(Sizes)[name])
             for value in values:
+                if named and value not in named:
+                    raise ValueError(f"choice {name!r} must be of {named}, got {value!r}.")
                 least = Sizes(EdgeSizes(0, 3, 1), hypotheses=2, radius=1)
-                dataclasses.replace(least, **{name: value})  # raises where there is no such choice
+                dataclasses.replace(least, **{name: value})  # raises where it is out of range
 
     @property
     def names(self) -> tuple[str, ...]:

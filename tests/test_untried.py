@@ -1,0 +1,94 @@
+"""Every view, superpixels and the optimisation on views that tell nothing, and of the least sizes.
+
+`edge_to_depth` alone has `tests/centre/test_nothing_to_see.py`, photographs `tests/posed`.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from mvedge_jax import LightField, Parameters, Sizes, edge_to_depth
+from mvedge_jax.angular import ViewParams, ViewSizes, depth_of_views
+from mvedge_jax.model import ModelSizes, all_at_once, optimize_edges, start_from_depth
+from mvedge_jax.model.approaches import ByEvidence
+from mvedge_jax.superpixels import (
+    SuperpixelParams,
+    SuperpixelSizes,
+    soft_superpixels,
+    superpixels,
+)
+
+pytestmark = pytest.mark.slow  # half a minute of compilation each
+
+COLOURS = {"black": (0.0, 0.0, 0.0), "constant": (0.5, 0.4, 0.6), "saturated": (1.0, 1.0, 1.0)}
+
+
+def _field(name, shape=(16, 16)):
+    image = np.full((*shape, 3), COLOURS.get(name, (0.2, 0.2, 0.2)))
+    if name == "two colours":
+        image[shape[0] // 2 :, shape[1] // 2 :] = (0.9, 0.6, 0.1)
+    views = np.broadcast_to(image, (3, 3, *image.shape))
+    return LightField(jnp.asarray(views, jnp.float32), disparity_range=(-1.0, 2.0))
+
+
+def _centre(field):
+    sizes = Sizes.for_light_field(field, levels=4, median_radius=2)
+    return edge_to_depth(field, Parameters(), sizes)
+
+
+def _finite(tree):
+    leaves = [leaf for leaf in jax.tree.leaves(tree) if eqx.is_inexact_array(leaf)]
+    assert leaves
+    for leaf in leaves:
+        assert bool(jnp.isfinite(leaf).all())
+
+
+@pytest.mark.parametrize(
+    ("name", "shape"),
+    [
+        *((name, (16, 16)) for name in (*COLOURS, "two colours")),
+        *(("two colours", shape) for shape in ((1, 1), (1, 40), (40, 1))),
+    ],
+)
+def test_views_superpixels_and_optimisation(name, shape):
+    field = _field(name, shape)
+    result = _centre(field)
+    sizes = ViewSizes.for_light_field(field)
+    maps = depth_of_views(field, result, ViewParams(), sizes)
+    _finite((maps.disparity, maps.error))
+    assert bool((maps.error >= 0).all())
+
+    params = SuperpixelParams(size=jnp.asarray(4.0))
+    room = SuperpixelSizes.for_depths(maps)
+    labels = superpixels(field, maps, params, room).labels
+    assert labels.shape == field.views.shape[:4]
+    assert bool((labels[field.centre] > 0).all())
+    assert len(np.unique(labels[field.centre])) <= max(1, 2 * shape[0] * shape[1] // 4)
+
+    routine = all_at_once(ByEvidence().rates, iterations=2)
+    start = start_from_depth(field, result)
+    found = optimize_edges(field, start, ByEvidence(), ModelSizes.on_raster(1), routine=routine)
+    _finite(found.disparity)
+
+
+@pytest.mark.parametrize("name", [*COLOURS, "two colours"])
+def test_gradients_of_every_view_and_of_soft_superpixels(name):
+    field = _field(name)
+    result, sizes = _centre(field), ViewSizes.for_light_field(field)
+    params = SuperpixelParams(size=jnp.asarray(6.0))
+
+    @jax.jit
+    def gradient(views, measured, every, params):
+        def total(views, measured, every, params):
+            seen = eqx.tree_at(lambda f: f.views, field, views)
+            known = eqx.tree_at(lambda r: r.disparity, result, measured)
+            maps = depth_of_views(seen, known, every, sizes)
+            room = SuperpixelSizes(capacity=32, margin=2, rounds=2)
+            soft = soft_superpixels(seen, maps, params, room)
+            return maps.disparity.sum() + maps.error.sum() + (soft.shares**2).sum()
+
+        return jax.grad(total, argnums=(0, 1, 2, 3))(views, measured, every, params)
+
+    _finite(gradient(field.views, result.disparity, ViewParams(), params))
