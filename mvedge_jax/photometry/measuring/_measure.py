@@ -140,13 +140,13 @@ def labels(
     gradient = params.gradient_noise * channels * spread / found.views
     signal = jnp.maximum(information - gradient * jnp.maximum(noise, params.rounding**2), 0)
     # Without any signal the step is 0. Shares instead of squares: these underflow in float32.
-    share = signal / (information + tiny)
-    step = right / (information + tiny) * share / (share**2 + _LEAST_SHARE**2)
+    share = _over(signal, information + tiny)
+    step = _over(right, information + tiny) * share / (share**2 + _LEAST_SHARE**2)
     limit = params.largest_step
     step = limit * jnp.tanh(step / limit)
     # The right-hand side has the variance of the whole information, the step that of the signal.
     effective = signal * share
-    variance = jnp.maximum(noise, floor) / (effective + tiny) + params.error_floor**2
+    variance = _over(jnp.maximum(noise, floor), effective + tiny) + params.error_floor**2
     return PhotometricLabels(disparity + step, variance, residual)
 
 
@@ -166,7 +166,7 @@ def _stiffness(
     axes = sum(spread / (spread + params.stiffness) for spread in total.spread)
     noise = jnp.maximum(left / jnp.maximum(channels * total.freedom, 1), floor)
     gain, noise = wider((jnp.maximum(rigid - left, 0), channels * axes * noise))
-    evidence = gain / (noise + tiny)
+    evidence = _over(gain, noise + tiny)
     doubt = params.drift / (evidence + _SUREST * params.drift + tiny)
     spread = 0.5 * (total.spread[0] + total.spread[1])
     return params.stiffness + spread * doubt**4
@@ -187,7 +187,15 @@ def _regressed(total: Look, stiffness: Array) -> tuple[Array, Array, Array]:
 
 def _explained(right: Array, information: Array, tiny: Array) -> Array:
     """What the step of the disparity takes off the power."""
-    return right * right / (information + tiny)
+    return _over(right * right, information + tiny)
+
+
+def _over(part: Array, whole: Array) -> Array:
+    """A quotient whose transpose meets what is small before the inverse square of what is.
+
+    That of a division multiplies large cotangents by the inverse square first, beyond float32.
+    """
+    return part * (1 / whole)
 
 
 def _undrifted(total: Look, sums: tuple[Array, Array], stiffness: Array) -> tuple[Array, Array]:
