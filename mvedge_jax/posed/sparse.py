@@ -1,0 +1,347 @@
+"""Depth of a photograph from sparse points, diffused and optimised as in the thesis (7.2.2)."""
+
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax import lax
+from jax.scipy.ndimage import map_coordinates
+from jaxtyping import Array, Bool, Float, PRNGKeyArray
+
+from mvedge_jax._params import as_number, at_least, cast
+from mvedge_jax.color import srgb_to_gray
+from mvedge_jax.losses import LossWeights
+from mvedge_jax.losses.terms import edge_aware_smoothness, gradient_reward, ssim
+from mvedge_jax.model import (
+    DepthModel,
+    ModelParams,
+    ModelSizes,
+    Start,
+    render_model,
+    start_from_image,
+)
+from mvedge_jax.model.objectives import Trust, unlimited
+from mvedge_jax.model.optimisation import Rates, Routine, begin, one_at_a_time, optimise
+from mvedge_jax.photometry.photographs import Projection
+
+from ._parameters import Reference
+from ._photographs import Photographs, projections
+
+# Slopes below this share of the steepest one are no edges.
+_FAINT = 0.05
+
+
+class SeenPoints(NamedTuple):
+    """Sparse points as a photograph shows them.
+
+    Attributes:
+        xy: where, px, `[m, 2]`.
+        disparity: px per baseline, see `Reference`.
+        valid: whether the photograph shows them; the others lie at the origin.
+    """
+
+    xy: Float[Array, "m 2"]
+    disparity: Float[Array, " m"]
+    valid: Bool[Array, " m"]
+
+
+def seen_points(photographs: Photographs, reference: Reference) -> SeenPoints:
+    """Projects the sparse points into a photograph.
+
+    Args:
+        photographs: with points.
+        reference: see `reference_of`.
+
+    Returns:
+        As many as there are points; of those that the photograph saw, if that is known, those in
+        front of its camera and within its frame are valid. Differentiable in points, poses and
+        intrinsics.
+
+    Raises:
+        ValueError: there are no points.
+
+    Example:
+        >>> poses = jnp.stack([jnp.eye(4), jnp.eye(4).at[0, 3].set(0.4)])
+        >>> matrix = jnp.asarray([[20.0, 0, 7.5], [0, 20.0, 5.5], [0, 0, 1]])
+        >>> points = jnp.asarray([[0.1, 0.0, 2.0], [0.0, 0.0, -1.0]])
+        >>> pair = Photographs(jnp.zeros((2, 12, 16, 3)), poses, matrix, points=points)
+        >>> from mvedge_jax.posed import reference_of
+        >>> seen = seen_points(pair, reference_of(pair, 0, depth_range=(1.0, 4.0)))
+        >>> seen.xy[0].tolist(), seen.valid.tolist()
+        ([8.5, 5.5], [True, False])
+    """
+    if photographs.points is None:
+        raise ValueError("`photographs` have no sparse points, which this method starts from.")
+    index = reference.index
+    pose, matrix = photographs.poses[index], photographs.intrinsics[index]
+    local = (photographs.points - pose[None, :3, 3]) @ pose[:3, :3]
+    ahead = local[:, 2] > 0
+    depth = jnp.where(ahead, local[:, 2], 1)
+    xy = ((local / depth[:, None]) @ matrix.T)[:, :2]
+    height, width = photographs.images.shape[1:3]
+    edge = jnp.asarray([width - 0.5, height - 0.5], xy.dtype)
+    valid = ahead & jnp.all((xy >= -0.5) & (xy <= edge[None]), axis=1)
+    if photographs.observed is not None:
+        saw = photographs.observed[index]
+        valid = valid & (saw | ~jnp.any(saw))
+    xy = jnp.where(valid[:, None], xy, 0)
+    return SeenPoints(xy, jnp.where(valid, reference.scale(photographs) / depth, 0), valid)
+
+
+def _weights() -> LossWeights:
+    """Those of the thesis for multi-view stereo."""
+    return LossWeights(smoothness=as_number(0.0075), dissimilarity=as_number(0.05))
+
+
+class SparseStereoParams(eqx.Module):
+    """Parameters of `sparse_stereo`.
+
+    Attributes:
+        rendering: of the model; by default `ModelParams.narrow`, as the raster asks for.
+        weights: of the terms of the loss (7.16).
+        rates: learning rates.
+    """
+
+    rendering: ModelParams | None = None
+    weights: LossWeights = eqx.field(default_factory=_weights)
+    rates: Rates = eqx.field(default_factory=Rates)
+
+
+@dataclass(frozen=True)
+class SparseStereoSizes:
+    """Static sizes of `sparse_stereo`.
+
+    Attributes:
+        model: of the rendering.
+        smoothing: iterations of the smoothness alone, before points are added.
+        extra: points that are added at the image's edges, per point.
+        iterations: per parameter and pass.
+        passes: over all parameters in turns.
+    """
+
+    model: ModelSizes = field(default_factory=lambda: ModelSizes.on_raster(1))
+    smoothing: int = 50
+    extra: int = 3
+    iterations: int = 25
+    passes: int = 5
+
+    def __post_init__(self) -> None:
+        at_least(self, smoothing=1, extra=0, iterations=1, passes=0)
+
+
+class PosedReprojection(eqx.Module):
+    """How badly a model's map explains the photographs: an objective for `optimise`.
+
+    Attributes:
+        images: the reference first, sRGB.
+        places: where each of them shows the reference's pixels.
+        trust: limits of the parameters.
+        params: of the rendering.
+        weights: of the terms.
+        sizes: of the rendering.
+    """
+
+    images: Float[Array, "s c y x"]
+    places: Projection
+    trust: Trust
+    params: ModelParams
+    weights: LossWeights
+    sizes: ModelSizes = eqx.field(static=True)
+
+    def __call__(
+        self, model: DepthModel, start: Float[Array, "y x"], *, key: PRNGKeyArray | None = None
+    ) -> tuple[Float[Array, ""], Float[Array, "y x"]]:
+        """Loss and map."""
+        disparity = render_model(model, self.params, self.sizes, start=start).disparity
+        return posed_loss(disparity, self.images, self.places, self.weights), disparity
+
+    def project(self, model: DepthModel) -> DepthModel:
+        """The nearest model within the limits."""
+        return self.trust.project(model)
+
+
+def posed_loss(
+    disparity: Float[Array, "y x"],
+    images: Float[Array, "s c y x"],
+    places: Projection,
+    weights: LossWeights,
+) -> Float[Array, ""]:
+    """The loss (7.16) of a photograph's map: `self_supervised_loss`, for posed photographs.
+
+    Args:
+        disparity: of the first photograph, px per baseline.
+        images: sRGB, the reference first.
+        places: where each of them shows the reference's pixels.
+        weights: of the terms.
+
+    Returns:
+        The loss. What a photograph shows, by `Projection.seen`, is a selection; differentiable in
+        all arguments.
+
+    Source: Thesis 7.1.4, Eq. 7.15-7.16, with the homographies of posed photographs.
+    """
+    weights = cast(weights, disparity.dtype)
+    centre = images[0]
+
+    def one(image: Array, place: Projection) -> tuple[Array, Array]:
+        x, y = place.positions(disparity)
+        seen = place.seen(disparity, 1)
+        shown = jax.vmap(lambda plane: map_coordinates(plane, [y, x], order=1, mode="nearest"))
+        return jnp.where(seen[None], shown(image), centre), seen
+
+    others = Projection(places.homography[1:], places.epipole[1:])
+    warped, seen = jax.vmap(one)(images[1:], others)
+    # Hidden pixels show the reference itself: their difference is 0.
+    total = jnp.sum(jnp.mean(jnp.abs(warped - centre[None]), axis=1), axis=0)
+    count = jnp.maximum(jnp.sum(seen, axis=0).astype(disparity.dtype), 1)
+    alike = jnp.mean(jax.vmap(lambda image: ssim(image, centre))(warped))
+    return (
+        weights.reprojection * jnp.mean(total / count)
+        + weights.smoothness * jnp.mean(edge_aware_smoothness(disparity, centre))
+        + weights.dissimilarity * (1 - alike)
+        - weights.gradient * jnp.mean(gradient_reward(total))
+    )
+
+
+class SparseStereo(NamedTuple):
+    """Depth of a photograph from points.
+
+    Attributes:
+        depth: distance along the optical axis, in the unit of the poses, `[y, x]`.
+        disparity: px per baseline, `[y, x]`.
+        diffused: disparity of the points, diffused without optimisation.
+        model: points and smoothness with the lowest loss.
+        loss: per iteration after points were added.
+    """
+
+    depth: Float[Array, "y x"]
+    disparity: Float[Array, "y x"]
+    diffused: Float[Array, "y x"]
+    model: DepthModel
+    loss: Float[Array, " i"]
+
+
+def sparse_stereo(
+    photographs: Photographs,
+    reference: Reference,
+    params: SparseStereoParams,
+    sizes: SparseStereoSizes,
+    *,
+    key: PRNGKeyArray,
+) -> SparseStereo:
+    """The thesis' multi-view stereo: points, diffused, and optimised to explain the photographs.
+
+    The points are diffused, the smoothness is optimised alone, the map is sampled at edges of the
+    image, and with these points added all parameters are optimised in turns. Runs on the host, in
+    compiled pieces.
+
+    Args:
+        photographs: two or more, with sparse points.
+        reference: see `reference_of`.
+        params: see `SparseStereoParams`.
+        sizes: static sizes.
+        key: draws the edge pixels at which points are added.
+
+    Returns:
+        Depth and model. Not differentiable: each iteration is a step along the gradient of
+        `PosedReprojection`, which is, in points, poses and images too.
+
+    Raises:
+        ValueError: there are no points, or none that the photograph shows.
+
+    Source: Thesis 7.2.2; the point splats are narrower, see `ModelParams.narrow`, and on the
+        photograph's own raster.
+    """
+    seen = seen_points(photographs, reference)
+    if not bool(jnp.any(seen.valid)):
+        raise ValueError("`photographs` have no sparse point that the reference shows.")
+    image = photographs.images[reference.index]
+    model = _model_of(seen, image)
+    goal = posed_reprojection(photographs, reference, model, params, sizes.model)
+    render = eqx.filter_jit(render_model)
+    first = render(model, goal.params, sizes.model).disparity
+    rates = jnp.zeros((sizes.smoothing, 4)).at[:, 0].set(params.rates.rate[0])
+    routine = Routine(rates, jnp.zeros(sizes.smoothing, bool))
+    smooth, _ = optimise(begin(model, first, key=key), routine, goal)
+    between = render(smooth.best, goal.params, sizes.model, start=smooth.disparity).disparity
+    count = sizes.extra * int(jnp.sum(seen.valid))
+    model = _with_edges(smooth.best, image, between, count=count, key=key)
+    goal = eqx.tree_at(lambda g: g.trust, goal, unlimited(model))
+    routine = one_at_a_time(params.rates, iterations=sizes.iterations, passes=sizes.passes)
+    final, history = optimise(begin(model, between, key=key), routine, goal)
+    disparity = render(final.best, goal.params, sizes.model, start=final.disparity).disparity
+    least = 1e-6 * jnp.max(jnp.abs(reference.disparity_range)).astype(disparity.dtype)
+    depth = reference.scale(photographs) / jnp.maximum(disparity, least)
+    return SparseStereo(depth, disparity, first, final.best, history.loss)
+
+
+def posed_reprojection(
+    photographs: Photographs,
+    reference: Reference,
+    model: DepthModel,
+    params: SparseStereoParams,
+    sizes: ModelSizes,
+) -> PosedReprojection:
+    """The objective of a model of a photograph.
+
+    Args:
+        photographs: two or more.
+        reference: see `reference_of`.
+        model: at the start; only smoothness and weights are limited.
+        params: see `SparseStereoParams`.
+        sizes: of the rendering.
+
+    Returns:
+        The objective. Differentiable in images, poses and intrinsics.
+    """
+    count = photographs.images.shape[0]
+    order = (jnp.arange(count, dtype=jnp.int32) + reference.index) % count
+    scale = reference.scale(photographs)
+    places = projections(photographs.poses[order], photographs.intrinsics[order], 0, scale)
+    rendering = params.rendering
+    rendering = ModelParams.narrow(sizes.splat.scale) if rendering is None else rendering
+    images = jnp.moveaxis(photographs.images[order], -1, 1)
+    return PosedReprojection(images, places, unlimited(model), rendering, params.weights, sizes)
+
+
+def _model_of(seen: SeenPoints, image: Float[Array, "y x c"]) -> DepthModel:
+    """Points of weight 1; rough where the image is."""
+    one, flat = jnp.ones_like(seen.disparity), jnp.zeros_like(image[..., 0])
+    model = DepthModel(seen.disparity, seen.xy, 0 * one, flat, seen.valid)
+    return start_from_image(Start(model, one, flat), image).model
+
+
+def _with_edges(
+    model: DepthModel,
+    image: Float[Array, "y x c"],
+    disparity: Float[Array, "y x"],
+    *,
+    count: int,
+    key: PRNGKeyArray,
+) -> DepthModel:
+    """The model with points that say what the map says at random edge pixels of the image."""
+    edge = _edges(image).reshape(-1)
+    lot, place = lax.top_k(jnp.where(edge, jax.random.uniform(key, edge.shape), -1), count)
+    label, width = disparity.reshape(-1)[place], image.shape[1]
+    xy = jnp.stack([place % width, place // width], axis=1).astype(label.dtype)
+    return DepthModel(
+        jnp.concatenate([model.disparity, label]),
+        jnp.concatenate([model.xy, xy]),
+        jnp.concatenate([model.log_weight, jnp.zeros_like(label)]),
+        model.roughness,
+        jnp.concatenate([model.valid, lot >= 0]),
+    )
+
+
+def _edges(image: Float[Array, "y x c"]) -> Bool[Array, "y x"]:
+    """Pixels at which the slope of the grey image is largest along its direction."""
+    gray = jnp.pad(srgb_to_gray(image), 1, mode="edge")
+    across, down = gray[1:-1, 2:] - gray[1:-1, :-2], gray[2:, 1:-1] - gray[:-2, 1:-1]
+    slope = across**2 + down**2
+    sides = jnp.pad(slope, 1)
+    row = (slope > sides[1:-1, :-2]) & (slope >= sides[1:-1, 2:])
+    column = (slope > sides[:-2, 1:-1]) & (slope >= sides[2:, 1:-1])
+    crest = jnp.where(jnp.abs(across) > jnp.abs(down), row, column)
+    return crest & (slope > _FAINT**2 * jnp.max(slope))

@@ -1,0 +1,127 @@
+"""The thesis' multi-view stereo: points that are projected, diffused and optimised."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from helpers import check_gradient
+from posed.walls import MATRIX, POSES, places, wall
+
+from mvedge_jax.model import DepthModel, ModelSizes
+from mvedge_jax.posed import Photographs, projections, reference_of
+from mvedge_jax.posed.scores import depth_errors
+from mvedge_jax.posed.sparse import (
+    SparseStereoParams,
+    SparseStereoSizes,
+    posed_loss,
+    posed_reprojection,
+    seen_points,
+    sparse_stereo,
+)
+
+IMAGES, DEPTHS = wall(POSES)
+RANGE = (1.2, 3.5)
+INDEX = 1
+# Points of the wall, seen from photograph 1, and two that it cannot see.
+PIXELS = np.random.default_rng(0).permutation(DEPTHS[INDEX].size)[:40]
+POINTS = np.concatenate(
+    [places(POSES[INDEX], DEPTHS[INDEX]).reshape(-1, 3)[PIXELS], [[0, 0, -3.0], [9.0, 0, 2.0]]]
+)
+
+
+def photographs(points=POINTS, poses=POSES):
+    return Photographs(jnp.asarray(IMAGES), poses, MATRIX, points=points)
+
+
+WANTED = reference_of(photographs(), INDEX, depth_range=RANGE)
+
+
+def model_of(view):
+    seen = seen_points(view, WANTED)
+    flat = jnp.zeros(IMAGES.shape[1:3])
+    return DepthModel(seen.disparity, seen.xy, 0 * seen.disparity, flat, seen.valid)
+
+
+def test_points_are_where_the_photograph_shows_them():
+    seen = seen_points(photographs(), WANTED)
+    rows, columns = np.divmod(PIXELS, IMAGES.shape[2])
+    np.testing.assert_allclose(seen.xy[:-2], np.stack([columns, rows], 1), atol=1e-9)
+    scale = float(WANTED.scale(photographs()))
+    np.testing.assert_allclose(seen.disparity[:-2], scale / DEPTHS[INDEX].ravel()[PIXELS])
+    assert np.asarray(seen.valid).tolist() == [True] * 40 + [False] * 2
+
+
+def test_only_points_that_the_photograph_saw():
+    observed = np.ones((4, 42), bool)
+    observed[INDEX, :10] = False
+    view = Photographs(jnp.asarray(IMAGES), POSES, MATRIX, points=POINTS, observed=observed)
+    assert int(seen_points(view, WANTED).valid.sum()) == 30
+
+
+def test_the_truth_explains_the_photographs_best():
+    view, wanted = photographs(), WANTED
+    scale = wanted.scale(view)
+    order = np.roll(np.arange(4), -INDEX)
+    where = projections(view.poses[order], view.intrinsics[order], 0, scale)
+    images = jnp.moveaxis(view.images[order], -1, 1)
+    truth = scale / jnp.asarray(DEPTHS[INDEX])
+    weights = SparseStereoParams().weights
+    loss = jax.jit(lambda d: posed_loss(truth + d, images, where, weights))
+    losses = [float(loss(d)) for d in (-0.2, -0.1, -0.05, 0.0, 0.05, 0.1, 0.2)]
+    assert losses == sorted(losses[:4], reverse=True) + sorted(losses[4:])
+
+
+def test_gradients_of_what_is_seen_with_respect_to_points_and_poses():
+    def sum_of_squares(tree):
+        seen = seen_points(photographs(*tree), WANTED)
+        return jnp.sum(seen.xy**2) + jnp.sum(seen.disparity**2)
+
+    tree = (jnp.asarray(POINTS), jnp.asarray(POSES))
+    check_gradient(sum_of_squares, tree, rtol=1e-6, key=jax.random.key(0))
+
+
+@pytest.mark.slow
+def test_gradients_of_the_loss_with_respect_to_points_and_poses():
+    """Of the rendered points, at the selections made: each by itself, as poses weigh more."""
+
+    def loss(points, poses):
+        view = photographs(points, poses)
+        model, sizes = model_of(view), ModelSizes.on_raster(1)
+        goal = posed_reprojection(view, WANTED, model, SparseStereoParams(), sizes)
+        return goal(model, jnp.full(IMAGES.shape[1:3], 2.0))[0]
+
+    points, poses = jnp.asarray(POINTS), jnp.asarray(POSES)
+    settings = {"rtol": 1e-3, "step": 1e-7, "key": jax.random.key(0)}
+    check_gradient(lambda p: loss(p, poses), points, **settings)
+    check_gradient(lambda p: loss(points, p), poses, **settings)
+
+
+@pytest.mark.slow
+def test_optimising_makes_the_diffused_points_better():
+    noise = np.random.default_rng(1).normal(scale=0.04, size=(len(POINTS), 1))
+    view, wanted = (
+        photographs(POSES[INDEX, :3, 3] + (1 + noise) * (POINTS - POSES[INDEX, :3, 3])),
+        WANTED,
+    )
+    sizes = SparseStereoSizes(smoothing=10, iterations=10, passes=3)
+    found = sparse_stereo(view, wanted, SparseStereoParams(), sizes, key=jax.random.key(0))
+    truth = jnp.asarray(DEPTHS[INDEX])
+    before = depth_errors(wanted.scale(view) / found.diffused, truth)
+    after = depth_errors(found.depth, truth)
+    assert float(after.mse) < 0.5 * float(before.mse)
+    assert float(found.loss[-1]) < float(found.loss[0])
+    # Three more per point, all at edges within the frame.
+    assert int(found.model.valid.sum()) == 4 * 40
+
+
+def test_errors_say_what_is_missing():
+    none = Photographs(jnp.asarray(IMAGES), POSES, MATRIX)
+    with pytest.raises(ValueError, match="have no sparse points"):
+        seen_points(none, WANTED)
+    behind = photographs(np.asarray([[0, 0, -3.0], [0, 0.1, -3.0]]))
+    with pytest.raises(ValueError, match="no sparse point that the reference shows"):
+        sparse_stereo(
+            behind, WANTED, SparseStereoParams(), SparseStereoSizes(), key=jax.random.key(0)
+        )
+    with pytest.raises(ValueError, match="`iterations` must be at least 1, got 0"):
+        SparseStereoSizes(iterations=0)
