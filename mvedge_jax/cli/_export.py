@@ -73,12 +73,13 @@ def _dense(folder: Path, found: Gathered) -> dict[str, int]:
         keep = np.isfinite(depth) & (depth > 0)
         colours = np.round(255 * np.asarray(views.images[index])).astype(np.uint8)
         stem = "_".join(Path(views.names[index]).with_suffix("").parts)
+        error = found.error.get(index)
         write_ply(
             folder / f"{stem}.ply",
             np.asarray(surface.points)[keep],
             colours=colours[keep],
             normals=np.asarray(surface.normals)[keep],
-            error=found.error[index][keep],
+            error=None if error is None else error[keep],
         )
         counts[stem] = int(keep.sum())
     return counts

@@ -25,7 +25,7 @@ class Gathered(NamedTuple):
     Attributes:
         photographs: with their cameras; sparse points where they are known.
         depth: in the unit of the poses.
-        error: standard errors of the depths.
+        error: standard errors of the depths, of those that have one.
         point_error: standard errors of the sparse points along their lines of sight, if known.
     """
 
@@ -220,5 +220,6 @@ def _of_stereo(path: Path, report: dict[str, Any]) -> Gathered:
         index = photographs.index(name)
         stem = "_".join(Path(photographs.names[index]).with_suffix("").parts)
         depth[index] = _map(path / f"{stem}_depth.pfm", shape).astype(np.float64)
-        error[index] = _map(path / f"{stem}_error.pfm", shape).astype(np.float64)
+        if report.get("method") != "points":
+            error[index] = _map(path / f"{stem}_error.pfm", shape).astype(np.float64)
     return Gathered(photographs, depth, error)

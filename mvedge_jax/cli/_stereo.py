@@ -2,7 +2,7 @@
 
 import time
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import jax
 import numpy as np
@@ -11,15 +11,17 @@ import tyro
 from mvedge_jax import plotting
 from mvedge_jax.datasets import write_pfm
 from mvedge_jax.datasets.photographs import load_photographs, open_photographs
+from mvedge_jax.model.optimisation import Progress
 from mvedge_jax.posed import (
     Photographs,
+    Reference,
     StereoParams,
-    StereoResult,
     StereoSizes,
     reference_of,
     stereo as estimate,
 )
 from mvedge_jax.posed.scores import depth_errors
+from mvedge_jax.posed.sparse import SparseStereoParams, SparseStereoSizes, sparse_stereo
 
 from ._common import note, stage, warn
 from ._output import output_folder, write_json
@@ -31,6 +33,7 @@ def stereo(
     /,
     *,
     reference: str = "all",
+    method: Literal["dense", "points"] = "dense",
     views: int = 9,
     images: Path | None = None,
     intrinsics: tuple[float, float, float, float] | None = None,
@@ -49,6 +52,9 @@ def stereo(
         model: folder or file with the cameras.
         out: folder to make.
         reference: name of the photograph whose depth is wanted, or all.
+        method: measure every pixel, or diffuse the sparse points and optimise them until the
+            photographs explain each other, as the dissertation does: minutes instead of seconds,
+            no standard error.
         views: measure in at most so many photographs, the reference included: those that share most
             points with it, or whose cameras are nearest.
         images: folder of the photographs, where it is not where MODEL says.
@@ -76,11 +82,12 @@ def stereo(
                         around=name,
                         most=views,
                         scale=scale,
-                        points=range is None,
+                        points=range is None or method == "points",
                     )
-            rows[name] = _one(folder, loaded, name, range)
+            rows[name] = _METHODS[method](folder, loaded, name, range)
         report = {
             "model": str(model.resolve()),
+            "method": method,
             "layout": source.layout,
             "scale": scale,
             "images": None if images is None else str(images.resolve()),
@@ -91,10 +98,10 @@ def stereo(
     note(f"depth of {len(rows)} photographs; written to {out}")
 
 
-def _one(
+def _dense(
     folder: Path, photographs: Photographs, name: str, limits: tuple[float, float] | None
 ) -> dict[str, Any]:
-    """Depth of a photograph: files, a line for the user, and what the report says."""
+    """Depth and its error by measurement: files, a line for the user, and what the report says."""
     chosen = reference_of(photographs, name, depth_range=limits)
     sizes = StereoSizes.of(chosen)
     start = time.perf_counter()
@@ -103,27 +110,83 @@ def _one(
             estimate(photographs.without_truth(), chosen, StereoParams(), sizes)
         )
     seconds = time.perf_counter() - start
-    index = photographs.index(name)
-    stem = Path(photographs.names[index]).with_suffix("")
-    _write(folder, "_".join(stem.parts), result)
-    depth, error = np.asarray(result.depth), np.asarray(result.error)
-    row: dict[str, Any] = {
+    stem = _stem(photographs, name)
+    write_pfm(folder / f"{stem}_error.pfm", np.asarray(result.error))
+    doubt = np.asarray(result.disparity_error)
+    figure = plotting.plot_error(doubt, np.zeros_like(doubt), name="standard error")
+    figure.savefig(folder / f"{stem}_error.png")
+    row = _written(folder, photographs, chosen, result.depth, result.disparity)
+    row |= {
         "seconds, compilation included": round(seconds, 3),
-        "baseline": float(chosen.baseline),
-        "disparity range": np.asarray(chosen.disparity_range).tolist(),
-        "depth, 5, 50 and 95 %": np.quantile(depth, (0.05, 0.5, 0.95)).tolist(),
-        "standard error, median": float(np.median(error)),
+        "standard error, median": float(np.median(np.asarray(result.error))),
         "noise of 255": 255 * float(result.stats.noise.deviation),
         "gains": dict(zip(photographs.names, np.asarray(result.stats.gain).tolist(), strict=True)),
-        "measured in": list(photographs.names),
-        "points": 0 if photographs.points is None else int(photographs.points.shape[0]),
         "hypotheses": sizes.hypotheses,
         "warnings": list(result.problems()),
     }
-    for doubt in row["warnings"]:
-        warn(f"{name}: {doubt}")
+    for problem in row["warnings"]:
+        warn(f"{name}: {problem}")
+    return row
+
+
+def _points(
+    folder: Path, photographs: Photographs, name: str, limits: tuple[float, float] | None
+) -> dict[str, Any]:
+    """Depth by the method of the thesis, of its sparse points."""
+    chosen = reference_of(photographs, name, depth_range=limits)
+    start = time.perf_counter()
+    with stage(f"optimising the points of {name}"):
+        result = sparse_stereo(
+            photographs.without_truth(),
+            chosen,
+            SparseStereoParams(),
+            SparseStereoSizes(),
+            key=jax.random.key(0),
+            progress=_tell,
+        )
+    seconds = time.perf_counter() - start
+    loss = np.asarray(result.loss)
+    return _written(folder, photographs, chosen, result.depth, result.disparity) | {
+        "seconds, compilation included": round(seconds, 3),
+        "loss, before and after": [float(loss[0]), float(loss.min())] if loss.size else [],
+        "points of the model": int(np.asarray(result.model.valid).sum()),
+    }
+
+
+_METHODS = {"dense": _dense, "points": _points}
+
+
+def _tell(now: Progress) -> None:
+    note(f"  {now.iteration}/{now.iterations} loss {now.loss:.6f}")
+
+
+def _stem(photographs: Photographs, name: str) -> str:
+    path = Path(photographs.names[photographs.index(name)])
+    return "_".join(path.with_suffix("").parts)
+
+
+def _written(
+    folder: Path,
+    photographs: Photographs,
+    chosen: Reference,
+    depth: jax.Array,
+    disparity: jax.Array,
+) -> dict[str, Any]:
+    """Writes a map of depth; what the report says of it, by either method."""
+    index = int(chosen.index)
+    name = photographs.names[index]
+    stem = _stem(photographs, name)
+    write_pfm(folder / f"{stem}_depth.pfm", np.asarray(depth))
+    plotting.plot_disparity(np.asarray(disparity)).savefig(folder / f"{stem}_depth.png")
+    row: dict[str, Any] = {
+        "baseline": float(chosen.baseline),
+        "disparity range": np.asarray(chosen.disparity_range).tolist(),
+        "depth, 5, 50 and 95 %": np.quantile(np.asarray(depth), (0.05, 0.5, 0.95)).tolist(),
+        "measured in": list(photographs.names),
+        "points": 0 if photographs.points is None else int(photographs.points.shape[0]),
+    }
     if photographs.depth is not None and bool((photographs.depth[index] > 0).any()):
-        scores = depth_errors(result.depth, photographs.depth[index])
+        scores = depth_errors(depth, photographs.depth[index])
         row["scores"] = {
             "median relative error %": float(scores.median),
             "above 2 %": float(scores.above),
@@ -132,12 +195,3 @@ def _one(
         }
         note(f"{name}: " + "  ".join(f"{key} {value:.4g}" for key, value in row["scores"].items()))
     return row
-
-
-def _write(folder: Path, stem: str, result: StereoResult) -> None:
-    write_pfm(folder / f"{stem}_depth.pfm", np.asarray(result.depth))
-    write_pfm(folder / f"{stem}_error.pfm", np.asarray(result.error))
-    plotting.plot_disparity(np.asarray(result.disparity)).savefig(folder / f"{stem}_depth.png")
-    error = np.asarray(result.disparity_error)
-    figure = plotting.plot_error(error, np.zeros_like(error), name="standard error")
-    figure.savefig(folder / f"{stem}_error.png")

@@ -1,6 +1,7 @@
-"""Depth from a few posed photographs (Thesis 7.2.2), by the light field's own measurement.
+"""Depth from a few posed photographs, by the light field's own measurement.
 
-Rooms: `cloud` (surfaces as points), `scores` (errors in depth).
+Rooms: `sparse` (the thesis' own method: points, diffused and optimised), `cloud` (surfaces as
+points), `scores` (errors in depth).
 """
 
 from ._parameters import (

@@ -1,5 +1,6 @@
 """Depth of a photograph from sparse points, diffused and optimised as in the thesis (7.2.2)."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -23,7 +24,7 @@ from mvedge_jax.model import (
     start_from_image,
 )
 from mvedge_jax.model.objectives import Trust, unlimited
-from mvedge_jax.model.optimisation import Rates, Routine, begin, one_at_a_time, optimise
+from mvedge_jax.model.optimisation import Progress, Rates, Routine, begin, one_at_a_time, optimise
 from mvedge_jax.photometry.photographs import Projection
 
 from ._parameters import Reference
@@ -230,6 +231,7 @@ def sparse_stereo(
     sizes: SparseStereoSizes,
     *,
     key: PRNGKeyArray,
+    progress: Callable[[Progress], None] | None = None,
 ) -> SparseStereo:
     """The thesis' multi-view stereo: points, diffused, and optimised to explain the photographs.
 
@@ -243,6 +245,7 @@ def sparse_stereo(
         params: see `SparseStereoParams`.
         sizes: static sizes.
         key: draws the edge pixels at which points are added.
+        progress: called now and then with how far the optimisation in turns is.
 
     Returns:
         Depth and model. Not differentiable: each iteration is a step along the gradient of
@@ -270,7 +273,7 @@ def sparse_stereo(
     model = _with_edges(smooth.best, image, between, count=count, key=key)
     goal = eqx.tree_at(lambda g: g.trust, goal, unlimited(model))
     routine = one_at_a_time(params.rates, iterations=sizes.iterations, passes=sizes.passes)
-    final, history = optimise(begin(model, between, key=key), routine, goal)
+    final, history = optimise(begin(model, between, key=key), routine, goal, progress=progress)
     disparity = render(final.best, goal.params, sizes.model, start=final.disparity).disparity
     least = 1e-6 * jnp.max(jnp.abs(reference.disparity_range)).astype(disparity.dtype)
     depth = reference.scale(photographs) / jnp.maximum(disparity, least)

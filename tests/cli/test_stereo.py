@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 from datasets.layouts import write_hci
-from posed.walls import MATRIX, POSES, wall
+from posed.walls import MATRIX, POSES, places, wall
 
 from mvedge_jax.cli import _main
 from mvedge_jax.datasets import read_pfm, synthetic, write_hci as write_scene, write_pfm
@@ -14,6 +14,7 @@ from mvedge_jax.datasets.photographs import load_photographs
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.posed import Photographs
 from mvedge_jax.posed.cloud import photographs_of
+from mvedge_jax.posed.sparse import SparseStereoSizes
 
 IMAGES, DEPTHS = wall(POSES)
 
@@ -46,6 +47,32 @@ def test_stereo_and_its_export(model, tmp_path):
     again = load_photographs(tmp_path / "nerf")
     assert again.depth is not None
     np.testing.assert_allclose(again.depth[1], depth, atol=1e-4)
+
+
+@pytest.mark.slow
+def test_points_are_optimised_and_exported_without_errors(model, tmp_path, monkeypatch):
+    few = SparseStereoSizes(smoothing=2, iterations=2, passes=1)
+    monkeypatch.setattr("mvedge_jax.cli._stereo.SparseStereoSizes", lambda: few)
+    pixels = np.random.default_rng(0).permutation(DEPTHS[1].size)[:40]
+    points = places(POSES[1], DEPTHS[1]).reshape(-1, 3)[pixels]
+    names = tuple(f"{i}.png" for i in range(4))
+    seen = np.ones((4, len(points)), bool)
+    known = Photographs(
+        IMAGES.astype(np.float32), POSES, MATRIX, names=names, points=points, observed=seen
+    )
+    write_colmap(tmp_path / "model", known)
+    out = tmp_path / "depth"
+    words = ["stereo", str(tmp_path / "model"), str(out), "--method", "points", "--reference", "1"]
+    assert _main.main(words) == 0
+    depth = read_pfm(out / "1_depth.pfm")
+    assert np.median(np.abs(depth / DEPTHS[1] - 1)) < 0.05
+    assert sorted(p.name for p in out.iterdir() if "error" in p.name) == []
+    report = json.loads((out / "report.json").read_text())
+    assert report["method"] == "points"
+    before, after = report["photographs"]["1"]["loss, before and after"]
+    assert after <= before
+    assert _main.main(["export", str(out), str(tmp_path / "cloud"), "--to", "ply"]) == 0
+    assert read_ply(tmp_path / "cloud" / "1.ply").shape == (depth.size, 3)
 
 
 def test_mistakes_are_said(model, tmp_path, capsys):

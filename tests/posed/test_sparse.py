@@ -108,7 +108,8 @@ def test_optimising_makes_the_diffused_points_better():
     truth = jnp.asarray(DEPTHS[INDEX])
     before = depth_errors(wanted.scale(view) / found.diffused, truth)
     after = depth_errors(found.depth, truth)
-    assert float(after.mse) < 0.5 * float(before.mse)
+    assert float(after.median) < 0.6 * float(before.median)
+    assert float(after.mse) < 0.7 * float(before.mse)
     assert float(found.loss[-1]) < float(found.loss[0])
     # Three more per point, all at edges within the frame.
     assert int(found.model.valid.sum()) == 4 * 40
