@@ -11,8 +11,9 @@ import pytest
 
 from mvedge_jax import LightField, Parameters, Sizes, edge_to_depth
 from mvedge_jax.angular import ViewParams, ViewSizes, depth_of_views
-from mvedge_jax.model import ModelSizes, all_at_once, optimize_edges, start_from_depth
+from mvedge_jax.model import ModelSizes, optimize_edges, start_from_depth
 from mvedge_jax.model.approaches import ByEvidence
+from mvedge_jax.model.optimisation import all_at_once
 from mvedge_jax.superpixels import (
     SuperpixelParams,
     SuperpixelSizes,
