@@ -29,7 +29,7 @@ class CheckedJit:
 
     Outside of JAX's transforms, a call that compiles for more than two seconds says so: two
     warnings of the logger `mvedge_jax`, which Python shows unless it is told otherwise. What memory
-    the compiler leaves behind is given back.
+    the compiler leaves behind is given back before the program runs.
 
     Attributes:
         check: takes the arguments and returns them, positional and named, with Python numbers among
@@ -47,13 +47,21 @@ class CheckedJit:
 
         self.check, self.traces = check, 0
         self.compiled: Any = eqx.filter_jit(traced)
+        self._known: set[Any] = set()
         functools.update_wrapper(self, function)
 
     def __call__(self, *arguments: Any, **options: Any) -> Any:
         arguments, options = self.check(*arguments, **options)
-        if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves((arguments, options))):
+        leaves, structure = jax.tree.flatten((arguments, options))
+        if any(isinstance(leaf, Tracer) for leaf in leaves):
             return self.compiled(*arguments, **options)
+        kinds = tuple(jax.typeof(x) if hasattr(x, "dtype") else x for x in leaves)
         with self._announced():
+            # JAX keeps what is compiled ahead; if it was told to forget, the call compiles.
+            if (structure, kinds) not in self._known:
+                self.compiled.lower(*arguments, **options).compile()
+                self._known.add((structure, kinds))
+                release_memory()
             return self.compiled(*arguments, **options)
 
     @contextlib.contextmanager

@@ -42,6 +42,23 @@ def test_a_python_number_compiles_once():
     assert _product.traces == before + 1
 
 
+def test_memory_of_the_compiler_is_given_back_before_the_program_runs(monkeypatch):
+    order = []
+    monkeypatch.setattr(_checks, "release_memory", lambda: order.append("released"))
+
+    @checked_jit(_look)
+    def watched(params: _Outer, scale: Array) -> Array:
+        jax.debug.callback(lambda: order.append("ran"), ordered=True)
+        return params.inner.sigma * scale
+
+    for value in (1.0, 2.0):
+        jax.block_until_ready(watched(_Outer(), jnp.asarray(value)))
+    jax.effects_barrier()
+    assert order[0] == "released"
+    assert order.count("ran") == 2
+    assert watched.traces == 1
+
+
 def test_a_call_that_compiles_for_long_says_so_once(monkeypatch, caplog):
     monkeypatch.setattr(_checks, "_PATIENCE", 0.05)
 
