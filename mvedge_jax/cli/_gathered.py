@@ -132,7 +132,8 @@ def _map(path: Path, shape: tuple[int, ...]) -> Float[np.ndarray, "y x"]:
 def _points(path: Path, views: int) -> list[np.ndarray]:
     """Place, disparity, its standard error, and which view of the crosshair shows a point."""
     try:
-        with np.load(path) as stored:
+        # Given a name, NumPy leaves what is no archive open.
+        with open(path, "rb") as raw, np.load(raw) as stored:
             columns = [np.asarray(stored[n]) for n in ("xy", "disparity", "error", "visible")]
         count = len(columns[1])
         wanted = [(count, 2), (count,), (count,), (count, views)]

@@ -1,6 +1,7 @@
 """`mvedge view`: a light field and what was computed from it, in a browser."""
 
 import webbrowser
+import zipfile
 from pathlib import Path
 from typing import Annotated
 
@@ -126,8 +127,9 @@ def _results(
 def _labels(folder: Path, light_field: LightField) -> np.ndarray:
     path = folder / _LABELS
     try:
-        labels = np.load(path)
-    except (ValueError, EOFError) as reason:
+        with open(path, "rb") as raw:
+            labels = np.load(raw)
+    except (ValueError, EOFError, zipfile.BadZipFile) as reason:
         raise ValueError(f"{path} could not be read: {reason}.") from None
     if not isinstance(labels, np.ndarray):
         raise ValueError(f"{path} must hold one array, got an archive.")

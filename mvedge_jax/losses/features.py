@@ -144,7 +144,8 @@ def load_vgg16(path: str | Path) -> Vgg16:
     arrays = []
     if not zipfile.is_zipfile(path):
         raise ValueError(f"{path} is not an .npz file; expected one with {', '.join(shapes)}.")
-    with np.load(path, allow_pickle=False) as file:
+    # Given a name, NumPy leaves what is no archive open.
+    with open(path, "rb") as raw, np.load(raw, allow_pickle=False) as file:
         for name, shape in shapes.items():
             if name not in file:
                 raise ValueError(f"{path} has no array {name!r}; it has {sorted(file)[:8]}.")

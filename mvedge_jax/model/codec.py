@@ -89,7 +89,8 @@ class Encoding(eqx.Module):
         if not path.is_file():
             raise FileNotFoundError(f"There is no encoding at {path}.")
         names = {"gap", "high_bytes", "low_bytes", "cut", "shape", "range"}
-        with np.load(path, allow_pickle=False) as file:
+        # Given a name, NumPy leaves what is no archive open.
+        with open(path, "rb") as raw, np.load(raw, allow_pickle=False) as file:
             if set(file) != names:
                 raise ValueError(f"{path} has the arrays {sorted(file)}, expected {sorted(names)}.")
             index = np.cumsum(file["gap"].astype(np.int64)).astype(np.int32)

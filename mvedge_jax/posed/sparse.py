@@ -230,8 +230,8 @@ def sparse_stereo(
     params: SparseStereoParams,
     sizes: SparseStereoSizes,
     *,
-    key: PRNGKeyArray,
     progress: Callable[[Progress], None] | None = None,
+    key: PRNGKeyArray,
 ) -> SparseStereo:
     """The thesis' multi-view stereo: points, diffused, and optimised to explain the photographs.
 
@@ -244,8 +244,8 @@ def sparse_stereo(
         reference: see `reference_of`.
         params: see `SparseStereoParams`.
         sizes: static sizes.
-        key: draws the edge pixels at which points are added.
         progress: called now and then with how far the optimisation in turns is.
+        key: draws the edge pixels at which points are added.
 
     Returns:
         Depth and model. Not differentiable: each iteration is a step along the gradient of

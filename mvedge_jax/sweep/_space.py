@@ -74,10 +74,12 @@ class Space:
                 raise ValueError(f"{name!r} is not a choice of `Sizes`; they are {sizes}.")
             if not values:
                 raise ValueError(f"choice {name!r} must have at least one value, got none.")
-            named = get_args(get_type_hints(Sizes)[name])
+            kind = get_type_hints(Sizes)[name]
             for value in values:
-                if named and value not in named:
-                    raise ValueError(f"choice {name!r} must be of {named}, got {value!r}.")
+                if get_args(kind) and value not in get_args(kind):
+                    raise ValueError(f"choice {name!r} must be of {get_args(kind)}, got {value!r}.")
+                if kind is int and not isinstance(value, int):
+                    raise ValueError(f"choice {name!r} must be a whole number, got {value!r}.")
                 least = Sizes(EdgeSizes(0, 3, 1), hypotheses=2, radius=1)
                 dataclasses.replace(least, **{name: value})  # raises where it is out of range
 

@@ -98,7 +98,8 @@ def read_result(folder: Path, *, name: str | None = None) -> Result:
 
 def _with_points(result: Result, path: Path) -> Result:
     try:
-        with np.load(path) as stored:
+        # Given a name, NumPy leaves what is no archive open.
+        with open(path, "rb") as raw, np.load(raw) as stored:
             columns = {key: np.asarray(stored[key], np.float32) for key in stored.files}
         xy, disparity = columns["xy"], columns["disparity"]
         error = columns.get("error", np.full_like(disparity, np.nan))
