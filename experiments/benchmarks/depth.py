@@ -3,9 +3,8 @@
     python experiments/benchmarks/depth.py --scene SCENE --out results/benchmark_depth
 
 Each stage is compiled and timed alone, on the inputs that the chain gives it; "all stages" is the
-one program that `edge_to_depth` is, so the sum differs from it by what XLA fuses. As `mvedge depth`
-does, it is compiled first and the compiler's memory given back before it runs: called directly, the
-first call peaks about 0.6 GiB higher. "first" is the sum of compilation and first run.
+one program that `edge_to_depth` is, so the sum differs from it by what XLA fuses. It is compiled
+first and the compiler's memory given back before it runs. "first" is the sum of both.
 """
 
 import argparse
