@@ -9,6 +9,7 @@ from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
 from mvedge_jax._fence import recomputed, staged
+from mvedge_jax._root import root
 from mvedge_jax.centre import edge_smoothness
 from mvedge_jax.diffusion import Jacobi, System, diffuse
 from mvedge_jax.image import highest
@@ -133,7 +134,7 @@ def _measured_in(
     new = drawing.hole | (samples.disparity[first.sample] - known > STEP)
     # Steps make errors wide, which is no doubt about either surface; that nothing was measured is.
     doubt = samples.error[drawing.sample]
-    doubt = jnp.minimum(doubt, jnp.maximum(jnp.std(known), jnp.min(doubt)))
+    doubt = jnp.minimum(doubt, jnp.maximum(root(jnp.var(known)), jnp.min(doubt)))
 
     guess = _guess(reference, known, new, params, sizes)
 

@@ -9,6 +9,7 @@ from jaxtyping import Array, Float, Int, Int8
 
 from mvedge_jax._fence import recomputed
 from mvedge_jax._params import cast
+from mvedge_jax._root import root
 from mvedge_jax.centre import DepthResult
 from mvedge_jax.lightfield import LightField
 
@@ -84,7 +85,7 @@ def depth_of_views(
         )
     light_field, params = light_field.without_truth(), cast(params, light_field.views.dtype)
     # Where nothing is known, infinities would make derivatives that are no numbers.
-    error = jnp.where(jnp.isfinite(result.error), result.error, jnp.std(result.disparity))
+    error = jnp.where(jnp.isfinite(result.error), result.error, root(jnp.var(result.disparity)))
     samples = samples_of(result.disparity, error, capacity=sizes.capacity)
     exposure = result.stats.exposure.everywhere(light_field, result.disparity)
     samples, count = uncovered(samples, light_field, exposure, result.stats.noise, params, sizes)
