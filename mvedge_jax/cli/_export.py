@@ -14,6 +14,7 @@ from mvedge_jax.posed.cloud import surface_of
 from ._common import note, stage
 from ._gathered import Gathered, gather
 from ._output import output_folder, write_json
+from ._paths import stem_of
 
 
 def export(
@@ -72,7 +73,7 @@ def _dense(folder: Path, found: Gathered) -> dict[str, int]:
         surface = surface_of(jnp.asarray(depth, pose.dtype), pose, matrix)
         keep = np.isfinite(depth) & (depth > 0)
         colours = np.round(255 * np.asarray(views.images[index])).astype(np.uint8)
-        stem = "_".join(Path(views.names[index]).with_suffix("").parts)
+        stem = stem_of(views.names[index])
         error = found.error.get(index)
         write_ply(
             folder / f"{stem}.ply",

@@ -16,6 +16,7 @@ from mvedge_jax.lightfield import Camera, LightField
 from mvedge_jax.posed import Photographs
 from mvedge_jax.posed.cloud import photographs_of
 
+from ._paths import stem_of
 from ._source import read_json, scene_of
 
 
@@ -219,7 +220,7 @@ def _of_stereo(path: Path, report: dict[str, Any]) -> Gathered:
     depth, error = {}, {}
     for name in report["photographs"]:
         index = photographs.index(name)
-        stem = "_".join(Path(photographs.names[index]).with_suffix("").parts)
+        stem = stem_of(photographs.names[index])
         depth[index] = _map(path / f"{stem}_depth.pfm", shape).astype(np.float64)
         if report.get("method") != "points":
             error[index] = _map(path / f"{stem}_error.pfm", shape).astype(np.float64)

@@ -1,4 +1,4 @@
-"""Several inputs and one output in a row of arguments."""
+"""Several inputs and one output in a row of arguments; what files of a photograph are called."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -24,3 +24,15 @@ def scenes_and_out(paths: Sequence[Path]) -> tuple[list[Path], Path]:
         if not scene.exists():
             raise FileNotFoundError(f"{scene}: there is no such file or folder.")
     return scenes, out
+
+
+def stem_of(name: str) -> str:
+    """How the files of a photograph begin, which may lie in folders of its own.
+
+    Args:
+        name: of the photograph.
+
+    Returns:
+        Its folders and its name without the ending.
+    """
+    return "_".join(Path(name).with_suffix("").parts)

@@ -25,6 +25,7 @@ from mvedge_jax.posed.sparse import SparseStereoParams, SparseStereoSizes, spars
 
 from ._common import note, stage, warn
 from ._output import output_folder, write_json
+from ._paths import stem_of
 
 
 def stereo(
@@ -110,7 +111,7 @@ def _dense(
             estimate(photographs.without_truth(), chosen, StereoParams(), sizes)
         )
     seconds = time.perf_counter() - start
-    stem = _stem(photographs, name)
+    stem = stem_of(photographs.names[int(chosen.index)])
     write_pfm(folder / f"{stem}_error.pfm", np.asarray(result.error))
     doubt = np.asarray(result.disparity_error)
     figure = plotting.plot_error(doubt, np.zeros_like(doubt), name="standard error")
@@ -160,11 +161,6 @@ def _tell(now: Progress) -> None:
     note(f"  {now.iteration}/{now.iterations} loss {now.loss:.6f}")
 
 
-def _stem(photographs: Photographs, name: str) -> str:
-    path = Path(photographs.names[photographs.index(name)])
-    return "_".join(path.with_suffix("").parts)
-
-
 def _written(
     folder: Path,
     photographs: Photographs,
@@ -175,7 +171,7 @@ def _written(
     """Writes a map of depth; what the report says of it, by either method."""
     index = int(chosen.index)
     name = photographs.names[index]
-    stem = _stem(photographs, name)
+    stem = stem_of(name)
     write_pfm(folder / f"{stem}_depth.pfm", np.asarray(depth))
     plotting.plot_disparity(np.asarray(disparity)).savefig(folder / f"{stem}_depth.png")
     row: dict[str, Any] = {
