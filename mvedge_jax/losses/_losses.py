@@ -56,6 +56,22 @@ class LossTerms(NamedTuple):
     gradient: Float[Array, ""]
     error: Float[Array, "y x"]
 
+    def weighted(self, weights: LossWeights) -> Float[Array, ""]:
+        """The loss (7.16).
+
+        Args:
+            weights: of the terms.
+
+        Returns:
+            One number. Differentiable.
+        """
+        return (
+            weights.reprojection * self.reprojection
+            + weights.smoothness * self.smoothness
+            + weights.dissimilarity * self.dissimilarity
+            - weights.gradient * self.gradient
+        )
+
 
 def occlusion_masks(
     disparity: Float[Array, "y x"], views: Views, *, binned: bool = False
@@ -116,13 +132,7 @@ def self_supervised_loss(
         dissimilarity = 1 - jnp.mean(alike)
     smoothness = jnp.mean(edge_aware_smoothness(disparity, views.centre))
     terms = LossTerms(jnp.mean(error), smoothness, dissimilarity, reward, error)
-    total = (
-        weights.reprojection * terms.reprojection
-        + weights.smoothness * terms.smoothness
-        + weights.dissimilarity * terms.dissimilarity
-        - weights.gradient * terms.gradient
-    )
-    return total, terms
+    return terms.weighted(weights), terms
 
 
 class SupervisedWeights(eqx.Module):

@@ -13,7 +13,7 @@ from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
 from mvedge_jax._params import as_number, at_least, cast
 from mvedge_jax.color import srgb_to_gray
-from mvedge_jax.losses import LossWeights
+from mvedge_jax.losses import LossTerms, LossWeights
 from mvedge_jax.losses.terms import edge_aware_smoothness, gradient_reward, ssim
 from mvedge_jax.model import (
     DepthModel,
@@ -198,12 +198,11 @@ def posed_loss(
     total = jnp.sum(jnp.mean(jnp.abs(warped - centre[None]), axis=1), axis=0)
     count = jnp.maximum(jnp.sum(seen, axis=0).astype(disparity.dtype), 1)
     alike = jnp.mean(jax.vmap(lambda image: ssim(image, centre))(warped))
-    return (
-        weights.reprojection * jnp.mean(total / count)
-        + weights.smoothness * jnp.mean(edge_aware_smoothness(disparity, centre))
-        + weights.dissimilarity * (1 - alike)
-        - weights.gradient * jnp.mean(gradient_reward(total))
-    )
+    error = total / count
+    smoothness = jnp.mean(edge_aware_smoothness(disparity, centre))
+    reward = jnp.mean(gradient_reward(total))
+    terms = LossTerms(jnp.mean(error), smoothness, 1 - alike, reward, error)
+    return terms.weighted(weights)
 
 
 class SparseStereo(NamedTuple):
