@@ -30,7 +30,12 @@ from mvedge_jax.posed import (
     stereo,
 )
 from mvedge_jax.posed.scores import depth_errors, scale_to
-from mvedge_jax.posed.sparse import SparseStereoParams, SparseStereoSizes, sparse_stereo
+from mvedge_jax.posed.sparse import (
+    SparseStereoParams,
+    SparseStereoSizes,
+    seen_points,
+    sparse_stereo,
+)
 
 # Thesis, Table 7.1: MSE and Q25 of COLMAP, DeepMVS, and its own method with sparse and with dense
 # points, of two scenes that were not published.
@@ -69,17 +74,9 @@ def sweep(photographs: Photographs, reference: Reference) -> Maps:
 
 def pixels_of_points(photographs: Photographs, reference: Reference) -> tuple[np.ndarray, ...]:
     """Places `(x, y)` and depths of the sparse points that the reference photograph shows."""
-    index = int(reference.index)
-    pose, matrix = (np.asarray(v[index]) for v in (photographs.poses, photographs.intrinsics))
-    points = np.asarray(photographs.points)
-    if photographs.observed is not None:
-        points = points[np.asarray(photographs.observed[index])]
-    local = (points - pose[:3, 3]) @ pose[:3, :3]
-    place = local @ matrix.T
-    xy = place[:, :2] / place[:, 2:]
-    height, width = photographs.images.shape[1:3]
-    inside = (local[:, 2] > 0) & (xy >= 0).all(1) & (xy <= [width - 1, height - 1]).all(1)
-    return xy[inside], local[inside, 2]
+    seen = seen_points(photographs, reference)
+    xy, disparity = np.asarray(seen.xy)[seen.valid], np.asarray(seen.disparity)[seen.valid]
+    return xy, float(reference.scale(photographs)) / disparity
 
 
 def linear(photographs: Photographs, reference: Reference) -> Maps:
@@ -96,8 +93,9 @@ def diffusion(photographs: Photographs, reference: Reference) -> Maps:
     """Inverse depths of the points, diffused between the image's edges (7.2), not optimised."""
     xy, depth = pixels_of_points(photographs, reference)
     image = photographs.images[int(reference.index)]
-    column, row = np.round(xy).astype(int).T
     shape = image.shape[:2]
+    last = np.asarray(shape[::-1]) - 1
+    column, row = np.clip(np.round(xy).astype(int), 0, last).T
     count, total = np.zeros(shape), np.zeros(shape)
     np.add.at(count, (row, column), 1.0)
     np.add.at(total, (row, column), 1 / depth)
