@@ -16,6 +16,7 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Bool
 
+from ._compiler import lean_jit
 from ._memory import release_memory
 from ._params import as_number
 
@@ -25,7 +26,7 @@ _PATIENCE = 2.0
 
 
 class CheckedJit:
-    """An `equinox.filter_jit` function whose arguments are looked at first.
+    """A `lean_jit` function whose arguments are looked at first.
 
     Outside of JAX's transforms, a call that compiles for more than two seconds says so: two
     warnings of the logger `mvedge_jax`, which Python shows unless it is told otherwise. What memory
@@ -46,7 +47,7 @@ class CheckedJit:
             return function(*arguments, **options)
 
         self.check, self.traces = check, 0
-        self.compiled: Any = eqx.filter_jit(traced)
+        self.compiled: Any = lean_jit(traced)
         self._known: set[Any] = set()
         functools.update_wrapper(self, function)
 
@@ -88,13 +89,13 @@ class CheckedJit:
             release_memory()
 
     def lower(self, *arguments: Any, **options: Any) -> Any:
-        """See `equinox.filter_jit`."""
+        """See `lean_jit`."""
         arguments, options = self.check(*arguments, **options)
         return self.compiled.lower(*arguments, **options)
 
 
 def checked_jit(check: Callable[..., tuple[Any, ...]]) -> Callable[[Callable[..., Any]], Any]:
-    """`equinox.filter_jit` for functions that say what is wrong with their arguments."""
+    """`lean_jit` for functions that say what is wrong with their arguments."""
     return functools.partial(CheckedJit, check)
 
 

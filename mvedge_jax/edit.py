@@ -9,6 +9,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float
 
+from mvedge_jax._compiler import lean_jit
 from mvedge_jax.image import box_mean, sample
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.warping import holes
@@ -17,7 +18,7 @@ from mvedge_jax.warping import holes
 _SAME = 0.1
 
 
-@eqx.filter_jit
+@lean_jit
 def insert_picture(
     light_field: LightField,
     disparities: Float[Array, "v u y x"],
@@ -76,7 +77,7 @@ def insert_picture(
     return _edited(light_field, _each(one, light_field, disparities))
 
 
-@eqx.filter_jit
+@lean_jit
 def paint(
     light_field: LightField,
     disparities: Float[Array, "v u y x"],
@@ -127,7 +128,7 @@ def paint(
     return _edited(light_field, _each(one, light_field, disparities))
 
 
-@eqx.filter_jit
+@lean_jit
 def remove(
     light_field: LightField,
     disparities: Float[Array, "v u y x"],

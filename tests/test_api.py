@@ -153,7 +153,17 @@ def test_the_package_never_mentions_development_data():
 
 
 _FLOORS = (
-    ("_params", "_fence", "_linear_map", "_memory", "_root", "_unstack", "color", "image"),
+    (
+        "_compiler",
+        "_params",
+        "_fence",
+        "_linear_map",
+        "_memory",
+        "_root",
+        "_unstack",
+        "color",
+        "image",
+    ),
     ("_checks", "lightfield"),
     ("_crosshair",),
     ("photometry",),

@@ -10,6 +10,7 @@ first and the compiler's memory given back before it runs. "first" is the sum of
 import argparse
 import sys
 import time
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,7 @@ import jax.numpy as jnp
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from _report import peak_memory, print_table, shared_data, timed, write_json
 
+from mvedge_jax import compiler_options
 from mvedge_jax._crosshair import crosshair
 from mvedge_jax.centre import Parameters, Sizes, edge_smoothness, edge_to_depth, sharpen
 from mvedge_jax.cli._common import compiled
@@ -102,7 +104,7 @@ def _gradient(sizes: Sizes) -> Any:
         seen = eqx.tree_at(lambda f: f.views, light_field, views)
         return jnp.mean(jnp.sin(3 * edge_to_depth(seen, params, sizes).disparity))
 
-    @eqx.filter_jit
+    @partial(jax.jit, compiler_options=compiler_options())
     def value_and_gradient(params: Parameters, light_field: LightField) -> Any:
         return jax.value_and_grad(loss, (0, 1))(params, light_field.views, light_field)
 

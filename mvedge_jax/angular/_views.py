@@ -2,11 +2,11 @@
 
 from typing import NamedTuple
 
-import equinox as eqx
 import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float, Int, Int8
 
+from mvedge_jax._compiler import lean_jit
 from mvedge_jax._fence import recomputed
 from mvedge_jax._params import cast
 from mvedge_jax._root import root
@@ -37,7 +37,7 @@ class ViewDepths(NamedTuple):
     overflow: Int[Array, ""]
 
 
-@eqx.filter_jit
+@lean_jit
 def depth_of_views(
     light_field: LightField, result: DepthResult, params: ViewParams, sizes: ViewSizes
 ) -> ViewDepths:

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
+from mvedge_jax._compiler import lean_jit
 from mvedge_jax._crosshair import crosshair
 from mvedge_jax._fence import recomputed, staged
 from mvedge_jax._params import at_least, cast, number, one_of, positive
@@ -128,7 +129,7 @@ class SparseDepth(NamedTuple):
     converged: Bool[Array, ""]
 
 
-@eqx.filter_jit
+@lean_jit
 def sparse_depth(
     light_field: LightField, points: EdgePoints, params: SparseParams, sizes: SparseSizes
 ) -> SparseDepth:

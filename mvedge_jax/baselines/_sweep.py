@@ -3,10 +3,10 @@
 from dataclasses import dataclass
 from typing import NamedTuple
 
-import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from mvedge_jax._compiler import lean_jit
 from mvedge_jax._crosshair import crosshair
 from mvedge_jax._params import at_least, cast
 from mvedge_jax.color import srgb_to_lab
@@ -99,7 +99,7 @@ def plane_sweep(
     return _sweep(light_field.without_truth(), jnp.asarray(wish, dtype), params, sizes)
 
 
-@eqx.filter_jit
+@lean_jit
 def _sweep(
     light_field: LightField, limits: Array, params: VolumeParams, sizes: SweepSizes
 ) -> Sweep:

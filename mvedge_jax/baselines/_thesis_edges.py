@@ -2,11 +2,11 @@
 
 import math
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
+from mvedge_jax._compiler import lean_jit
 from mvedge_jax._params import cast
 from mvedge_jax.color import srgb_to_gray, srgb_to_lab
 from mvedge_jax.edges import EdgePoints, Edges, EdgeStats
@@ -23,7 +23,7 @@ _FEWEST_VIEWS = 3
 _CONFIDENT = 2.0
 
 
-@eqx.filter_jit
+@lean_jit
 def thesis_edges(
     light_field: LightField,
     params: ThesisParams,

@@ -6,6 +6,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float
 
+from mvedge_jax._compiler import lean_jit
 from mvedge_jax._crosshair import view_steps
 from mvedge_jax._params import cast
 from mvedge_jax.color import srgb_to_gray, srgb_to_lab
@@ -29,7 +30,7 @@ _BLUR, _BLUR_REACH = 0.85, 2
 _TOLERANCE = 1e-4
 
 
-@eqx.filter_jit
+@lean_jit
 def thesis_views(
     light_field: LightField,
     disparity: Float[Array, "y x"],

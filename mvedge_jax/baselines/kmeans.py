@@ -7,6 +7,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float, Int
 
+from mvedge_jax._compiler import lean_jit
 from mvedge_jax._params import at_least, cast, number
 from mvedge_jax.color import srgb_to_lab
 from mvedge_jax.lightfield import LightField
@@ -48,7 +49,7 @@ class KMeansSizes:
         at_least(self, size=1, rounds=1, radius=1)
 
 
-@eqx.filter_jit
+@lean_jit
 def kmeans_superpixels(
     light_field: LightField,
     disparity: Float[Array, "y x"],

@@ -94,7 +94,7 @@ def missing_views(light_field: LightField) -> list[str]:
 
 
 def compiled(function: Any, *arguments: Any) -> Callable[..., Any]:
-    """Compiles an `equinox.filter_jit` function, and gives back the memory that it took.
+    """Compiles a `lean_jit` function, and gives back the memory that it took.
 
     Args:
         function: to compile.

@@ -3,11 +3,11 @@
 from pathlib import Path
 from typing import Annotated
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import tyro
 
+from mvedge_jax._compiler import lean_jit
 from mvedge_jax.datasets import (
     ConventionCheck,
     camera_spacing,
@@ -139,7 +139,7 @@ def _camera(camera: Camera | None, limits) -> str:
     return text + f", range {near:.3g} .. {far:.3g} m"
 
 
-@eqx.filter_jit
+@lean_jit
 def _brightness(light_field: LightField) -> tuple[Exposure, Noise]:
     exposure = rough_exposure(light_field)
     centre = jnp.moveaxis(expose(light_field, exposure).centre_view, -1, 0)

@@ -1,10 +1,10 @@
 """The disparity range of a scene, measured where it is not given."""
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
+from mvedge_jax._compiler import lean_jit
 from mvedge_jax._crosshair import crosshair
 from mvedge_jax._params import cast
 from mvedge_jax.color import srgb_to_lab
@@ -27,14 +27,14 @@ _GRAINY = 0.4
 _TAIL, _FALSE = 0.002, 0.016
 
 
-@eqx.filter_jit
+@lean_jit
 def _brightness(light_field: LightField) -> tuple[Exposure, Noise]:
     exposure = rough_exposure(light_field)
     centre = jnp.moveaxis(light_field.centre_view, -1, 0)
     return exposure, measure_noise(exposure.scale * centre, exposure.scale)
 
 
-@eqx.filter_jit
+@lean_jit
 def _coarse(light_field: LightField, disparities: Array, noise: Noise) -> tuple[Array, ...]:
     """Best disparity, its cost, and the contrast of the centre view, per pixel."""
     lab = srgb_to_lab(light_field.centre_view)

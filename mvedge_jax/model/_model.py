@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from mvedge_jax._compiler import lean_jit
 from mvedge_jax._params import cast, number
 from mvedge_jax.color import srgb_to_lab
 from mvedge_jax.diffusion import (
@@ -248,7 +249,7 @@ def render_model(
 
 
 # For the host, where the map is rendered outside of the optimisation.
-compiled_render = eqx.filter_jit(render_model)
+compiled_render = lean_jit(render_model)
 
 
 def rendering_for(rendering: ModelParams | None, sizes: ModelSizes) -> ModelParams:

@@ -3,11 +3,11 @@
 from functools import partial
 from typing import NamedTuple
 
-import equinox as eqx
 import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
+from mvedge_jax._compiler import lean_jit
 from mvedge_jax._fence import staged
 from mvedge_jax._params import cast
 from mvedge_jax.centre import map_problems, sharpen
@@ -73,7 +73,7 @@ class StereoResult(NamedTuple):
         return map_problems(self.disparity, self.disparity_error, stats.converged, stats.searched)
 
 
-@eqx.filter_jit
+@lean_jit
 def stereo(
     photographs: Photographs, reference: Reference, params: StereoParams, sizes: StereoSizes
 ) -> StereoResult:
@@ -190,7 +190,7 @@ class PosedSweep(NamedTuple):
     disparity: Float[Array, "y x"]
 
 
-@eqx.filter_jit
+@lean_jit
 def posed_sweep(
     photographs: Photographs, reference: Reference, params: StereoParams, sizes: StereoSizes
 ) -> PosedSweep:

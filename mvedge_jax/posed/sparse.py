@@ -11,6 +11,7 @@ from jax import lax
 from jax.scipy.ndimage import map_coordinates
 from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
+from mvedge_jax._compiler import lean_jit
 from mvedge_jax._params import as_number, at_least, cast
 from mvedge_jax.color import srgb_to_gray
 from mvedge_jax.losses import LossTerms, LossWeights
@@ -262,7 +263,7 @@ def sparse_stereo(
     image = photographs.images[reference.index]
     model = _model_of(seen, image)
     goal = posed_reprojection(photographs, reference, model, params, sizes.model)
-    render = eqx.filter_jit(render_model)
+    render = lean_jit(render_model)
     first = render(model, goal.params, sizes.model).disparity
     rates = jnp.zeros((sizes.smoothing, 4)).at[:, 0].set(params.rates.rate[0])
     routine = Routine(rates, jnp.zeros(sizes.smoothing, bool))

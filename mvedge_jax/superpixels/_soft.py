@@ -2,12 +2,12 @@
 
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float, Int
 
+from mvedge_jax._compiler import lean_jit
 from mvedge_jax._fence import recomputed
 from mvedge_jax._params import cast
 from mvedge_jax.angular import ViewDepths
@@ -51,7 +51,7 @@ class SoftSuperpixels(NamedTuple):
     number: Int[Array, ""]
 
 
-@eqx.filter_jit
+@lean_jit
 def soft_superpixels(
     light_field: LightField,
     depths: ViewDepths,
@@ -127,7 +127,7 @@ def _shares(
     return jax.nn.softmax(scores, axis=0), names
 
 
-@eqx.filter_jit
+@lean_jit
 def through_superpixels(
     soft: SoftSuperpixels, image: Float[Array, "y x c"]
 ) -> Float[Array, "y x c"]:

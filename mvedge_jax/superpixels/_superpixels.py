@@ -2,12 +2,12 @@
 
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
+from mvedge_jax._compiler import lean_jit
 from mvedge_jax._params import cast
 from mvedge_jax.angular import ViewDepths
 from mvedge_jax.color import srgb_to_lab
@@ -58,7 +58,7 @@ class Superpixels(NamedTuple):
     number: Int[Array, ""]
 
 
-@eqx.filter_jit
+@lean_jit
 def superpixels(
     light_field: LightField,
     depths: ViewDepths,

@@ -5,12 +5,12 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from mvedge_jax._compiler import lean_jit
 from mvedge_jax.centre import DepthResult, Parameters, Sizes, edge_to_depth
 from mvedge_jax.datasets import load_light_field
 from mvedge_jax.lightfield import LightField
@@ -42,7 +42,7 @@ def _score(objective: Objective, result: DepthResult, light_field: LightField) -
     ).astype(result.disparity.dtype)
 
 
-@eqx.filter_jit
+@lean_jit
 def _scores(
     rows: Float[Array, "b k"],
     params: Parameters,

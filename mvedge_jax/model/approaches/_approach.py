@@ -7,6 +7,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from mvedge_jax._compiler import lean_jit
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.losses import LossWeights, Views, gather_views, self_supervised_loss
 from mvedge_jax.losses.terms import Features
@@ -75,7 +76,7 @@ def explained(
 ) -> Float[Array, "2"]:
     """Reprojection error (7.15) of two maps in the views that judge."""
     _, held_out = crosshair_halves(light_field)
-    run = eqx.filter_jit(self_supervised_loss)
+    run = lean_jit(self_supervised_loss)
     return jnp.stack(
         [
             run(disparity, held_out, LossWeights(), features=features)[1].reprojection

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float
 
+from mvedge_jax._compiler import lean_jit
 from mvedge_jax._params import cast, number
 from mvedge_jax.centre import SmoothnessParams, edge_smoothness
 from mvedge_jax.color import srgb_to_lab
@@ -58,7 +59,7 @@ class Correction(NamedTuple):
     share: Float[Array, "y x"]
 
 
-@eqx.filter_jit
+@lean_jit
 def agreed_correction(
     views: Views,
     disparity: Float[Array, "y x"],

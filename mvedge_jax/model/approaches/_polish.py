@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import optax
 from jaxtyping import Array, Bool, Float
 
+from mvedge_jax._compiler import lean_jit
 from mvedge_jax._params import cast, number
 
 
@@ -87,7 +88,7 @@ def _away_from_steps(along_x: Bool[Array, "y w"], along_y: Bool[Array, "h x"]) -
     return x[:, 1:] & x[:, :-1] & y[1:] & y[:-1]
 
 
-@eqx.filter_jit
+@lean_jit
 def polish(
     disparity: Float[Array, "y x"], params: PolishParams, *, iterations: int = 120
 ) -> Float[Array, "y x"]:

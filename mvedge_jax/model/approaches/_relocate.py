@@ -4,6 +4,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from mvedge_jax._compiler import lean_jit
 from mvedge_jax._params import cast, number
 from mvedge_jax.centre import SmoothnessParams, edge_smoothness
 from mvedge_jax.color import planes_to_lab
@@ -28,7 +29,7 @@ class RelocateParams(eqx.Module):
     )
 
 
-@eqx.filter_jit
+@lean_jit
 def relocate_steps(
     disparity: Float[Array, "y x"],
     image: Float[Array, "c y x"],

@@ -5,6 +5,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
+from mvedge_jax._compiler import lean_jit
 from mvedge_jax._params import cast, number
 
 from .._capacity import with_capacity, without_free_places
@@ -146,7 +147,7 @@ def worst_pixels(
     return jnp.stack([x, y], axis=-1), value
 
 
-@eqx.filter_jit
+@lean_jit
 def grow(
     state: State,
     objective: Supervised | SelfSupervised,

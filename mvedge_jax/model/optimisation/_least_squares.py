@@ -3,12 +3,13 @@
 from collections.abc import Callable
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import lineax as lx
 import optimistix as optx
 from jaxtyping import Array, Float
+
+from mvedge_jax._compiler import lean_jit
 
 from .._model import DepthModel
 from ._optimise import Objective
@@ -96,7 +97,7 @@ def minimise_least_squares(
         residuals, disparity = objective.residuals(unpack(change), start)
         return tuple(whole * part for part in residuals), disparity
 
-    @eqx.filter_jit
+    @lean_jit
     def judged(change: tuple[Array, ...]) -> tuple[Array, Array]:
         return objective(unpack(change), start, key=jax.random.key(0))
 
@@ -107,8 +108,8 @@ def minimise_least_squares(
     shapes = jax.eval_shape(squared, here, None)
     fixed["tags"] = frozenset()
     state = solver.init(y=here, f_struct=shapes[0], aux_struct=shapes[1], **fixed)
-    step = eqx.filter_jit(lambda y, state: solver.step(y=y, state=state, **fixed))
-    over = eqx.filter_jit(lambda y, state: solver.terminate(y=y, state=state, **fixed))
+    step = lean_jit(lambda y, state: solver.step(y=y, state=state, **fixed))
+    over = lean_jit(lambda y, state: solver.terminate(y=y, state=state, **fixed))
     loss, disparity = judged(here)
     losses, best = [loss], (here, disparity, loss)
     for count in range(steps):

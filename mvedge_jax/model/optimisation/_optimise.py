@@ -9,6 +9,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
+from mvedge_jax._compiler import lean_jit
+
 from .._model import DepthModel
 from ._routine import Routine
 from ._state import ADAM, State, parts_of, with_parts
@@ -140,7 +142,7 @@ class Progress(NamedTuple):
     grown: Grown | None
 
 
-@eqx.filter_jit
+@lean_jit
 def advance(state: State, routine: Routine, objective: Objective) -> tuple[State, History]:
     """Does as many iterations as `routine` has, as one compiled loop.
 

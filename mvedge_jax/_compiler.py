@@ -1,0 +1,107 @@
+"""What programs ask of the compiler, and who may ask."""
+
+import functools
+from collections.abc import Callable
+from typing import Any, Generic, ParamSpec, TypeVar
+
+import equinox as eqx
+import jax
+from jax.core import Tracer
+
+_P = ParamSpec("_P")
+_T = TypeVar("_T")
+# The newer emitters of fusions cost the chain a third of the compiler's memory and a quarter of its
+# own time on the CPU; an order that lets kernels run side by side, which they hardly do, two fifths
+# of its arrays' memory.
+_WISHES = {
+    "xla_cpu_use_fusion_emitters": False,
+    "xla_cpu_scheduler_type": "CPU_SCHEDULER_TYPE_MEMORY_OPTIMIZED",
+}
+
+
+def compiler_options() -> dict[str, bool | int | float | str]:
+    """What the programs of this package ask of XLA, for a `jax.jit` of your own.
+
+    `edge_to_depth` and its like ask for it by themselves where they are called as they are. Within
+    your own `jit`, and under `grad` without one, only what that `jit` asks for counts: JAX takes
+    options of the outermost `jit` alone. What it changes is how fast and in how much memory a
+    program is compiled and runs on the CPU, not what it computes, but for rounding.
+
+    Returns:
+        Options for `jax.jit(..., compiler_options=...)`; none on other devices, or where the
+        compiler at hand does not know them.
+
+    Example:
+        >>> square = jax.jit(lambda x: x * x, compiler_options=compiler_options())
+        >>> float(square(3.0))
+        9.0
+    """
+    return dict(_known(jax.default_backend()))
+
+
+@functools.cache
+def _known(backend: str) -> dict[str, bool | int | float | str]:
+    if backend != "cpu":
+        return {}
+    try:
+        jax.jit(lambda x: x, compiler_options=_WISHES).lower(0.0).compile()
+    except jax.errors.JaxRuntimeError:
+        return {}
+    return dict(_WISHES)
+
+
+@functools.cache
+def _probe(backend: str) -> Callable[[float], Any]:
+    return jax.jit(lambda x: x, compiler_options=compiler_options())
+
+
+def _outermost(arguments: Any) -> bool:
+    """Whether JAX would take compiler options of a `jit` of these arguments."""
+    if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(arguments)):
+        return False
+    try:
+        # What is called within a `jit` is part of it, even if its own arguments are constants.
+        _probe(jax.default_backend())(0.0)
+    except ValueError:
+        return False
+    return True
+
+
+class LeanJit(Generic[_P, _T]):
+    """`equinox.filter_jit` that asks for `compiler_options` where it is the outermost `jit`."""
+
+    __wrapped__: Callable[_P, _T]
+
+    def __init__(self, function: Callable[_P, _T]):
+        self._function = function
+        self._nested: Any = eqx.filter_jit(function)
+        self._outermost: Any = None
+        functools.update_wrapper(self, function)
+
+    def __call__(self, *arguments: _P.args, **options: _P.kwargs) -> _T:
+        return self._program(arguments, options)(*arguments, **options)
+
+    def lower(self, *arguments: _P.args, **options: _P.kwargs) -> Any:
+        """See `equinox.filter_jit`."""
+        return self._program(arguments, options).lower(*arguments, **options)
+
+    def _program(self, *arguments: Any) -> Any:
+        if not _outermost(arguments):
+            return self._nested
+        if self._outermost is None:
+            # Not before the first call: which options are known depends on the device.
+            jit: Any = eqx.filter_jit
+            self._outermost = jit(self._function, compiler_options=compiler_options())
+        return self._outermost
+
+
+def lean_jit(function: Callable[_P, _T]) -> LeanJit[_P, _T]:
+    """`equinox.filter_jit` of a whole program.
+
+    Args:
+        function: what to compile.
+
+    Returns:
+        The compiled function, with `lower` as `equinox.filter_jit` has it.
+    """
+    return LeanJit(function)

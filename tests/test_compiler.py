@@ -1,0 +1,95 @@
+"""Programs ask the compiler for what suits them, wherever JAX lets them ask."""
+
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax.test_util import check_grads
+
+from mvedge_jax import _compiler
+from mvedge_jax._compiler import compiler_options, lean_jit
+
+
+def _wave(x, scale):
+    return jnp.sin(x) * x * scale
+
+
+_lean = lean_jit(_wave)
+_X = np.linspace(-1.0, 1.0, 7)
+
+
+def test_options_are_those_that_the_compiler_knows():
+    options = compiler_options()
+    if not options:
+        pytest.skip("this compiler knows none of them")
+    program = jax.jit(jnp.sin, compiler_options=options)
+    np.testing.assert_allclose(program(_X), np.sin(_X), rtol=1e-12)
+    options.clear()
+    assert compiler_options(), "what is returned is the caller's own"
+
+
+@pytest.fixture
+def _fresh(monkeypatch):
+    """What is known of the compiler is asked anew, before and after."""
+    known = functools.cache(_compiler._known.__wrapped__)
+    monkeypatch.setattr(_compiler, "_known", known)
+    monkeypatch.setattr(_compiler, "_probe", functools.cache(_compiler._probe.__wrapped__))
+
+
+@pytest.mark.usefixtures("_fresh")
+def test_a_compiler_that_does_not_know_them_is_not_asked(monkeypatch):
+    monkeypatch.setattr(_compiler, "_WISHES", {"xla_cpu_of_another_time": False})
+    assert compiler_options() == {}
+    np.testing.assert_allclose(lean_jit(_wave)(jnp.asarray(_X), 2.0), 2 * np.sin(_X) * _X)
+
+
+@pytest.mark.usefixtures("_fresh")
+def test_another_device_is_not_asked(monkeypatch):
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    assert compiler_options() == {}
+
+
+@pytest.mark.parametrize(
+    "within",
+    [
+        lambda f: f,
+        jax.jit,
+        jax.vmap,
+        jax.checkpoint,
+        lambda f: jax.jit(f, compiler_options=compiler_options()),
+        lambda f: jax.jit(lambda x: f(jnp.asarray(_X)) + 0 * x),
+        lambda f: lambda x: jax.lax.scan(lambda c, row: (c, f(row)), 0.0, x)[1],
+        lambda f: lambda x: jax.jvp(f, (x,), (x,))[0],
+        lambda f: lambda x: jax.linearize(f, x)[0],
+        lambda f: lambda x: jnp.diag(jax.jit(jax.jacrev(f))(x)) * 0 + f(x),
+    ],
+    ids=["alone", "jit", "vmap", "checkpoint", "options", "closed", "scan", "jvp", "linear", "rev"],
+)
+def test_every_transform_takes_it(within):
+    found = within(lambda x: _lean(x, 3.0))(jnp.asarray(_X))
+    np.testing.assert_allclose(found, 3 * np.sin(_X) * _X, rtol=1e-12)
+
+
+def test_derivatives():
+    check_grads(lambda x: _lean(x, 3.0), (jnp.asarray(_X),), order=2, rtol=1e-6)
+
+
+def test_it_is_lowered_as_it_is_called():
+    lowered = _lean.lower(jnp.asarray(_X), 3.0)
+    np.testing.assert_allclose(lowered.compile()(jnp.asarray(_X), 3.0), 3 * np.sin(_X) * _X)
+    assert _lean.__wrapped__ is _wave
+
+
+def test_it_is_traced_once():
+    traces = []
+
+    @lean_jit
+    def counted(x):
+        traces.append(x)
+        return x + 1
+
+    for value in (1.0, 2.0, 3.0):
+        assert float(counted(jnp.asarray(value))) == value + 1
+    assert len(traces) == 1
