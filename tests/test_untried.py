@@ -1,6 +1,6 @@
-"""Every view, superpixels and the optimisation on views that tell nothing, and of the least sizes.
+"""Every verb on views that tell nothing, and of the least sizes.
 
-`edge_to_depth` alone has `tests/centre/test_nothing_to_see.py`, photographs `tests/posed`.
+`edge_to_depth` alone has `tests/centre/test_nothing_to_see.py`.
 """
 
 import equinox as eqx
@@ -14,6 +14,7 @@ from mvedge_jax.angular import ViewParams, ViewSizes, depth_of_views
 from mvedge_jax.model import ModelSizes, optimize_edges, start_from_depth
 from mvedge_jax.model.approaches import ByEvidence
 from mvedge_jax.model.optimisation import all_at_once
+from mvedge_jax.posed import Photographs, StereoParams, StereoSizes, reference_of, stereo
 from mvedge_jax.superpixels import (
     SuperpixelParams,
     SuperpixelSizes,
@@ -93,3 +94,29 @@ def test_gradients_of_every_view_and_of_soft_superpixels(name):
         return jax.grad(total, argnums=(0, 1, 2, 3))(views, measured, every, params)
 
     _finite(gradient(field.views, result.disparity, ViewParams(), params))
+
+
+@pytest.mark.parametrize(
+    ("name", "shape"),
+    [
+        *((name, (16, 16)) for name in (*COLOURS, "two colours")),
+        *(("two colours", shape) for shape in ((1, 1), (1, 40), (40, 1))),
+    ],
+)
+def test_photographs_and_their_gradients(name, shape):
+    images = _field(name, shape).views[0]
+    poses = np.broadcast_to(np.eye(4), (3, 4, 4)).copy()
+    poses[:, 0, 3] = (0.0, 0.1, -0.1)
+    matrix = np.array([[20.0, 0, shape[1] / 2], [0, 20.0, shape[0] / 2], [0, 0, 1]])
+    photographs = Photographs(images, poses, matrix)
+    reference = reference_of(photographs, 0, depth_range=(1.0, 4.0))
+    sizes = StereoSizes.of(reference, solves=1, levels=4)
+    found = stereo(photographs, reference, StereoParams(), sizes)
+    _finite((found.depth, found.disparity, found.disparity_error))
+    assert bool((found.disparity_error > 0).all())
+
+    def total(params, images):
+        seen = eqx.tree_at(lambda p: p.images, photographs, images)
+        return stereo(seen, reference, params, sizes).disparity.sum()
+
+    _finite(jax.jit(jax.grad(total, argnums=(0, 1)))(StereoParams(), images))

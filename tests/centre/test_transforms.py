@@ -2,7 +2,9 @@
 
 import equinox as eqx
 import jax
+import jax.flatten_util
 import jax.numpy as jnp
+import numpy as np
 import pytest
 
 from mvedge_jax import LightField, Parameters, Sizes, edge_to_depth
@@ -59,3 +61,30 @@ def test_jit_and_forward_mode(map_of):
     ones = jax.tree.map(jnp.ones_like, params)
     _, moved = jax.eval_shape(lambda p, t: jax.jvp(map_of, (p,), (t,)), params, ones)
     assert moved.shape == (16, 16)
+
+
+def _textured(seed):
+    """3x3 views of a plane at disparity 1 with a texture of its own."""
+    texture = np.random.default_rng(seed).uniform(0.1, 0.9, (18, 18, 3))
+    rows = [[texture[v : v + 16, u : u + 16] for u in range(3)] for v in range(3)]
+    return jnp.asarray(rows)
+
+
+def test_vmap_over_every_parameter_equals_the_loop(map_of):
+    """One row per number in `Parameters`, a tenth above its default, in one `vmap`."""
+    base, unravel = jax.flatten_util.ravel_pytree(Parameters())
+    rows = base * (1 + 0.1 * jnp.eye(base.size))
+    seen = _with(_textured(0))
+    one = jax.jit(lambda row: map_of(unravel(row), seen))
+    many = jax.jit(jax.vmap(one))(rows)
+    assert bool(jnp.isfinite(many).all())
+    np.testing.assert_allclose(many, jnp.stack([one(row) for row in rows]), atol=1e-8)
+    assert int(jnp.any(many != one(base), axis=(1, 2)).sum()) > base.size // 2
+
+
+def test_vmap_over_light_fields_equals_the_loop(map_of):
+    views = jnp.stack([_textured(seed) for seed in range(3)])
+    one = jax.jit(lambda v: map_of(Parameters(), _with(v)))
+    many = jax.jit(jax.vmap(one))(views)
+    np.testing.assert_allclose(many, jnp.stack([one(v) for v in views]), atol=1e-8)
+    assert float(jnp.abs(many[0] - many[1]).max()) > 1e-6
