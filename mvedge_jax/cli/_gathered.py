@@ -1,7 +1,5 @@
 """What there is to export: photographs with cameras, and the depth that an earlier run found."""
 
-import zipfile
-import zlib
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -10,7 +8,7 @@ import h5py
 import numpy as np
 from jaxtyping import Float
 
-from mvedge_jax.datasets import load_light_field, read_pfm
+from mvedge_jax.datasets import columns_of, load_light_field, read_pfm
 from mvedge_jax.datasets.photographs import load_photographs
 from mvedge_jax.lightfield import Camera, LightField
 from mvedge_jax.posed import Photographs
@@ -132,21 +130,15 @@ def _map(path: Path, shape: tuple[int, ...]) -> Float[np.ndarray, "y x"]:
 
 def _points(path: Path, views: int) -> list[np.ndarray]:
     """Place, disparity, its standard error, and which view of the crosshair shows a point."""
-    try:
-        # Given a name, NumPy leaves what is no archive open.
-        with open(path, "rb") as raw, np.load(raw) as stored:
-            columns = [np.asarray(stored[n]) for n in ("xy", "disparity", "error", "visible")]
+    with columns_of(path) as stored:
+        columns = [stored[name] for name in ("xy", "disparity", "error", "visible")]
         count = len(columns[1])
         wanted = [(count, 2), (count,), (count,), (count, views)]
         if [column.shape for column in columns] != wanted:
             raise ValueError("its columns do not fit together or to the views")
         if not all(column.dtype.kind in "fiub" for column in columns):
             raise ValueError("its columns are not numbers")
-        return [*columns[:3], columns[3].astype(bool)]
-    except (
-        KeyError, TypeError, ValueError, OSError, EOFError, zipfile.BadZipFile, zlib.error
-    ) as reason:  # fmt: skip
-        raise ValueError(f"{path} could not be read as points: {reason}.") from None
+    return [*columns[:3], columns[3].astype(bool)]
 
 
 def _observed(field: LightField, visible: np.ndarray) -> np.ndarray:

@@ -1,7 +1,5 @@
 """What was computed, as the page takes it: from memory or from a folder."""
 
-import zipfile
-import zlib
 from pathlib import Path
 from typing import NamedTuple
 
@@ -9,7 +7,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from mvedge_jax.centre import DepthResult
-from mvedge_jax.datasets import read_pfm
+from mvedge_jax.datasets import columns_of, read_pfm
 
 
 class Result(NamedTuple):
@@ -97,10 +95,8 @@ def read_result(folder: Path, *, name: str | None = None) -> Result:
 
 
 def _with_points(result: Result, path: Path) -> Result:
-    try:
-        # Given a name, NumPy leaves what is no archive open.
-        with open(path, "rb") as raw, np.load(raw) as stored:
-            columns = {key: np.asarray(stored[key], np.float32) for key in stored.files}
+    with columns_of(path) as stored:
+        columns = {name: column.astype(np.float32) for name, column in stored.items()}
         xy, disparity = columns["xy"], columns["disparity"]
         error = columns.get("error", np.full_like(disparity, np.nan))
         count = (len(disparity), 2)
@@ -108,14 +104,4 @@ def _with_points(result: Result, path: Path) -> Result:
         if any(pair is not None and pair.shape != count for pair in (xy, *pairs)):
             raise ValueError("its columns differ in length")
         both = np.stack([disparity, error], 1)
-    except (
-        KeyError,
-        TypeError,
-        ValueError,
-        OSError,
-        EOFError,
-        zipfile.BadZipFile,
-        zlib.error,
-    ) as reason:
-        raise ValueError(f"{path} could not be read as points: {reason}.") from None
     return result._replace(xy=xy, points=both, normals=pairs[0], surfaces=pairs[1])
