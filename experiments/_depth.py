@@ -93,7 +93,7 @@ def scenes(
 ) -> Iterator[tuple[str, LightField]]:
     """Benchmark scenes that are on disk and synthetic ones, rendered with 9x9 views.
 
-    Compiled programs are dropped after each: one of the whole chain takes 2400 memory maps, and the
+    Compiled programs are dropped after each: one of the whole chain takes 1300 memory maps, and the
     compiler crashes when a process has as many as Linux allows (65530).
 
     Args:

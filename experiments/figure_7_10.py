@@ -77,7 +77,7 @@ def main() -> None:
             axes.set_xlabel("iteration")
         figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
         figure.savefig(arguments.out / f"{stem}.png")
-        # Programs of the whole chain take 2400 memory maps each; Linux allows 65530.
+        # Programs of the whole chain take 1300 memory maps each; Linux allows 65530.
         jax.clear_caches()
 
 

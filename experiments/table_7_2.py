@@ -85,7 +85,7 @@ def main() -> None:
         plotting.plot_disparity([first, after], names=["before", "after"]).savefig(
             arguments.out / f"{stem}.png"
         )
-        # Programs of the whole chain take 2400 memory maps each; Linux allows 65530.
+        # Programs of the whole chain take 1300 memory maps each; Linux allows 65530.
         jax.clear_caches()
     print_table(rows, title="Table 7.2")
     write_csv(arguments.out / "table.csv", rows)

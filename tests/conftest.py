@@ -39,5 +39,5 @@ def _forget_programs(request):
     system's limit on maps, 65530 as a rule, is reached.
     """
     yield
-    if request.node.get_closest_marker("slow") or _memory_maps() > 25000:
+    if request.node.get_closest_marker("slow") or _memory_maps() > 15000:
         jax.clear_caches()

@@ -131,9 +131,10 @@ def edge_to_depth(light_field: LightField, params: Parameters, sizes: Sizes) -> 
        two with labels from all views, if these are asked for.
     7. Pixels beside depth steps go to the surface that covers most of them (`warping.outline`).
 
-    Every light-field shape and every `sizes` is a program of its own, of some 2400 memory maps. A
-    process that compiles more than about 25 should call `jax.clear_caches()` now and then: Linux
-    allows 65530 maps, beyond which the compiler crashes.
+    Every light-field shape and every `sizes` is a program of its own, of some 1300 memory maps, or
+    2500 where `compiler_options` were not asked for. A process that compiles more than about 25
+    should call `jax.clear_caches()` now and then: Linux allows 65530 maps, beyond which the
+    compiler crashes.
 
     Args:
         light_field: the crosshair of views is read, or all of them (`Sizes.views`); ground truth is

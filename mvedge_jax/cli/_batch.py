@@ -103,7 +103,7 @@ def batch(
         kinds.setdefault(kind, []).append((name, scene))
     for kind, members in kinds.items():
         _run(members, kind, ranges[kind], rows, out, options)
-        # A program holds some 2400 memory maps, of which Linux allows 65530.
+        # A program holds some 1300 memory maps, of which Linux allows 65530.
         jax.clear_caches()
     return _summary({name: rows[name] for name in names}, out)
 
