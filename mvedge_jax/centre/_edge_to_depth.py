@@ -126,7 +126,8 @@ def edge_to_depth(light_field: LightField, params: Parameters, sizes: Sizes) -> 
        moves the label onto the surface that it was measured on (4.2.2).
     5. Diffusion (6.1), repeated, between labels weighted by their standard errors: those of the
        edges, and one per pixel measured in the views around the previous map, occluded views left
-       out. Smoothness ends where a colour step and a depth step of that map meet.
+       out. Smoothness ends where a colour step and a depth step of that map meet. What the lens
+       leaves dark along the frame has neither: it goes on with what is beside it.
     6. A weighted median moves blurred depth steps onto colour steps; more solves follow, the last
        two with labels from all views, if these are asked for.
     7. Pixels beside depth steps go to the surface that covers most of them (`warping.outline`).
@@ -213,7 +214,9 @@ def edge_to_depth(light_field: LightField, params: Parameters, sizes: Sizes) -> 
         mode=sizes.sharpening,
     )
     span = disparities[-1] - disparities[0]
-    found = dense_map(from_points, views, scene.lab, first, span, sharper, params, sizes)
+    found = dense_map(
+        from_points, views, scene.lab, first, span, sharper, params, sizes, lit=scene.lit
+    )
     stats = DepthStats(
         edges.stats,
         jnp.sum(from_points.weight > 0),

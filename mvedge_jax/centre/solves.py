@@ -131,6 +131,8 @@ def dense_map(
     sharper: Callable[[Array], Array],
     params: SolveParams,
     sizes: SolveSizes,
+    *,
+    lit: Float[Array, "y x"] | None = None,
 ) -> Map:
     """Repeated measurement in the views and diffusion, with slopes from the second solve on.
 
@@ -143,6 +145,7 @@ def dense_map(
         sharper: moves blurred steps of a map, see `sharpen`.
         params: `smoothness` and `centre` are read.
         sizes: see `SolveSizes`.
+        lit: 0 where there is nothing of the scene to see: no label counts, and no step is cut.
 
     Returns:
         The map. Differentiable.
@@ -198,9 +201,11 @@ def dense_map(
             last = chosen[turn] == len(ways) - 1
             share = jnp.where(last, 1 - _whole(disparity), 1)
             sparse = sparse._replace(weight=share * sparse.weight)
-        both = _with_dense(sparse, measured, disparity, params.centre, views.params)
+        both = _with_dense(sparse, measured, disparity, params.centre, views.params, lit)
         smooth = _smooth(disparity)
         edges = edge_smoothness(lab, smooth, params.smoothness)
+        if lit is not None:
+            edges = _uncut(edges, lit)
         return _solved(
             both,
             edges,
@@ -294,14 +299,24 @@ def _with_dense(
     disparity: Array,
     params: CentreParams,
     measuring: Measuring,
+    lit: Array | None,
 ) -> Labels:
     """Labels of the points together with one measured at every pixel."""
     weight = measured.weight(measuring, precision=params.precision, trust=params.trust)
     distance = (from_points.value - disparity) / AGREEMENT
     sparse = from_points.weight / (1 + distance**2) ** 2
+    if lit is not None:
+        weight, sparse = lit * weight, lit * sparse
     total = weight + sparse + _ANCHOR
     sums = weight * measured.disparity + sparse * from_points.value + _ANCHOR * disparity
     return Labels(total, sums / jnp.maximum(total, jnp.finfo(total.dtype).tiny))
+
+
+def _uncut(edges: tuple[Array, Array], lit: Array) -> tuple[Array, Array]:
+    """Full smoothness between neighbours of which one is not `lit`."""
+    tx, ty = edges
+    across, down = lit[:, 1:] * lit[:, :-1], lit[1:] * lit[:-1]
+    return jnp.maximum(tx, 1 - across), jnp.maximum(ty, 1 - down)
 
 
 def precision_weight(variance: Array, params: CentreParams) -> Array:

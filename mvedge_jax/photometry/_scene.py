@@ -16,6 +16,7 @@ from mvedge_jax.lightfield import LightField
 from .brightness._denoise import denoised, low_pass, soften
 from .brightness._exposure import Exposure, exposed_arms, exposure_along, rough_exposure
 from .brightness._noise import Noise, measure_noise
+from .brightness._unlit import lit
 from .matching._cost import VolumeParams, hypotheses
 from .measuring._grid import Grid, grid_of
 from .measuring._look import Look, look
@@ -33,6 +34,8 @@ class Scene(NamedTuple):
         guide: the centre view, denoised, `[c, y, x]`.
         lab: the same in CIELAB.
         first: per pixel, the disparity at which the views agree best; None after `recentred`.
+        lit: 0 where the lens leaves the views dark, and around it, 1 elsewhere; None after
+            `recentred`.
     """
 
     arms: tuple[Arm, Arm]
@@ -41,6 +44,7 @@ class Scene(NamedTuple):
     guide: Float[Array, "c y x"]
     lab: Float[Array, "c y x"]
     first: Float[Array, "y x"] | None
+    lit: Float[Array, "y x"] | None = None
 
     @property
     def centre(self) -> Float[Array, "c y x"]:
@@ -135,7 +139,9 @@ def prepare(
 
     first = searched(arms, scene.lab, noise, params)
     exposure = exposure_along(light_field, exposure.scale, first, every=every)
-    return scene._replace(arms=exposed_arms(own, exposure), exposure=exposure, first=first)
+    return scene._replace(
+        arms=exposed_arms(own, exposure), exposure=exposure, first=first, lit=lit(own)
+    )
 
 
 def sight(scene: Scene, params: PhotometricParams, *, every: LightField | None = None) -> Sight:
