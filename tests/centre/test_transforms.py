@@ -73,13 +73,13 @@ def _textured(seed):
 def test_vmap_over_every_parameter_equals_the_loop(map_of):
     """One row per number in `Parameters`, a tenth above its default, in one `vmap`."""
     base, unravel = jax.flatten_util.ravel_pytree(Parameters())
-    rows = base * (1 + 0.1 * jnp.eye(base.size))
+    rows = base[None] * (1 + 0.1 * jnp.eye(base.size))
     seen = _with(_textured(0))
     one = jax.jit(lambda row: map_of(unravel(row), seen))
     many = jax.jit(jax.vmap(one))(rows)
     assert bool(jnp.isfinite(many).all())
     np.testing.assert_allclose(many, jnp.stack([one(row) for row in rows]), atol=1e-8)
-    assert int(jnp.any(many != one(base), axis=(1, 2)).sum()) > base.size // 2
+    assert int(jnp.any(many != one(base)[None], axis=(1, 2)).sum()) > base.size // 2
 
 
 def test_vmap_over_light_fields_equals_the_loop(map_of):
