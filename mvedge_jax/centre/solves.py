@@ -202,13 +202,9 @@ def dense_map(
             share = jnp.where(last, 1 - _whole(disparity), 1)
             sparse = sparse._replace(weight=share * sparse.weight)
         both = _with_dense(sparse, measured, disparity, params.centre, views.params, lit)
-        smooth = _smooth(disparity)
-        edges = edge_smoothness(lab, smooth, params.smoothness)
-        if lit is not None:
-            edges = _uncut(edges, lit)
         return _solved(
             both,
-            edges,
+            _cuts(lab, disparity, params.smoothness, lit),
             disparity,
             span,
             params.centre,
@@ -312,9 +308,13 @@ def _with_dense(
     return Labels(total, sums / jnp.maximum(total, jnp.finfo(total.dtype).tiny))
 
 
-def _uncut(edges: tuple[Array, Array], lit: Array) -> tuple[Array, Array]:
-    """Full smoothness between neighbours of which one is not `lit`."""
-    tx, ty = edges
+def _cuts(
+    lab: Array, disparity: Array, params: SmoothnessParams, lit: Array | None
+) -> tuple[Array, Array]:
+    """Smoothness by the steps of a map: full between neighbours of which one is not `lit`."""
+    tx, ty = edge_smoothness(lab, _smooth(disparity), params)
+    if lit is None:
+        return tx, ty
     across, down = lit[:, 1:] * lit[:, :-1], lit[1:] * lit[:-1]
     return jnp.maximum(tx, 1 - across), jnp.maximum(ty, 1 - down)
 
