@@ -96,19 +96,24 @@ def test_gradients_of_every_view_and_of_soft_superpixels(name):
     _finite(gradient(field.views, result.disparity, ViewParams(), params))
 
 
-@pytest.mark.parametrize(
-    ("name", "shape"),
-    [
-        *((name, (16, 16)) for name in (*COLOURS, "two colours")),
-        *(("two colours", shape) for shape in ((1, 1), (1, 40), (40, 1))),
-    ],
-)
-def test_photographs_and_their_gradients(name, shape):
+def _photographs(name, shape):
     images = _field(name, shape).views[0]
     poses = np.broadcast_to(np.eye(4), (3, 4, 4)).copy()
     poses[:, 0, 3] = (0.0, 0.1, -0.1)
     matrix = np.array([[20.0, 0, shape[1] / 2], [0, 20.0, shape[0] / 2], [0, 0, 1]])
-    photographs = Photographs(images, poses, matrix)
+    return Photographs(images, poses, matrix), images
+
+
+@pytest.mark.parametrize(
+    ("name", "shape"),
+    [
+        *((name, (16, 16)) for name in (*COLOURS, "two colours")),
+        # The smallest that photographs may be.
+        *(("two colours", shape) for shape in ((8, 8), (8, 40), (40, 8))),
+    ],
+)
+def test_photographs_and_their_gradients(name, shape):
+    photographs, images = _photographs(name, shape)
     reference = reference_of(photographs, 0, depth_range=(1.0, 4.0))
     sizes = StereoSizes.of(reference, solves=1, levels=4)
     found = stereo(photographs, reference, StereoParams(), sizes)
@@ -120,3 +125,9 @@ def test_photographs_and_their_gradients(name, shape):
         return stereo(seen, reference, params, sizes).disparity.sum()
 
     _finite(jax.jit(jax.grad(total, argnums=(0, 1)))(StereoParams(), images))
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 40), (40, 1)])
+def test_photographs_of_a_single_row_are_refused(shape):
+    with pytest.raises(ValueError, match=f"at least 8 px a side, got {shape[0]}x{shape[1]}"):
+        _photographs("two colours", shape)

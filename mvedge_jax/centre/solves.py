@@ -5,7 +5,9 @@ from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
+from jax.typing import DTypeLike
 from jaxtyping import Array, Float
 
 from mvedge_jax._fence import recomputed
@@ -45,8 +47,11 @@ _BLUR, _BLUR_REACH = 0.5, 2
 # Beyond this distance from any label, px, a map tells no more about a surface than its own spread.
 # From cotton, backgammon, room, bench and the nine rendered scenes.
 _FORGOTTEN = 55.0
+# What a turn does: a solve, measured around the last map in the crosshair or in all views; a look
+# at a map that will be sharpened; sharpening and a solve.
+_PLAIN, _AROUND, _BLURRED, _SHARPENED = range(4)
 # Solves whose labels are measured in all views, where these are asked for.
-_AROUND = 2
+_AROUND_SOLVES = 2
 # A step of this, px, within this distance of a pixel halves the share that all views have in its
 # label: the views of the corners look past an edge on two sides, and smear it. From cotton,
 # backgammon, bench and demo.
@@ -151,6 +156,7 @@ def dense_map(
         The map. Differentiable.
     """
     every = views.grid if isinstance(views, Sight) else None
+    turns = _turns(sizes, every=every is not None, dtype=first.dtype)
 
     def everywhere(found: Look) -> Look:
         return found._replace(views=jnp.broadcast_to(found.views, found.right.shape))
@@ -159,63 +165,116 @@ def dense_map(
         found = everywhere(views.look(disparity, radius=sizes.radius))
         return found if every is None else found._replace(cross=jnp.zeros_like(disparity))
 
-    def seen(disparity: Array) -> tuple[Look, Array]:
-        found = look(disparity)
-        return found, mismatch(found, lab, disparity, views.params, passes=sizes.passes)
+    def disagreement(found: Look, disparity: Array) -> Array:
+        return mismatch(found, lab, disparity, views.params, passes=sizes.passes)
 
-    def plain(disparity: Array, turn: Array) -> tuple[Array, Look]:
-        return disparity, seen(disparity)[0]
-
-    def sharpened(disparity: Array, turn: Array) -> tuple[Array, Look]:
-        both = jnp.stack([disparity, sharper(disparity)])
-        found, (before, after) = lax.map(jax.checkpoint(seen), both)
-        slack = jnp.where(turn == 0, _WORSE_FIRST, _WORSE).astype(disparity.dtype)
-        keep = after > slack * (before + 2 * views.params.noise**2)
-        # What was seen of the chosen map need not be looked up again.
-        return jax.tree.map(lambda pair: jnp.where(keep, pair[0], pair[1]), (both, found))
-
-    def around(disparity: Array, turn: Array) -> tuple[Array, Look]:
+    def around(found: Look, disparity: Array) -> Look:
         assert every is not None
         whole = everywhere(look_around(every, disparity, views.params, radius=sizes.radius))
         share = _whole(disparity)
-        mixed = jax.tree.map(lambda a, c: share * a + (1 - share) * c, whole, look(disparity))
-        return disparity, mixed
+        return jax.tree.map(lambda a, c: share * a + (1 - share) * c, whole, found)
 
-    # Sharpening inside of the loop, at its turn, keeps the program small: one solver, not two.
-    if sizes.sharpening == "none":
-        ways, order = [plain], [0] * sizes.solves
-    else:
-        ways, order = [plain, sharpened], [1, *[0] * (sizes.solves - 1)] * 2
-    if every is not None:
-        order += [len(ways)] * _AROUND
-        ways.append(around)
-    turns, chosen = len(order), jnp.asarray(order)
-
-    def solve(state: tuple[Array, Array], turn: Array) -> Any:
-        disparity, _ = state
-        disparity, found = lax.switch(chosen[turn], ways, disparity, turn)
+    def solve(found: Look, disparity: Array, turn: _Turn) -> Any:
         measured = labels(found, lab, disparity, views.params, passes=sizes.passes)
         sparse = from_points
         if every is not None:
             # Points were measured in the crosshair, and have no say against all views.
-            last = chosen[turn] == len(ways) - 1
-            share = jnp.where(last, 1 - _whole(disparity), 1)
+            share = jnp.where(turn.kind == _AROUND, 1 - _whole(disparity), 1)
             sparse = sparse._replace(weight=share * sparse.weight)
-        both = _with_dense(sparse, measured, disparity, params.centre, views.params, lit)
         return _solved(
-            both,
+            _with_dense(sparse, measured, disparity, params.centre, views.params, lit),
             _cuts(lab, disparity, params.smoothness, lit),
             disparity,
             span,
             params.centre,
             sizes,
-            sloped=turn > 0,
-            last=turn == turns - 1,
+            sloped=turn.sloped,
+            last=turn.last,
         )
 
-    state = (first, jnp.zeros_like(first))
-    state, (iterations, converged) = lax.scan(recomputed(solve), state, jnp.arange(turns))
-    return Map(*state, iterations, jnp.all(converged))
+    # One look and one solver for all turns keep the program small: what differs between turns is a
+    # branch, and the two maps that a sharpening compares are looked at in turns of their own.
+    def step(state: _State, turn: _Turn) -> tuple[_State, tuple[Array, Array]]:
+        disparity, error, blurred = state
+        if blurred is None:
+            found = look(disparity)
+        else:
+            sharpens = turn.kind == _SHARPENED
+            moved = lax.cond(sharpens, sharper, lambda d: d, disparity)
+            found = look(moved)
+            compared = sharpens | (turn.kind == _BLURRED)
+            differs = lax.cond(compared, disagreement, lambda _, d: jnp.zeros_like(d), found, moved)
+            allowed = turn.slack * (blurred.mismatch + 2 * views.params.noise**2)
+            keep = sharpens & (differs > allowed)
+            disparity = jnp.where(keep, disparity, moved)
+            # What was seen of the chosen map need not be looked up again.
+            found = jax.tree.map(lambda held, now: jnp.where(keep, held, now), blurred.found, found)
+            blurred = _Blurred(found, differs)
+        if every is not None:
+            found = lax.cond(turn.kind == _AROUND, around, lambda found, _: found, found, disparity)
+
+        def solved() -> Any:
+            return solve(found, disparity, turn)
+
+        def only_seen() -> Any:
+            return (disparity, error), (jnp.zeros((), jnp.int32), jnp.asarray(True))
+
+        if blurred is None:
+            (disparity, error), stats = solved()
+        else:
+            (disparity, error), stats = lax.cond(turn.kind == _BLURRED, only_seen, solved)
+        return _State(disparity, error, blurred), stats
+
+    nothing = jnp.zeros_like(first)
+    state = _State(first, nothing, None)
+    if _BLURRED in turns.kind:
+        unseen = jax.tree.map(lambda of: jnp.zeros(of.shape, of.dtype), jax.eval_shape(look, first))
+        state = state._replace(blurred=_Blurred(unseen, nothing))
+    state, (iterations, converged) = lax.scan(recomputed(step), state, turns)
+    solves = np.flatnonzero(turns.kind != _BLURRED)
+    return Map(state.disparity, state.error, iterations[solves], jnp.all(converged))
+
+
+class _Turn(NamedTuple):
+    """What is done in a turn of `dense_map`."""
+
+    kind: np.ndarray
+    slack: np.ndarray
+    sloped: np.ndarray
+    last: np.ndarray
+
+
+class _Blurred(NamedTuple):
+    """What the views show of a map before it is sharpened, and how far they disagree with it."""
+
+    found: Look
+    mismatch: Array
+
+
+class _State(NamedTuple):
+    """What a turn of `dense_map` hands on to the next."""
+
+    disparity: Array
+    error: Array
+    blurred: _Blurred | None
+
+
+def _turns(sizes: SolveSizes, *, every: bool, dtype: DTypeLike) -> _Turn:
+    """The turns of `dense_map`, one behind the other."""
+    if sizes.sharpening == "none":
+        kinds = [_PLAIN] * sizes.solves
+    else:
+        kinds = [_BLURRED, _SHARPENED, *[_PLAIN] * (sizes.solves - 1)] * 2
+    if every:
+        kinds += [_AROUND] * _AROUND_SOLVES
+    kind = np.asarray(kinds, np.int32)
+    index, first = np.arange(len(kinds)), int(np.flatnonzero(kind != _BLURRED)[0])
+    return _Turn(
+        kind,
+        np.where(index == first, _WORSE_FIRST, _WORSE).astype(dtype),
+        index > first,
+        index == len(kinds) - 1,
+    )
 
 
 class _Solve(NamedTuple):
