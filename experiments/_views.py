@@ -10,6 +10,7 @@ import numpy as np
 from _report import shared_data
 from jax import lax
 
+from mvedge_jax import lean_jit
 from mvedge_jax.datasets import load_light_field, synthetic
 from mvedge_jax.lightfield import GroundTruth, LightField
 from mvedge_jax.metrics import ViewConsistency
@@ -104,7 +105,7 @@ def scores(maps: jax.Array, truth: jax.Array, known: Regions) -> dict[str, float
     middle = (rows // 2, columns // 2)
     grid = list(np.ndindex(rows, columns))
 
-    @jax.jit
+    @lean_jit
     def pair(found: jax.Array, true: jax.Array, mask: jax.Array) -> jax.Array:
         return jnp.stack([mse(found, true, mask=mask), bad_pixels(found, true, BAD, mask=mask)])
 
@@ -142,7 +143,7 @@ def error_consistency(maps: jax.Array, truth: jax.Array, *, stride: int = 3) -> 
     return ViewConsistency(*_consistency(maps - truth, truth, stride))
 
 
-@eqx.filter_jit
+@lean_jit
 def _consistency(error: jax.Array, truth: jax.Array, stride: int) -> Any:
     rows, columns, height, width = truth.shape
     grid = jnp.asarray(list(np.ndindex(rows, columns)), jnp.int32)

@@ -27,7 +27,7 @@ from _report import peak_memory, print_table, shared_data, write_csv, write_json
 from _superpixels import MEASURED, changed, plot_sizes, plot_wrong, torn
 from jax import Array, lax
 
-from mvedge_jax import plotting
+from mvedge_jax import lean_jit, plotting
 from mvedge_jax.angular import ViewDepths, ViewParams, ViewSizes, depth_of_views
 from mvedge_jax.baselines.kmeans import KMeansParams, KMeansSizes, kmeans_superpixels
 from mvedge_jax.baselines.lfsp import BUGS, LfspParams, LfspSizes, thesis_superpixels
@@ -218,7 +218,7 @@ def _slic(image: Array, size: float) -> Array:
     return jnp.asarray(best, jnp.int32)
 
 
-@jax.jit
+@lean_jit
 def _projected(labels: Array, disparity: Array, steps: Array) -> Array:
     """Labels of the centre view moved to all views by its map; holes go on from behind."""
 

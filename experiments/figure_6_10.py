@@ -14,6 +14,7 @@ from _depth import scenes
 from _report import print_table, shared_data, write_csv, write_json
 from matplotlib.figure import Figure
 
+from mvedge_jax import lean_jit
 from mvedge_jax.centre import Parameters, Sizes, edge_to_depth
 from mvedge_jax.metrics.depth import mse, q25
 
@@ -51,7 +52,7 @@ def main() -> None:
         maps = (truth.disparity, truth.valid)
 
         # All parameters that a sweep touches are batched, so that one program serves every sweep.
-        @eqx.filter_jit
+        @lean_jit
         def errors(settings: Parameters, blind=blind, sizes=sizes, maps=maps):
             def one(params: Parameters):
                 found = edge_to_depth(blind, params, sizes).disparity

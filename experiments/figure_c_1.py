@@ -24,6 +24,7 @@ from _model import (
 )
 from _report import print_table, shared_data, write_csv, write_json
 
+from mvedge_jax import lean_jit
 from mvedge_jax.model import DepthModel, ModelParams, ModelSizes, Start, render_model
 from mvedge_jax.model.approaches import ByEvidence, ByReprojection, RelocateParams
 from mvedge_jax.model.optimisation import Rates
@@ -69,7 +70,7 @@ def main() -> None:
     light_field = load_scene(arguments.scene, arguments.data)
     start = first_map(light_field)
     params, sizes = ModelParams.narrow(arguments.raster), ModelSizes.on_raster(arguments.raster)
-    render = eqx.filter_jit(render_model)
+    render = lean_jit(render_model)
     clean = scores(render(start.model, params, sizes).disparity, light_field)
     rows, curve = [], []
     cases = [(s, 0.0) for s in arguments.position] + [(0.0, s) for s in arguments.disparity]

@@ -12,12 +12,12 @@ points that are too narrow to hide their neighbours (`ModelParams.narrow`).
 import argparse
 from pathlib import Path
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from _report import print_table, write_csv
 
+from mvedge_jax import lean_jit
 from mvedge_jax.lightfield import GroundTruth
 from mvedge_jax.model import (
     DepthModel,
@@ -70,7 +70,7 @@ def main() -> None:
     # In the pauses between four pieces a tenth of the points may move.
     until = jnp.asarray(1 - 1 / PIECES)
     recycling = Growth(rounds=PIECES - 1, until=until, count=arguments.points // 10)
-    render = eqx.filter_jit(render_model)
+    render = lean_jit(render_model)
     rows = []
     for name, clears, recycles, params in (
         ("nothing (thesis)", False, False, wide),

@@ -17,7 +17,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -27,6 +26,7 @@ from _depth import robust_loss, scenes
 from _report import print_table, write_csv, write_json
 from matplotlib.figure import Figure
 
+from mvedge_jax import lean_jit
 from mvedge_jax.centre import Parameters, Sizes, edge_to_depth
 from mvedge_jax.edges import EdgeParams, scene_range
 from mvedge_jax.epi import FilterBank
@@ -89,10 +89,10 @@ def main() -> None:
         found = edge_to_depth(field.without_truth(), parameters(learned), sizes).disparity
         return robust_loss(found, field) if arguments.loss == "truth" else _held_out(found, field)
 
-    value_and_gradient = eqx.filter_jit(jax.value_and_grad(loss))
+    value_and_gradient = lean_jit(jax.value_and_grad(loss))
     chosen = [fields[name] for name in arguments.learn]
     runs = [_learn(value_and_gradient, first, chosen, arguments, k) for k in range(arguments.seeds)]
-    estimate = eqx.filter_jit(
+    estimate = lean_jit(
         lambda learned, field: (
             edge_to_depth(field.without_truth(), parameters(learned), sizes).disparity
         )

@@ -21,6 +21,7 @@ import tyro
 from _depth import scenes
 from _report import print_table, write_json
 
+from mvedge_jax import lean_jit
 from mvedge_jax.centre import Parameters, Sizes, SmoothnessParams, edge_smoothness, edge_to_depth
 from mvedge_jax.color import srgb_to_lab
 from mvedge_jax.diffusion import System, diffuse
@@ -102,7 +103,7 @@ def learn(problems: list[Problem], arguments: Arguments, seed: int) -> tuple[Net
     def loss(network: Network, given: Problem) -> jax.Array:
         return jnp.mean(jnp.log1p(((depth(network, given) - given.truth) / 0.03) ** 2))
 
-    @eqx.filter_jit
+    @lean_jit
     def step(network: Network, state: Any, given: Problem) -> tuple[Network, Any, jax.Array]:
         value, gradient = eqx.filter_value_and_grad(loss)(network, given)
         updates, state = adam.update(gradient, state)
@@ -128,7 +129,7 @@ def main() -> None:
     ]
     networks = {"the rule": Network(jax.random.key(0))}
     networks |= {f"learned, seed {seed}": network for seed, (network, _) in enumerate(runs)}
-    judged, rows = eqx.filter_jit(depth), []
+    judged, rows = lean_jit(depth), []
     for name in names:
         row: dict[str, Any] = {
             "scene": name,

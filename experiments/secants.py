@@ -10,13 +10,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import tyro
 from _depth import robust_loss, scenes
 from _report import print_table, write_json
 
+from mvedge_jax import lean_jit
 from mvedge_jax.centre import Parameters, Sizes, edge_to_depth
 from mvedge_jax.lightfield import LightField
 
@@ -50,8 +50,8 @@ def compared(light_field: LightField, reach: float) -> list[dict[str, Any]]:
 
     logs = jax.tree.map(jnp.log, Parameters())
     # The light field is an argument: the compiler would work a constant out at length.
-    gradient = eqx.filter_jit(jax.grad(loss))(logs, light_field)
-    value = eqx.filter_jit(loss)
+    gradient = lean_jit(jax.grad(loss))(logs, light_field)
+    value = lean_jit(loss)
     leaves, structure = jax.tree_util.tree_flatten_with_path(logs)
     rows = []
     for index, ((path, leaf), slope) in enumerate(

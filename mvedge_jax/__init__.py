@@ -6,7 +6,7 @@ The names that most programs need; each folder of the package exports the rest o
 from typing import Any as _Any
 
 from ._cache import compilation_cache as compilation_cache
-from ._compiler import compiler_options as compiler_options
+from ._compiler import compiler_options as compiler_options, lean_jit as lean_jit
 from .angular import (
     ViewDepths as ViewDepths,
     ViewParams as ViewParams,

@@ -17,7 +17,6 @@ from jax.core import Tracer
 from jaxtyping import Array, Bool
 
 from ._compiler import lean_jit
-from ._memory import release_memory
 from ._params import as_number
 
 _LOG = logging.getLogger("mvedge_jax")
@@ -29,40 +28,31 @@ class CheckedJit:
     """A `lean_jit` function whose arguments are looked at first.
 
     Outside of JAX's transforms, a call that compiles for more than two seconds says so: two
-    warnings of the logger `mvedge_jax`, which Python shows unless it is told otherwise. What memory
-    the compiler leaves behind is given back before the program runs.
+    warnings of the logger `mvedge_jax`, which Python shows unless it is told otherwise.
 
     Attributes:
         check: takes the arguments and returns them, positional and named, with Python numbers among
             the leaves of the parameters made arrays, so that no value compiles anew; raises where
             they cannot be right.
         compiled: the function.
-        traces: how often it was traced, as it is whenever it is compiled.
     """
 
-    def __init__(self, check: Callable[..., tuple[Any, ...]], function: Callable[..., Any]):
-        @functools.wraps(function)
-        def traced(*arguments: Any, **options: Any) -> Any:
-            self.traces += 1
-            return function(*arguments, **options)
+    __name__: str
 
-        self.check, self.traces = check, 0
-        self.compiled: Any = lean_jit(traced)
-        self._known: set[Any] = set()
+    def __init__(self, check: Callable[..., tuple[Any, ...]], function: Callable[..., Any]):
+        self.check, self.compiled = check, lean_jit(function)
         functools.update_wrapper(self, function)
+
+    @property
+    def traces(self) -> int:
+        """How often it was traced, as it is whenever it is compiled."""
+        return self.compiled.traces
 
     def __call__(self, *arguments: Any, **options: Any) -> Any:
         arguments, options = self.check(*arguments, **options)
-        leaves, structure = jax.tree.flatten((arguments, options))
-        if any(isinstance(leaf, Tracer) for leaf in leaves):
+        if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves((arguments, options))):
             return self.compiled(*arguments, **options)
-        kinds = tuple(jax.typeof(x) if hasattr(x, "dtype") else x for x in leaves)
         with self._announced():
-            # JAX keeps what is compiled ahead; if it was told to forget, the call compiles.
-            if (structure, kinds) not in self._known:
-                self.compiled.lower(*arguments, **options).compile()
-                self._known.add((structure, kinds))
-                release_memory()
             return self.compiled(*arguments, **options)
 
     @contextlib.contextmanager
@@ -75,7 +65,7 @@ class CheckedJit:
                 said.set()
                 _LOG.warning("%s is being compiled for arguments of this shape, once.", name)
 
-        name = self.compiled.__name__
+        name = self.__name__
         timer = threading.Timer(_PATIENCE, announce)
         timer.daemon = True
         timer.start()
@@ -85,8 +75,6 @@ class CheckedJit:
             timer.cancel()
         if said.is_set():
             _LOG.warning("%s was compiled in %.0f s.", name, time.perf_counter() - start)
-        if self.traces > before:
-            release_memory()
 
     def lower(self, *arguments: Any, **options: Any) -> Any:
         """See `lean_jit`."""

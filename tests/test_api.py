@@ -158,7 +158,6 @@ _FLOORS = (
         "_params",
         "_fence",
         "_linear_map",
-        "_memory",
         "_root",
         "_unstack",
         "color",

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import pytest
 from jaxtyping import Array, Float
 
-from mvedge_jax import _checks
+from mvedge_jax import _checks, _compiler
 from mvedge_jax._checks import checked_jit, expect, sound, with_numbers
 from mvedge_jax._params import number
 
@@ -44,7 +44,7 @@ def test_a_python_number_compiles_once():
 
 def test_memory_of_the_compiler_is_given_back_before_the_program_runs(monkeypatch):
     order = []
-    monkeypatch.setattr(_checks, "release_memory", lambda: order.append("released"))
+    monkeypatch.setattr(_compiler, "release_memory", lambda: order.append("released"))
 
     @checked_jit(_look)
     def watched(params: _Outer, scale: Array) -> Array:

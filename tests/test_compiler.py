@@ -93,3 +93,33 @@ def test_it_is_traced_once():
     for value in (1.0, 2.0, 3.0):
         assert float(counted(jnp.asarray(value))) == value + 1
     assert len(traces) == 1
+
+
+def test_what_the_compiler_leaves_is_given_back_before_the_program_runs(monkeypatch):
+    happened = []
+    monkeypatch.setattr(_compiler, "release_memory", lambda: happened.append("released"))
+
+    @lean_jit
+    def told(x):
+        jax.debug.callback(lambda: happened.append("ran"))
+        return x + 1
+
+    def ran(x):
+        jax.block_until_ready(told(x))
+        jax.effects_barrier()
+        found, happened[:] = list(happened), []
+        return found
+
+    assert ran(jnp.ones(3)) == ["released", "ran"]
+    assert ran(jnp.zeros(3)) == ["ran"]
+    assert ran(jnp.ones(4)) == ["released", "ran"]
+    jax.clear_caches()
+    assert sorted(ran(jnp.ones(4))) == ["ran", "released"]
+    assert told.traces == 3
+
+
+def test_what_is_not_an_array_is_static():
+    scaled = lean_jit(lambda x, *, power: x**power)
+    for power in (2, 3, 2):
+        np.testing.assert_allclose(scaled(jnp.asarray(_X), power=power), _X**power, rtol=1e-12)
+    assert scaled.traces == 2

@@ -10,7 +10,6 @@ first and the compiler's memory given back before it runs. "first" is the sum of
 import argparse
 import sys
 import time
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +20,7 @@ import jax.numpy as jnp
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from _report import peak_memory, print_table, shared_data, timed, write_json
 
-from mvedge_jax import compiler_options
+from mvedge_jax import lean_jit
 from mvedge_jax._crosshair import crosshair
 from mvedge_jax.centre import Parameters, Sizes, edge_smoothness, edge_to_depth, sharpen
 from mvedge_jax.cli._common import compiled
@@ -104,7 +103,7 @@ def _gradient(sizes: Sizes) -> Any:
         seen = eqx.tree_at(lambda f: f.views, light_field, views)
         return jnp.mean(jnp.sin(3 * edge_to_depth(seen, params, sizes).disparity))
 
-    @partial(jax.jit, compiler_options=compiler_options())
+    @lean_jit
     def value_and_gradient(params: Parameters, light_field: LightField) -> Any:
         return jax.value_and_grad(loss, (0, 1))(params, light_field.views, light_field)
 
@@ -128,7 +127,7 @@ def _settings(out: Path, repeats: int) -> None:
     one, two = leaves(Parameters())
     factors = jnp.linspace(0.5, 2.0, 8)
     settings = factors * one, factors[::-1] * two
-    single, together = jax.jit(depth), jax.jit(jax.vmap(depth))
+    single, together = lean_jit(depth), lean_jit(jax.vmap(depth))
 
     def calls(first, second):
         return jnp.stack([single(a, b) for a, b in zip(first, second, strict=True)])
@@ -156,7 +155,7 @@ def _stages(measure, params: Parameters, light_field, sizes: Sizes) -> None:
     arms = crosshair(light_field)
     passes = measure(
         "bidirectional diffusion",
-        eqx.filter_jit(bidirectional),
+        lean_jit(bidirectional),
         points,
         gray,
         BidirectionalParams(),
@@ -168,7 +167,7 @@ def _stages(measure, params: Parameters, light_field, sizes: Sizes) -> None:
     )
     first = measure(
         "hypotheses",
-        eqx.filter_jit(lambda a, b, c, d, p: hypotheses(a, b, c, d, p, window=sizes.window)),
+        lean_jit(lambda a, b, c, d, p: hypotheses(a, b, c, d, p, window=sizes.window)),
         *arms,
         lab,
         tried,
@@ -177,7 +176,7 @@ def _stages(measure, params: Parameters, light_field, sizes: Sizes) -> None:
     shape = (gray.shape[0], gray.shape[1])
     measure(
         "surface vectors",
-        eqx.filter_jit(lambda a, b, c, p: surface_vectors(a, b, c, p, shape=shape)),
+        lean_jit(lambda a, b, c, p: surface_vectors(a, b, c, p, shape=shape)),
         points,
         passes.response,
         first,
@@ -186,7 +185,7 @@ def _stages(measure, params: Parameters, light_field, sizes: Sizes) -> None:
     splines = [a._replace(planes=spline_coefficients(a.planes, axis=-1)) for a in arms]
     labels = measure(
         "dense labels",
-        eqx.filter_jit(
+        lean_jit(
             lambda a, b, c, d, p: photometric_labels(
                 a, b, c, d, p, radius=sizes.radius, passes=sizes.passes
             )
@@ -202,7 +201,7 @@ def _stages(measure, params: Parameters, light_field, sizes: Sizes) -> None:
     found = measure("one diffusion", lambda s: diffuse(s), system)
     measure(
         "sharpening",
-        eqx.filter_jit(lambda d, g, p: sharpen(d, g, p, levels=sizes.levels)),
+        lean_jit(lambda d, g, p: sharpen(d, g, p, levels=sizes.levels)),
         found.value,
         guide,
         params.median,

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import cv2
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -20,6 +19,7 @@ from scipy import ndimage
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from experiments._report import peak_memory, print_table, timed, write_json
+from mvedge_jax import lean_jit
 from mvedge_jax._params import cast
 from mvedge_jax.color import srgb_to_lab
 from mvedge_jax.datasets import load_light_field
@@ -121,7 +121,7 @@ def main(
         ("brightness, noise, first map", _first_map),
         ("multiview_edges: everything", multiview_edges),
     ):
-        _, t = timed(eqx.filter_jit(stage), light_field, params, sizes, repeats=repeats)
+        _, t = timed(lean_jit(stage), light_field, params, sizes, repeats=repeats)
         compiling = t.first - t.median
         rows.append({"stage": name, "median s": t.median, "best s": t.best, "compile s": compiling})
     ours = rows[0]["best s"]

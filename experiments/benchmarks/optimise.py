@@ -18,6 +18,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from _report import peak_memory, print_table, timed, write_json
 
+from mvedge_jax import lean_jit
 from mvedge_jax.losses import Views
 from mvedge_jax.model import DepthModel, ModelParams, ModelSizes, render_model
 from mvedge_jax.model._model import opacities, splat_model
@@ -77,17 +78,17 @@ def main() -> None:
         moving, fixed = eqx.partition(model, eqx.is_inexact_array)
         cotangent = jnp.full_like(start, 1e-6)
 
-        @jax.jit
+        @lean_jit
         def splat_only(moving, fixed=fixed):
             model = eqx.combine(moving, fixed)
             opacity = opacities(model, params, sizes)
             return splat_model(model, jnp.exp(-model.log_weight), opacity, params, sizes).label
 
-        @jax.jit
+        @lean_jit
         def forward(moving, fixed=fixed, start=start):
             return render_model(eqx.combine(moving, fixed), params, sizes, start=start).disparity
 
-        @jax.jit
+        @lean_jit
         def backward(moving, forward=forward, cotangent=cotangent):
             value, pull = jax.vjp(forward, moving)
             return value, pull(cotangent)

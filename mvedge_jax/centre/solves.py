@@ -1,6 +1,7 @@
 """The solves of the centre view: labels, measured anew around every map, and their diffusion."""
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import jax
@@ -10,7 +11,7 @@ from jax import lax
 from jax.typing import DTypeLike
 from jaxtyping import Array, Float
 
-from mvedge_jax._fence import recomputed
+from mvedge_jax._fence import recomputed, staged
 from mvedge_jax.diffusion import AutoSolver, System, diffuse
 from mvedge_jax.image import gaussian
 from mvedge_jax.photometry import Sight
@@ -156,15 +157,17 @@ def dense_map(
         The map. Differentiable.
     """
     every = views.grid if isinstance(views, Sight) else None
-    turns = _turns(sizes, every=every is not None, dtype=first.dtype)
+    kinds = _kinds(sizes, every=every is not None)
 
     def everywhere(found: Look) -> Look:
         return found._replace(views=jnp.broadcast_to(found.views, found.right.shape))
 
+    @staged
     def look(disparity: Array) -> Look:
         found = everywhere(views.look(disparity, radius=sizes.radius))
         return found if every is None else found._replace(cross=jnp.zeros_like(disparity))
 
+    @recomputed
     def disagreement(found: Look, disparity: Array) -> Array:
         return mismatch(found, lab, disparity, views.params, passes=sizes.passes)
 
@@ -174,15 +177,20 @@ def dense_map(
         share = _whole(disparity)
         return jax.tree.map(lambda a, c: share * a + (1 - share) * c, whole, found)
 
+    @staged
+    def measured(found: Look, disparity: Array) -> PhotometricLabels:
+        return labels(found, lab, disparity, views.params, passes=sizes.passes)
+
     def solve(found: Look, disparity: Array, turn: _Turn) -> Any:
-        measured = labels(found, lab, disparity, views.params, passes=sizes.passes)
         sparse = from_points
         if every is not None:
             # Points were measured in the crosshair, and have no say against all views.
             share = jnp.where(turn.kind == _AROUND, 1 - _whole(disparity), 1)
             sparse = sparse._replace(weight=share * sparse.weight)
         return _solved(
-            _with_dense(sparse, measured, disparity, params.centre, views.params, lit),
+            _with_dense(
+                sparse, measured(found, disparity), disparity, params.centre, views.params, lit
+            ),
             _cuts(lab, disparity, params.smoothness, lit),
             disparity,
             span,
@@ -205,43 +213,40 @@ def dense_map(
             compared = sharpens | (turn.kind == _BLURRED)
             differs = lax.cond(compared, disagreement, lambda _, d: jnp.zeros_like(d), found, moved)
             allowed = turn.slack * (blurred.mismatch + 2 * views.params.noise**2)
-            keep = sharpens & (differs > allowed)
-            disparity = jnp.where(keep, disparity, moved)
             # What was seen of the chosen map need not be looked up again.
-            found = jax.tree.map(lambda held, now: jnp.where(keep, held, now), blurred.found, found)
+            disparity, found = jax.tree.map(
+                partial(jnp.where, sharpens & (differs > allowed)),
+                (disparity, blurred.found),
+                (moved, found),
+            )
             blurred = _Blurred(found, differs)
         if every is not None:
             found = lax.cond(turn.kind == _AROUND, around, lambda found, _: found, found, disparity)
 
-        def solved() -> Any:
-            return solve(found, disparity, turn)
-
-        def only_seen() -> Any:
-            return (disparity, error), (jnp.zeros((), jnp.int32), jnp.asarray(True))
-
-        if blurred is None:
-            (disparity, error), stats = solved()
-        else:
-            (disparity, error), stats = lax.cond(turn.kind == _BLURRED, only_seen, solved)
+        (disparity, error), stats = lax.cond(
+            turn.kind == _BLURRED,
+            lambda: ((disparity, error), (jnp.zeros((), jnp.int32), jnp.asarray(True))),
+            lambda: solve(found, disparity, turn),
+        )
         return _State(disparity, error, blurred), stats
 
     nothing = jnp.zeros_like(first)
     state = _State(first, nothing, None)
-    if _BLURRED in turns.kind:
+    if _BLURRED in kinds:
         unseen = jax.tree.map(lambda of: jnp.zeros(of.shape, of.dtype), jax.eval_shape(look, first))
         state = state._replace(blurred=_Blurred(unseen, nothing))
-    state, (iterations, converged) = lax.scan(recomputed(step), state, turns)
-    solves = np.flatnonzero(turns.kind != _BLURRED)
+    state, (iterations, converged) = lax.scan(recomputed(step), state, _turns(kinds, first.dtype))
+    solves = np.flatnonzero(kinds != _BLURRED)
     return Map(state.disparity, state.error, iterations[solves], jnp.all(converged))
 
 
 class _Turn(NamedTuple):
     """What is done in a turn of `dense_map`."""
 
-    kind: np.ndarray
-    slack: np.ndarray
-    sloped: np.ndarray
-    last: np.ndarray
+    kind: Array
+    slack: Array
+    sloped: Array
+    last: Array
 
 
 class _Blurred(NamedTuple):
@@ -259,21 +264,22 @@ class _State(NamedTuple):
     blurred: _Blurred | None
 
 
-def _turns(sizes: SolveSizes, *, every: bool, dtype: DTypeLike) -> _Turn:
-    """The turns of `dense_map`, one behind the other."""
+def _kinds(sizes: SolveSizes, *, every: bool) -> np.ndarray:
+    """The kinds of turns of `dense_map`, in their order."""
     if sizes.sharpening == "none":
         kinds = [_PLAIN] * sizes.solves
     else:
         kinds = [_BLURRED, _SHARPENED, *[_PLAIN] * (sizes.solves - 1)] * 2
-    if every:
-        kinds += [_AROUND] * _AROUND_SOLVES
-    kind = np.asarray(kinds, np.int32)
-    index, first = np.arange(len(kinds)), int(np.flatnonzero(kind != _BLURRED)[0])
+    return np.asarray(kinds + [_AROUND] * (_AROUND_SOLVES if every else 0))
+
+
+def _turns(kinds: np.ndarray, dtype: DTypeLike) -> _Turn:
+    index, first = np.arange(len(kinds)), np.flatnonzero(kinds != _BLURRED)[0]
     return _Turn(
-        kind,
-        np.where(index == first, _WORSE_FIRST, _WORSE).astype(dtype),
-        index > first,
-        index == len(kinds) - 1,
+        jnp.asarray(kinds),
+        jnp.asarray(np.where(index == first, _WORSE_FIRST, _WORSE), dtype),
+        jnp.asarray(index > first),
+        jnp.asarray(index == len(kinds) - 1),
     )
 
 
