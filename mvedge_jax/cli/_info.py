@@ -3,11 +3,9 @@
 from pathlib import Path
 from typing import Annotated
 
-import jax.numpy as jnp
 import numpy as np
 import tyro
 
-from mvedge_jax._compiler import lean_jit
 from mvedge_jax.datasets import (
     ConventionCheck,
     camera_spacing,
@@ -16,8 +14,7 @@ from mvedge_jax.datasets import (
     open_source,
 )
 from mvedge_jax.lightfield import Camera, GroundTruth, LightField
-from mvedge_jax.photometry import Exposure, Noise
-from mvedge_jax.photometry.brightness import expose, measure_noise, rough_exposure
+from mvedge_jax.photometry.brightness import rough_brightness
 
 from ._common import note, stage, warn
 
@@ -139,15 +136,8 @@ def _camera(camera: Camera | None, limits) -> str:
     return text + f", range {near:.3g} .. {far:.3g} m"
 
 
-@lean_jit
-def _brightness(light_field: LightField) -> tuple[Exposure, Noise]:
-    exposure = rough_exposure(light_field)
-    centre = jnp.moveaxis(expose(light_field, exposure).centre_view, -1, 0)
-    return exposure, measure_noise(centre, exposure.scale)
-
-
 def _photometry(light_field: LightField) -> list[tuple[str, str]]:
-    exposure, noise = _brightness(light_field.without_truth())
+    exposure, noise = rough_brightness(light_field.without_truth())
     scale, gain = float(exposure.scale), np.asarray(exposure.gain)
     vc, uc = light_field.centre
     cross = np.concatenate([gain[vc], gain[:, uc]])

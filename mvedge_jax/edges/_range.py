@@ -9,8 +9,8 @@ from mvedge_jax._crosshair import crosshair
 from mvedge_jax._params import cast
 from mvedge_jax.color import srgb_to_lab
 from mvedge_jax.lightfield import LightField
-from mvedge_jax.photometry import Exposure, Noise, VolumeParams
-from mvedge_jax.photometry.brightness import expose, measure_noise, rough_exposure
+from mvedge_jax.photometry import Noise, VolumeParams
+from mvedge_jax.photometry.brightness import expose, rough_brightness
 from mvedge_jax.photometry.matching import best_match
 
 from ._candidates import contrast
@@ -25,13 +25,6 @@ _WIDEST = 12.0
 _GRAINY = 0.4
 # Share of the pixels beyond either end, and what noise beyond that adds to it: false matches.
 _TAIL, _FALSE = 0.002, 0.016
-
-
-@lean_jit
-def _brightness(light_field: LightField) -> tuple[Exposure, Noise]:
-    exposure = rough_exposure(light_field)
-    centre = jnp.moveaxis(light_field.centre_view, -1, 0)
-    return exposure, measure_noise(exposure.scale * centre, exposure.scale)
 
 
 @lean_jit
@@ -74,7 +67,7 @@ def disparity_range(light_field: LightField, *, start: float = 4.0) -> tuple[flo
     # 128 px keep fine structure measurable; smaller views are searched as they are.
     factor = max(1, side // 128)
     light_field = light_field.without_truth()
-    exposure, noise = _brightness(light_field)
+    exposure, noise = rough_brightness(light_field)
     coarse = expose(light_field.downsample(factor), exposure)
     # Grey levels of 100 in the shrunk views; a fifth to a half of what colours in Lab show of it.
     grain = 100 / factor * float(noise.alpha * noise.deviation)

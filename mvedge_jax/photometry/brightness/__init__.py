@@ -2,4 +2,8 @@
 
 from ._denoise import denoised as denoised
 from ._exposure import Exposure as Exposure, expose as expose, rough_exposure as rough_exposure
-from ._noise import Noise as Noise, measure_noise as measure_noise
+from ._noise import (
+    Noise as Noise,
+    measure_noise as measure_noise,
+    rough_brightness as rough_brightness,
+)

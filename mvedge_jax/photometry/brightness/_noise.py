@@ -7,8 +7,12 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
+from mvedge_jax._compiler import lean_jit
 from mvedge_jax._crosshair import Arm
 from mvedge_jax.image import keys_taps, window_sum
+from mvedge_jax.lightfield import LightField
+
+from ._exposure import Exposure, rough_exposure
 
 _STEP = 1.0 / 255  # of 8-bit views, the rule
 # Steps, coarsest first, that views are looked at for; what has none is as if rounded to the last,
@@ -58,6 +62,28 @@ class Noise(NamedTuple):
         if rounding is None:
             rounding = jnp.asarray(_STEP * _UNIFORM, deviation.dtype)
         return Noise(deviation, excess / (excess + 0.004**2), rounding)
+
+
+@lean_jit
+def rough_brightness(light_field: LightField) -> tuple[Exposure, Noise]:
+    """Exposure, gains and noise without knowing any disparity.
+
+    Args:
+        light_field: the crosshair of views is read.
+
+    Returns:
+        `rough_exposure`, and the noise that the centre view alone shows. Differentiable.
+
+    Example:
+        >>> import jax, jax.numpy as jnp
+        >>> views = 0.5 + 0.02 * jax.random.normal(jax.random.key(0), (3, 3, 64, 64, 3))
+        >>> exposure, noise = rough_brightness(LightField(views))
+        >>> float(exposure.scale), 0.017 < float(noise.deviation) < 0.023
+        (1.0, True)
+    """
+    exposure = rough_exposure(light_field)
+    centre = jnp.moveaxis(light_field.centre_view, -1, 0)
+    return exposure, measure_noise(exposure.scale * centre, exposure.scale)
 
 
 def measure_noise(
