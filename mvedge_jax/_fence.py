@@ -2,12 +2,16 @@
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any
+from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
 from jax import lax
+from jax.ad_checkpoint import checkpoint_name
 from jax.extend.core import Primitive
+
+_Tree = TypeVar("_Tree")
+_KEPT = "mvedge_jax: kept"
 
 
 def fenced(function: Callable[..., Any], *arguments: Any) -> Any:
@@ -45,7 +49,7 @@ def staged(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def recomputed(function: Callable[..., Any]) -> Callable[..., Any]:
-    """`jax.checkpoint` that keeps the solutions of linear systems, which are small but dear.
+    """`jax.checkpoint` that keeps what is small but dear: linear solutions, and what is `kept`.
 
     Args:
         function: maps pytrees of arrays to such.
@@ -53,8 +57,20 @@ def recomputed(function: Callable[..., Any]) -> Callable[..., Any]:
     Returns:
         The same function. Differentiable as it is, in both modes.
     """
-    return jax.checkpoint(function, policy=_is_solution)
+    return jax.checkpoint(function, policy=_is_small_but_dear)
 
 
-def _is_solution(primitive: Primitive, *_: Any, **__: Any) -> bool:
-    return primitive.name == "custom_linear_solve"
+def kept(tree: _Tree) -> _Tree:
+    """Arrays that reverse mode keeps where all around them is `recomputed`.
+
+    Args:
+        tree: a pytree of arrays.
+
+    Returns:
+        The same.
+    """
+    return jax.tree.map(lambda array: checkpoint_name(array, _KEPT), tree)
+
+
+def _is_small_but_dear(primitive: Primitive, *_: Any, **params: Any) -> bool:
+    return primitive.name == "custom_linear_solve" or params.get("name") == _KEPT

@@ -11,7 +11,7 @@ from jax import lax
 from jax.typing import DTypeLike
 from jaxtyping import Array, Float
 
-from mvedge_jax._fence import recomputed, staged
+from mvedge_jax._fence import kept, recomputed, staged
 from mvedge_jax.diffusion import AutoSolver, System, diffuse
 from mvedge_jax.image import gaussian
 from mvedge_jax.photometry import Sight
@@ -189,7 +189,12 @@ def dense_map(
             sparse = sparse._replace(weight=share * sparse.weight)
         return _solved(
             _with_dense(
-                sparse, measured(found, disparity), disparity, params.centre, views.params, lit
+                sparse,
+                kept(measured(found, disparity)),
+                disparity,
+                params.centre,
+                views.params,
+                lit,
             ),
             _cuts(lab, disparity, params.smoothness, lit),
             disparity,
@@ -205,11 +210,11 @@ def dense_map(
     def step(state: _State, turn: _Turn) -> tuple[_State, tuple[Array, Array]]:
         disparity, error, blurred = state
         if blurred is None:
-            found = look(disparity)
+            found = kept(look(disparity))
         else:
             sharpens = turn.kind == _SHARPENED
-            moved = lax.cond(sharpens, sharper, lambda d: d, disparity)
-            found = look(moved)
+            moved = kept(lax.cond(sharpens, sharper, lambda d: d, disparity))
+            found = kept(look(moved))
             compared = sharpens | (turn.kind == _BLURRED)
             differs = lax.cond(compared, disagreement, lambda _, d: jnp.zeros_like(d), found, moved)
             allowed = turn.slack * (blurred.mismatch + 2 * views.params.noise**2)
