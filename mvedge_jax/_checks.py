@@ -16,7 +16,7 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Bool
 
-from ._compiler import lean_jit
+from ._compiler import lean_jit, release_memory
 from ._params import as_number
 
 _LOG = logging.getLogger("mvedge_jax")
@@ -35,18 +35,18 @@ class CheckedJit:
             the leaves of the parameters made arrays, so that no value compiles anew; raises where
             they cannot be right.
         compiled: the function.
+        traces: how often it was traced, as it is whenever it is compiled.
     """
 
-    __name__: str
-
     def __init__(self, check: Callable[..., tuple[Any, ...]], function: Callable[..., Any]):
-        self.check, self.compiled = check, lean_jit(function)
-        functools.update_wrapper(self, function)
+        @functools.wraps(function)
+        def traced(*arguments: Any, **options: Any) -> Any:
+            self.traces += 1
+            return function(*arguments, **options)
 
-    @property
-    def traces(self) -> int:
-        """How often it was traced, as it is whenever it is compiled."""
-        return self.compiled.traces
+        self.check, self.traces = check, 0
+        self.compiled: Any = lean_jit(traced)
+        functools.update_wrapper(self, function)
 
     def __call__(self, *arguments: Any, **options: Any) -> Any:
         arguments, options = self.check(*arguments, **options)
@@ -65,7 +65,7 @@ class CheckedJit:
                 said.set()
                 _LOG.warning("%s is being compiled for arguments of this shape, once.", name)
 
-        name = self.__name__
+        name = self.compiled.__name__
         timer = threading.Timer(_PATIENCE, announce)
         timer.daemon = True
         timer.start()
@@ -75,6 +75,9 @@ class CheckedJit:
             timer.cancel()
         if said.is_set():
             _LOG.warning("%s was compiled in %.0f s.", name, time.perf_counter() - start)
+        if self.traces > before:
+            # Where JAX was told to forget, the program was compiled as it was called.
+            release_memory()
 
     def lower(self, *arguments: Any, **options: Any) -> Any:
         """See `lean_jit`."""

@@ -80,23 +80,13 @@ def release_memory() -> None:
 
 
 class LeanJit(Generic[_P, _T]):
-    """What `lean_jit` returns.
-
-    Attributes:
-        traces: how often the function was traced, as it is whenever it is compiled.
-    """
+    """What `lean_jit` returns."""
 
     __wrapped__: Callable[_P, _T]
 
     def __init__(self, function: Callable[_P, _T]):
-        @functools.wraps(function)
-        def traced(*arguments: _P.args, **options: _P.kwargs) -> _T:
-            self.traces += 1
-            return function(*arguments, **options)
-
-        self.traces = 0
-        self._traced = traced
-        self._nested: Any = eqx.filter_jit(traced)
+        self._function = function
+        self._nested: Any = eqx.filter_jit(function)
         self._outermost: Any = None
         self._known: set[Any] = set()
         functools.update_wrapper(self, function)
@@ -112,11 +102,7 @@ class LeanJit(Generic[_P, _T]):
             program.lower(*arguments, **options).compile()
             self._known.add(kind)
             release_memory()
-        before = self.traces
-        result = program(*arguments, **options)
-        if self.traces > before:  # it was told to forget
-            release_memory()
-        return result
+        return program(*arguments, **options)
 
     def lower(self, *arguments: _P.args, **options: _P.kwargs) -> Any:
         """See `equinox.filter_jit`."""
@@ -128,7 +114,7 @@ class LeanJit(Generic[_P, _T]):
         if self._outermost is None:
             # Not before the first call: which options are known depends on the device.
             jit: Any = eqx.filter_jit
-            self._outermost = jit(self._traced, compiler_options=compiler_options())
+            self._outermost = jit(self._function, compiler_options=compiler_options())
         return self._outermost
 
 

@@ -44,7 +44,8 @@ def test_a_python_number_compiles_once():
 
 def test_memory_of_the_compiler_is_given_back_before_the_program_runs(monkeypatch):
     order = []
-    monkeypatch.setattr(_compiler, "release_memory", lambda: order.append("released"))
+    for module in (_checks, _compiler):
+        monkeypatch.setattr(module, "release_memory", lambda: order.append("released"))
 
     @checked_jit(_look)
     def watched(params: _Outer, scale: Array) -> Array:
@@ -57,6 +58,12 @@ def test_memory_of_the_compiler_is_given_back_before_the_program_runs(monkeypatc
     assert order[0] == "released"
     assert order.count("ran") == 2
     assert watched.traces == 1
+    jax.clear_caches()
+    order.clear()
+    jax.block_until_ready(watched(_Outer(), jnp.asarray(3.0)))
+    jax.effects_barrier()
+    assert sorted(order) == ["ran", "released"]
+    assert watched.traces == 2
 
 
 def test_a_call_that_compiles_for_long_says_so_once(monkeypatch, caplog):
