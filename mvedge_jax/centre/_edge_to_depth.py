@@ -23,11 +23,12 @@ from mvedge_jax.lightfield import LightField
 from mvedge_jax.photometry import Exposure, Noise, first_labels, prepare, sight
 from mvedge_jax.warping import outline
 
+from ._labels import AGREEMENT, Labels, precision_weight
 from ._parameters import Parameters, Sizes, check_covers
 from ._problems import problems
 from ._sharpen import sharpen
 from .error import standard_error
-from .solves import AGREEMENT, Labels, dense_map, precision_weight
+from .solves import dense_map
 
 # Log odds that the map has a pixel beside a step on the right side. From all 13 scenes, which would
 # have less on the mean, but for cotton: silhouettes that are shaded darker than what is in front.

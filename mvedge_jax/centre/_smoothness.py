@@ -5,9 +5,12 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from mvedge_jax._params import cast, number
+from mvedge_jax.image import gaussian
 
 # The least smoothness, so that every pixel keeps a tie to its neighbours.
 _FLOOR = 1e-6
+# Standard deviation and reach, px, of the Gaussian that a map passes before its steps cut edges.
+_BLUR, _BLUR_REACH = 0.5, 2
 
 
 class SmoothnessParams(eqx.Module):
@@ -62,6 +65,18 @@ def edge_smoothness(
         return jnp.maximum(1 / (1 + edge), _FLOOR)
 
     return along(1), along(0)
+
+
+def cuts(
+    lab: Array, disparity: Array, params: SmoothnessParams, lit: Array | None
+) -> tuple[Array, Array]:
+    """Smoothness by the steps of a map: full between neighbours of which one is not `lit`."""
+    smooth = gaussian(disparity, jnp.asarray(_BLUR, disparity.dtype), _BLUR_REACH)
+    tx, ty = edge_smoothness(lab, smooth, params)
+    if lit is None:
+        return tx, ty
+    across, down = lit[:, 1:] * lit[:, :-1], lit[1:] * lit[:-1]
+    return jnp.maximum(tx, 1 - across), jnp.maximum(ty, 1 - down)
 
 
 def _power(base: Array, exponent: float) -> Array:

@@ -12,12 +12,9 @@ from jax.typing import DTypeLike
 from jaxtyping import Array, Float
 
 from mvedge_jax._fence import kept, recomputed, staged
-from mvedge_jax.diffusion import AutoSolver, System, diffuse
-from mvedge_jax.image import gaussian
 from mvedge_jax.photometry import Sight
 from mvedge_jax.photometry.measuring import (
     Look,
-    Measuring,
     PhotometricLabels,
     labels,
     look_around,
@@ -25,52 +22,21 @@ from mvedge_jax.photometry.measuring import (
 )
 from mvedge_jax.photometry.photographs import PosedSight
 
+from ._diffused import diffused
+from ._labels import Labels as Labels, share_of_all, with_dense
 from ._parameters import CentreParams
 from ._sharpen import Sharpening
-from ._slant import rises, slope_labels
-from ._smoothness import SmoothnessParams, edge_smoothness
-from .error import spread, steepest
+from ._smoothness import SmoothnessParams, cuts
 
-# A point whose disparity differs by this from the map, px, has a quarter of its weight.
-AGREEMENT = 0.15
-# Weight of the previous map itself, so that no region is without any label.
-_ANCHOR = 1e-6
 # A pixel follows the sharpened map unless its residual grows by more than this factor (plus twice
 # this, squared noise): the median would swallow structures that are thinner than half of its
 # window, and the views know better. At first thin structures are not yet fitted to the views.
 _WORSE_FIRST, _WORSE = 1.2, 2.0
-# Differences of neighbours beyond this, px, are steps rather than slopes.
-_STEEPEST = 0.3
-# Weight of the slope 0 against that of a perfect label.
-_FLAT = 1e-4
-# Standard deviation and reach, px, of the Gaussian that a map passes before its steps cut edges.
-_BLUR, _BLUR_REACH = 0.5, 2
-# Beyond this distance from any label, px, a map tells no more about a surface than its own spread.
-# From cotton, backgammon, room, bench and the nine rendered scenes.
-_FORGOTTEN = 55.0
 # What a turn does: a solve, measured around the last map in the crosshair or in all views; a look
 # at a map that will be sharpened; sharpening and a solve.
 _PLAIN, _AROUND, _BLURRED, _SHARPENED = range(4)
 # Solves whose labels are measured in all views, where these are asked for.
 _AROUND_SOLVES = 2
-# A step of this, px, within this distance of a pixel halves the share that all views have in its
-# label: the views of the corners look past an edge on two sides, and smear it. From cotton,
-# backgammon, bench and demo.
-_PARTED, _BESIDE = 0.1, 2
-# Which of the four diffusions is which; those of the slopes come first.
-_MAP, _ERROR = 2, 3
-
-
-class Labels(NamedTuple):
-    """Labels and data weights per pixel.
-
-    Attributes:
-        weight: against a perfect label, `[y, x]`.
-        value: disparity, `[y, x]`.
-    """
-
-    weight: Array
-    value: Array
 
 
 @runtime_checkable
@@ -156,97 +122,58 @@ def dense_map(
     Returns:
         The map. Differentiable.
     """
-    every = views.grid if isinstance(views, Sight) else None
-    kinds = _kinds(sizes, every=every is not None)
-
-    def everywhere(found: Look) -> Look:
-        return found._replace(views=jnp.broadcast_to(found.views, found.right.shape))
-
-    @staged
-    def look(disparity: Array) -> Look:
-        found = everywhere(views.look(disparity, radius=sizes.radius))
-        return found if every is None else found._replace(cross=jnp.zeros_like(disparity))
-
-    @recomputed
-    def disagreement(found: Look, disparity: Array) -> Array:
-        return mismatch(found, lab, disparity, views.params, passes=sizes.passes)
-
-    def around(found: Look, disparity: Array) -> Look:
-        assert every is not None
-        whole = everywhere(look_around(every, disparity, views.params, radius=sizes.radius))
-        share = _whole(disparity)
-        return jax.tree.map(lambda a, c: share * a + (1 - share) * c, whole, found)
-
-    @staged
-    def measured(found: Look, disparity: Array) -> PhotometricLabels:
-        return labels(found, lab, disparity, views.params, passes=sizes.passes)
-
-    def solve(found: Look, disparity: Array, turn: _Turn) -> Any:
-        sparse = from_points
-        if every is not None:
-            # Points were measured in the crosshair, and have no say against all views.
-            share = jnp.where(turn.kind == _AROUND, 1 - _whole(disparity), 1)
-            sparse = sparse._replace(weight=share * sparse.weight)
-        return _solved(
-            _with_dense(
-                sparse,
-                kept(measured(found, disparity)),
-                disparity,
-                params.centre,
-                views.params,
-                lit,
-            ),
-            _cuts(lab, disparity, params.smoothness, lit),
-            disparity,
-            span,
-            params.centre,
-            sizes,
-            sloped=turn.sloped,
-            last=turn.last,
-        )
+    given = _Given(from_points, views, lab, span, params, lit)
+    every = _every(given) is not None
+    kinds = _kinds(sizes, every=every)
 
     # One look and one solver for all turns keep the program small: what differs between turns is a
     # branch, and the two maps that a sharpening compares are looked at in turns of their own.
     def step(state: _State, turn: _Turn) -> tuple[_State, tuple[Array, Array]]:
-        disparity, error, blurred = state
-        if blurred is None:
-            found = kept(look(disparity))
+        if state.blurred is None:
+            found = kept(_look(given, state.disparity, sizes))
         else:
-            sharpens = turn.kind == _SHARPENED
-            moved = kept(lax.cond(sharpens, sharper, lambda d: d, disparity))
-            found = kept(look(moved))
-            compared = sharpens | (turn.kind == _BLURRED)
-            differs = lax.cond(compared, disagreement, lambda _, d: jnp.zeros_like(d), found, moved)
-            allowed = turn.slack * (blurred.mismatch + 2 * views.params.noise**2)
-            # What was seen of the chosen map need not be looked up again.
-            disparity, found = jax.tree.map(
-                partial(jnp.where, sharpens & (differs > allowed)),
-                (disparity, blurred.found),
-                (moved, found),
-            )
-            blurred = _Blurred(found, differs)
-        if every is not None:
-            found = lax.cond(turn.kind == _AROUND, around, lambda found, _: found, found, disparity)
-
+            state, found = _sharpened(given, state, turn, sharper, sizes)
+        if every:
+            around = partial(_around, given, sizes=sizes)
+            found = lax.cond(turn.kind == _AROUND, around, lambda f, _: f, found, state.disparity)
         (disparity, error), stats = lax.cond(
             turn.kind == _BLURRED,
-            lambda: ((disparity, error), (jnp.zeros((), jnp.int32), jnp.asarray(True))),
-            lambda: solve(found, disparity, turn),
+            lambda: (state[:2], (jnp.zeros((), jnp.int32), jnp.asarray(True))),
+            lambda: _solve(given, found, state.disparity, turn, sizes),
         )
-        return _State(disparity, error, blurred), stats
+        return state._replace(disparity=disparity, error=error), stats
 
     nothing = jnp.zeros_like(first)
     state = _State(first, nothing, None)
     if _BLURRED in kinds:
-        unseen = jax.tree.map(lambda of: jnp.zeros(of.shape, of.dtype), jax.eval_shape(look, first))
+        shapes = jax.eval_shape(lambda d: _look(given, d, sizes), first)
+        unseen = jax.tree.map(lambda of: jnp.zeros(of.shape, of.dtype), shapes)
         state = state._replace(blurred=_Blurred(unseen, nothing))
     state, (iterations, converged) = lax.scan(recomputed(step), state, _turns(kinds, first.dtype))
     solves = np.flatnonzero(kinds != _BLURRED)
     return Map(state.disparity, state.error, iterations[solves], jnp.all(converged))
 
 
+class _Given(NamedTuple):
+    """What all turns of `dense_map` read."""
+
+    from_points: Labels
+    views: Sight | PosedSight
+    lab: Array
+    span: Array
+    params: SolveParams
+    lit: Array | None
+
+
 class _Turn(NamedTuple):
-    """What is done in a turn of `dense_map`."""
+    """What is done in a turn of `dense_map`.
+
+    Attributes:
+        kind: see `_PLAIN`.
+        slack: by which factor a sharpened map may disagree more with the views.
+        sloped: whether the solve goes along the slopes of the map.
+        last: whether the error of the map is asked for.
+    """
 
     kind: Array
     slack: Array
@@ -288,128 +215,80 @@ def _turns(kinds: np.ndarray, dtype: DTypeLike) -> _Turn:
     )
 
 
-class _Solve(NamedTuple):
-    """One diffusion of the four: those of either slope, of the map and of its error."""
-
-    which: Array
-    wanted: Array
-    weight: Array
-    label: Array
-    start: Array
-    stiffness: Array
-    tolerance: Array
+def _every(given: _Given) -> Any:
+    """All views, where labels are measured in them."""
+    return given.views.grid if isinstance(given.views, Sight) else None
 
 
-def _solved(
-    labels: Labels,
-    edges: tuple[Array, Array],
-    start: Array,
-    span: Array,
-    params: CentreParams,
+def _look(given: _Given, disparity: Array, sizes: SolveSizes) -> Look:
+    """What the views of the crosshair, or the photographs, show around a map."""
+
+    @staged
+    def look(disparity: Array) -> Look:
+        found = _per_pixel(given.views.look(disparity, radius=sizes.radius))
+        alone = _every(given) is None
+        return found if alone else found._replace(cross=jnp.zeros_like(disparity))
+
+    return look(disparity)
+
+
+def _per_pixel(found: Look) -> Look:
+    return found._replace(views=jnp.broadcast_to(found.views, found.right.shape))
+
+
+def _around(given: _Given, found: Look, disparity: Array, *, sizes: SolveSizes) -> Look:
+    """What all views show around a map; beside its steps, what the crosshair does."""
+    whole = look_around(_every(given), disparity, given.views.params, radius=sizes.radius)
+    share = share_of_all(disparity)
+    return jax.tree.map(lambda a, c: share * a + (1 - share) * c, _per_pixel(whole), found)
+
+
+def _sharpened(
+    given: _Given,
+    state: _State,
+    turn: _Turn,
+    sharper: Callable[[Array], Array],
     sizes: SolveSizes,
-    *,
-    sloped: Array,
-    last: Array,
-) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
-    """Diffuses labels into a map, from `start`; if `sloped`, along the slopes of `start`.
+) -> tuple[_State, Look]:
+    """The map, sharpened where the views do not mind, if it is the turn for that; and its look."""
+    assert state.blurred is not None
+    sharpens, noise = turn.kind == _SHARPENED, given.views.params.noise
 
-    For either slope, for the map and, at `last`, for its error, a solve each, one after the other
-    by a loop: the solver compiles slowly.
+    def disagreement(found: Look, disparity: Array) -> Array:
+        return mismatch(found, given.lab, disparity, given.views.params, passes=sizes.passes)
 
-    Returns:
-        The map and, at `last`, the standard error of the labels that every pixel is made from, 0
-        without labels; iterations and convergence of the map's own solve.
-    """
-    held, slopes = slope_labels(start, labels.weight, edges, steepest=_STEEPEST, flat=_FLAT)
-    # What a label of this weight is known to, and at best a tenth of what counts half.
-    uncertain = params.precision * jnp.sqrt(1 / jnp.clip(labels.weight, 1e-9, 0.99) - 1)
-    slope, whole, nothing = params.slant, params.smoothness, jnp.zeros_like(start)
-    forgotten = whole / _FORGOTTEN**2
-    doubted = labels.weight + forgotten
-    doubt = (labels.weight * uncertain + forgotten * spread(start, labels.weight, span)) / doubted
-    solves = _Solve(
-        which=jnp.arange(4),
-        wanted=jnp.stack([sloped, sloped, jnp.asarray(True), last]),
-        weight=jnp.concatenate([held, jnp.stack([labels.weight, doubted])]),
-        label=jnp.concatenate([slopes, jnp.stack([labels.value, doubt])]),
-        start=jnp.stack([nothing, nothing, start, nothing]),
-        stiffness=jnp.stack([slope, slope, whole, whole]),
-        tolerance=sizes.tolerance * jnp.asarray([10, 10, 1, 10], start.dtype),
+    moved = kept(lax.cond(sharpens, sharper, lambda d: d, state.disparity))
+    found = kept(_look(given, moved, sizes))
+    compared = sharpens | (turn.kind == _BLURRED)
+    differs = lax.cond(compared, disagreement, lambda _, d: jnp.zeros_like(d), found, moved)
+    minds = sharpens & (differs > turn.slack * (state.blurred.mismatch + 2 * noise**2))
+    # What was seen of the chosen map need not be looked up again.
+    disparity, found = jax.tree.map(
+        partial(jnp.where, minds), (state.disparity, state.blurred.found), (moved, found)
     )
-
-    def solve(found: Array, of: _Solve) -> tuple[Array, tuple[Array, Array]]:
-        asked = [jnp.where(of.which == _MAP, rise, 0) for rise in rises(found[:_MAP])]
-        tx, ty = (of.stiffness * t for t in edges)
-
-        def solved() -> tuple[Array, tuple[Array, Array]]:
-            system = System(of.weight, of.label, tx, ty, *asked)
-            # By the estimated error, solves take up to five times the steps for the same map: most
-            # of that error is in pixels without any label to speak of.
-            solver = AutoSolver(tolerance=of.tolerance, by_residual=True)
-            result = diffuse(system, start=of.start, solver=solver)
-            return result.value, (result.stats.iterations, result.stats.converged)
-
-        def skipped() -> tuple[Array, tuple[Array, Array]]:
-            return nothing, (jnp.zeros((), jnp.int32), jnp.asarray(True))
-
-        value, stats = lax.cond(of.wanted, solved, skipped)
-        return lax.dynamic_update_index_in_dim(found, value, of.which, 0), stats
-
-    found, (iterations, converged) = lax.scan(solve, jnp.zeros_like(solves.label), solves)
-    return (found[_MAP], found[_ERROR]), (iterations[_MAP], jnp.all(converged))
+    return _State(disparity, state.error, _Blurred(found, differs)), found
 
 
-def _with_dense(
-    from_points: Labels,
-    measured: PhotometricLabels,
-    disparity: Array,
-    params: CentreParams,
-    measuring: Measuring,
-    lit: Array | None,
-) -> Labels:
-    """Labels of the points together with one measured at every pixel."""
-    weight = measured.weight(measuring, precision=params.precision, trust=params.trust)
-    distance = (from_points.value - disparity) / AGREEMENT
-    sparse = from_points.weight / (1 + distance**2) ** 2
-    if lit is not None:
-        weight, sparse = lit * weight, lit * sparse
-    total = weight + sparse + _ANCHOR
-    sums = weight * measured.disparity + sparse * from_points.value + _ANCHOR * disparity
-    return Labels(total, sums / jnp.maximum(total, jnp.finfo(total.dtype).tiny))
+def _solve(given: _Given, found: Look, disparity: Array, turn: _Turn, sizes: SolveSizes) -> Any:
+    """Labels at every pixel, with those of the points, diffused."""
 
+    @staged
+    def measured(found: Look, disparity: Array) -> PhotometricLabels:
+        return labels(found, given.lab, disparity, given.views.params, passes=sizes.passes)
 
-def _cuts(
-    lab: Array, disparity: Array, params: SmoothnessParams, lit: Array | None
-) -> tuple[Array, Array]:
-    """Smoothness by the steps of a map: full between neighbours of which one is not `lit`."""
-    tx, ty = edge_smoothness(lab, _smooth(disparity), params)
-    if lit is None:
-        return tx, ty
-    across, down = lit[:, 1:] * lit[:, :-1], lit[1:] * lit[:-1]
-    return jnp.maximum(tx, 1 - across), jnp.maximum(ty, 1 - down)
-
-
-def precision_weight(variance: Array, params: CentreParams) -> Array:
-    """Weight of a label against that of a perfect one.
-
-    Args:
-        variance: of the label, px².
-        params: `precision` is the standard error that halves the weight.
-
-    Returns:
-        The weight, at most 1. Differentiable.
-    """
-    precision = params.precision**2
-    return precision / (precision + variance)
-
-
-def _whole(disparity: Array) -> Array:
-    """Share of all views against the crosshair in the label of a pixel: 1 far from steps."""
-    window = (2 * _BESIDE + 1,) * 2
-    step = lax.reduce_window(steepest(disparity), -jnp.inf, lax.max, window, (1, 1), "SAME")
-    return 1 / (1 + (step / _PARTED) ** 4)
-
-
-def _smooth(disparity: Array) -> Array:
-    """The map whose steps cut edges."""
-    return gaussian(disparity, jnp.asarray(_BLUR, disparity.dtype), _BLUR_REACH)
+    params, sparse = given.params, given.from_points
+    if _every(given) is not None:
+        # Points were measured in the crosshair, and have no say against all views.
+        share = jnp.where(turn.kind == _AROUND, 1 - share_of_all(disparity), 1)
+        sparse = sparse._replace(weight=share * sparse.weight)
+    dense = kept(measured(found, disparity))
+    return diffused(
+        with_dense(sparse, dense, disparity, params.centre, given.views.params, given.lit),
+        cuts(given.lab, disparity, params.smoothness, given.lit),
+        disparity,
+        given.span,
+        params.centre,
+        tolerance=sizes.tolerance,
+        sloped=turn.sloped,
+        last=turn.last,
+    )
