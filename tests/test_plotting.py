@@ -145,7 +145,8 @@ def test_errors_show_sign_size_and_gaps():
     assert signed.get_clim() == (-0.05, 0.05)
     spoilt = maps[0].copy()
     spoilt[0, 0], spoilt[1, 1] = np.inf, truth[1, 1]
-    figure = plotting.plot_error(spoilt, truth, name="a")
+    figure = plotting.plot_error(spoilt, truth, name="a", label="standard error")
+    assert [bar.get_ylabel() for bar in figure.axes[1:]] == ["standard error"]
     size = _array(_images(figure)[0])
     assert np.ma.getmaskarray(size)[0, 0]
     assert not np.ma.getmaskarray(size)[1, 1]  # an exact pixel is dark, not missing

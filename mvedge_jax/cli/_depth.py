@@ -133,7 +133,9 @@ def write_depth(folder: Path, light_field: LightField, result: DepthResult) -> N
     _image(folder / "disparity16.png", np.round(levels).astype(np.uint16))
     error = np.asarray(result.error)
     write_pfm(folder / "standard_error.pfm", error)
-    figure = plotting.plot_error(error, np.zeros_like(error), name="standard error")
+    figure = plotting.plot_error(
+        error, np.zeros_like(error), label="standard error (px per view step)"
+    )
     figure.savefig(folder / "standard_error.png")
     plotting.plot_disparity(disparity).savefig(folder / "disparity.png")
     if light_field.camera is not None:

@@ -114,7 +114,7 @@ def _dense(
     stem = stem_of(photographs.names[int(chosen.index)])
     write_pfm(folder / f"{stem}_error.pfm", np.asarray(result.error))
     doubt = np.asarray(result.disparity_error)
-    figure = plotting.plot_error(doubt, np.zeros_like(doubt), name="standard error")
+    figure = plotting.plot_error(doubt, np.zeros_like(doubt), label="standard error (px)")
     figure.savefig(folder / f"{stem}_error.png")
     row = _written(folder, photographs, chosen, result.depth, result.disparity)
     row |= {

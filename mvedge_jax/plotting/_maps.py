@@ -24,6 +24,7 @@ from ._style import (
 
 _LOG_LIMITS = (1e-3, 1.0)
 _LOG_LABEL = "absolute error (px per view step)"
+_SIGNED_LABEL = "error (px per view step)"
 
 
 def disparity_limits(
@@ -94,6 +95,7 @@ def plot_error(
     kind: Literal["signed", "log"] = "log",
     limit: float = 0.1,
     name: str = "",
+    label: str | None = None,
     width: float = WIDTH / 2,
 ) -> Figure:
     """Draws where a disparity map is wrong.
@@ -105,6 +107,7 @@ def plot_error(
             logarithmic scale from 0.001 to 1 px.
         limit: Error at the ends of the signed scale, px per view step; larger ones are clipped.
         name: Title.
+        label: Of the colour bar; None for the error, absolute on the logarithmic scale.
         width: Width of the figure, inches.
 
     Returns:
@@ -122,11 +125,11 @@ def plot_error(
         axes = figure.subplots()
         if kind == "log":
             shown = _show_log(axes, error, name)
-            colour_bar(figure, shown, axes, _LOG_LABEL, extend="both")
+            colour_bar(figure, shown, axes, label or _LOG_LABEL, extend="both")
         else:
             scale = limits_norm((-limit, limit))
             shown = show(axes, error, name, cmap=colour_map("RdBu_r"), norm=scale)
-            colour_bar(figure, shown, axes, "error (px per view step)", extend="both")
+            colour_bar(figure, shown, axes, label or _SIGNED_LABEL, extend="both")
     return figure
 
 
