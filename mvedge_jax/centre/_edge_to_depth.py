@@ -20,15 +20,15 @@ from mvedge_jax.edges.sides import (
     surface_vectors,
 )
 from mvedge_jax.lightfield import LightField
-from mvedge_jax.photometry import Exposure, Noise, first_labels, prepare, sight
+from mvedge_jax.photometry import Exposure, Noise, Scene, first_labels, prepare, sight
 from mvedge_jax.warping import outline
 
 from ._labels import AGREEMENT, Labels, precision_weight
-from ._parameters import Parameters, Sizes, check_covers
+from ._parameters import CentreParams, Parameters, Sizes, check_covers
 from ._problems import problems
 from ._sharpen import sharpen
 from .error import standard_error
-from .solves import dense_map
+from .solves import Map, dense_map
 
 # Log odds that the map has a pixel beside a step on the right side. From all 13 scenes, which would
 # have less on the mean, but for cotton: silhouettes that are shaded darker than what is in front.
@@ -202,10 +202,7 @@ def edge_to_depth(light_field: LightField, params: Parameters, sizes: Sizes) -> 
     surface = staged(choose_side)(points, passes.response, first, sided)
 
     # 5 and 6: labels, diffused.
-    # Points take their disparity from few pixels, which noise leaves little of.
-    trusted = params.centre.points * (1 - scene.noise.alpha) * points.confidence
-    weight = trusted * precision_weight(points.error**2, params.centre)
-    from_points = _point_labels(points, surface, weight, first, sided)
+    from_points = _point_labels(points, surface, scene.noise, first, sided, params.centre)
     sharper = partial(
         sharpen,
         guide=scene.guide,
@@ -218,6 +215,9 @@ def edge_to_depth(light_field: LightField, params: Parameters, sizes: Sizes) -> 
     found = dense_map(
         from_points, views, scene.lab, first, span, sharper, params, sizes, lit=scene.lit
     )
+
+    # 7: pixels of both surfaces.
+    disparity, error = _outlined(found, scene, fine)
     stats = DepthStats(
         edges.stats,
         jnp.sum(from_points.weight > 0),
@@ -229,29 +229,39 @@ def edge_to_depth(light_field: LightField, params: Parameters, sizes: Sizes) -> 
         fine,
         jnp.stack([disparities[0], disparities[-1]]),
     )
-    # Selections drop NaN on the way: a parameter that is none would leave a plausible map.
-    unknown = jnp.asarray(jnp.nan, dtype)
-    shown = outline(found.disparity, scene.guide, scene.noise.deviation, prior=_PRIOR)
-    disparity, doubt = (jnp.ravel(a)[shown] for a in (found.disparity, found.error))
-    disparity = jnp.where(fine, disparity, unknown)
-    error = jnp.where(fine, standard_error(doubt, disparity), unknown)
     return DepthResult(disparity, error, passes.edge, points, surface, stats)
 
 
 def _point_labels(
     points: EdgePoints,
     surface: SurfaceVectors,
-    weight: Float[Array, " n"],
+    noise: Noise,
     first: Float[Array, "y x"],
-    params: SurfaceParams,
+    sided: SurfaceParams,
+    params: CentreParams,
 ) -> Labels:
     """The points' labels, on either side of their edges as far as it is likely to be theirs."""
+    # Points take their disparity from few pixels, which noise leaves little of.
+    trusted = params.points * (1 - noise.alpha) * points.confidence
+    weight = trusted * precision_weight(points.error**2, params)
     weight = jnp.where(points.valid, weight, 0)
     agreement = jnp.asarray(AGREEMENT, weight.dtype)
     total, mean = jnp.zeros_like(first), jnp.zeros_like(first)
-    shift = params.offset * points.normal
+    shift = sided.offset * points.normal
     for sign, likely in ((1.0, surface.forward), (-1.0, 1 - surface.forward)):
         place = points.xy + sign * shift
         amount, value = share(place, points.disparity, weight * likely, first, agreement)
         total, mean = total + amount, mean + amount * value
     return Labels(total, mean / jnp.where(total > 0, total, 1))
+
+
+def _outlined(
+    found: Map, scene: Scene, fine: Bool[Array, ""]
+) -> tuple[Float[Array, "y x"], Float[Array, "y x"]]:
+    """Disparity and its standard error once pixels of two surfaces have one of them."""
+    shown = outline(found.disparity, scene.guide, scene.noise.deviation, prior=_PRIOR)
+    disparity, doubt = (jnp.ravel(a)[shown] for a in (found.disparity, found.error))
+    # Selections drop NaN on the way: a parameter that is none would leave a plausible map.
+    unknown = jnp.asarray(jnp.nan, disparity.dtype)
+    error = standard_error(doubt, disparity)
+    return jnp.where(fine, disparity, unknown), jnp.where(fine, error, unknown)

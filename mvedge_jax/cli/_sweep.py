@@ -3,7 +3,7 @@
 import contextlib
 import csv
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -100,28 +100,39 @@ def sweep(
                 ),
             )
         seconds = time.perf_counter() - before
-        best = {name: found.study.best_trial.params[name] for name in found.study.best_params}
-        write_json(folder / "best.json", {"setting": best, objective: found.value})
-        with (folder / "trials.csv").open("w", newline="", encoding="utf-8") as file:
-            writer = csv.DictWriter(file, fieldnames=list(found.rows[0]))
-            writer.writeheader()
-            writer.writerows(found.rows)
+        _write(folder, found, scenes, objective, journal, seconds)
         plot_sweep(found).savefig(folder / "sweep.png")
-        first = found.rows[0]["mean"]
-        report = {
-            "scenes": [str(scene) for scene in scenes],
-            "objective": objective,
-            "settings": len(found.rows),
-            "given up": sum(row["state"] == "pruned" for row in found.rows),
-            "first setting": first,
-            "best": found.value,
-            "seconds": round(seconds, 1),
-            "journal": str(journal),
-        }
-        write_json(folder / "report.json", report)
-    note(f"{objective} {found.value:.4g} (first setting: {_number(first)}); written to {out}")
-    for name, value in best.items():
+    first = _number(found.rows[0]["mean"])
+    note(f"{objective} {found.value:.4g} (first setting: {first}); written to {out}")
+    for name, value in found.study.best_params.items():
         note(f"  {name} = {_number(value)}")
+
+
+def _write(
+    folder: Path,
+    found: Any,
+    scenes: Sequence[Path],
+    objective: str,
+    journal: Path,
+    seconds: float,
+) -> None:
+    """The setting, every trial, and what was done."""
+    write_json(folder / "best.json", {"setting": found.study.best_params, objective: found.value})
+    with (folder / "trials.csv").open("w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, fieldnames=list(found.rows[0]))
+        writer.writeheader()
+        writer.writerows(found.rows)
+    report = {
+        "scenes": [str(scene) for scene in scenes],
+        "objective": objective,
+        "settings": len(found.rows),
+        "given up": sum(row["state"] == "pruned" for row in found.rows),
+        "first setting": found.rows[0]["mean"],
+        "best": found.value,
+        "seconds": round(seconds, 1),
+        "journal": str(journal),
+    }
+    write_json(folder / "report.json", report)
 
 
 def _progress() -> Progress:
