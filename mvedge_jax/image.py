@@ -8,6 +8,8 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
+from mvedge_jax._linear_map import linear_map
+
 _POLE = np.sqrt(3.0) - 2.0
 # The inverse filter decays by 0.27 per sample; 1e-7 of it is left at this radius.
 _RADIUS = 12
@@ -25,13 +27,28 @@ def window_sum(image: Array, radius: int, axis: int, *, border: str = "edge") ->
     Returns:
         The sums, of the shape of `image`. Differentiable.
     """
-    # By hand: XLA on CPU vectorises sums of slices, but no window reduction.
-    size, width = image.shape[axis], 2 * radius + 1
+    axis = axis % image.ndim
     margin = [(0, 0)] * image.ndim
     margin[axis] = (radius, radius)
-    part = jnp.pad(image, margin, mode=border)
+
+    def whole(_: None, padded: Array) -> Array:
+        return _whole_windows(padded, radius, axis)
+
+    def spread(_: None, sums: Array) -> Array:
+        # JAX would turn slices into pads, which XLA on CPU does not vectorise.
+        around = [(2 * before, 2 * after) for before, after in margin]
+        return _whole_windows(jnp.pad(sums, around), radius, axis)
+
+    return linear_map(whole, spread, None, jnp.pad(image, margin, mode=border))
+
+
+def _whole_windows(image: Array, radius: int, axis: int) -> Array:
+    """Sums over the windows that lie within an image."""
+    # By hand: XLA on CPU vectorises sums of slices, but no window reduction.
+    width = 2 * radius + 1
+    size = image.shape[axis] - 2 * radius
     # The width is odd, so that the sum starts with single samples.
-    total, offset, span = lax.slice_in_dim(part, 0, size, axis=axis), 1, 1
+    part, total, offset, span = image, lax.slice_in_dim(image, 0, size, axis=axis), 1, 1
     while 2 * span <= width:
         length = part.shape[axis]
         part = lax.slice_in_dim(part, 0, length - span, axis=axis) + lax.slice_in_dim(

@@ -1,5 +1,8 @@
 """Splines against SciPy, slopes, points on pixels."""
 
+from functools import partial
+
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -51,3 +54,19 @@ def test_window_sums_agree_with_scipy(radius, border, mode):
         expected = ndimage.convolve1d(image, np.ones(2 * radius + 1), axis=axis, mode=mode)
         found = window_sum(jnp.asarray(image), radius, axis, border=border)
         np.testing.assert_allclose(found, expected, atol=1e-12)
+
+
+@pytest.mark.parametrize("radius", [0, 1, 3, 4])
+@pytest.mark.parametrize("border", ["edge", "constant"])
+@pytest.mark.parametrize("axis", [0, -1])
+def test_transposed_window_sums_are_those_of_the_matrix(radius, border, axis):
+    image = jax.random.normal(jax.random.key(radius), (7, 9))
+    sums = partial(window_sum, radius=radius, axis=axis, border=border)
+    matrix = jax.jacfwd(sums)(image).reshape(63, 63)
+    transpose = jax.linear_transpose(sums, image)
+    np.testing.assert_allclose(transpose(image)[0].ravel(), matrix.T @ image.ravel(), atol=1e-12)
+    many = jax.vmap(lambda ct: transpose(ct)[0])(jnp.stack([image, -image, image**2]))
+    np.testing.assert_allclose(many[2], transpose(image**2)[0], atol=1e-12)
+    # Twice transposed, it is itself.
+    again = jax.linear_transpose(lambda ct: transpose(ct)[0], image)
+    np.testing.assert_allclose(again(image)[0], sums(image), atol=1e-12)

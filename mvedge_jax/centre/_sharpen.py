@@ -112,7 +112,9 @@ def weighted_median(
     Returns:
         The median, `[y, x]`. Differentiable at the levels chosen.
     """
-    model = _local_model(guide, epsilon, radius)
+    # Planes of their own: derivatives of a stack would be put together anew at every level.
+    colours = tuple(guide)
+    model = _local_model(colours, epsilon, radius)
     low, high = jnp.min(values), jnp.max(values)
     spacing = jnp.maximum((high - low) / (levels - 1), _CLOSEST)
 
@@ -126,7 +128,7 @@ def weighted_median(
             piece = (values <= level + 0.5 * spacing).astype(values.dtype)
         else:
             piece = jnp.clip((level - values) / spacing + 0.5, 0, 1)
-        share = _guided(piece, guide, model, radius)
+        share = _guided(piece, colours, model, radius)
         now = (share >= 0.5) & ~found
         gain = share - before
         part = (0.5 - before) / jnp.where(gain > 0, gain, 1)
@@ -146,10 +148,9 @@ class _LocalModel(NamedTuple):
     area: Array
 
 
-def _local_model(guide: Array, epsilon: Array, radius: int) -> _LocalModel:
+def _local_model(guide: tuple[Array, ...], epsilon: Array, radius: int) -> _LocalModel:
     area = _box_sum(jnp.ones_like(guide[0]), radius)
-    r, g, b = guide[0], guide[1], guide[2]
-    mean = tuple(_box_sum(c, radius) / area for c in (r, g, b))
+    mean = tuple(_box_sum(c, radius) / area for c in guide)
 
     def moment(i: int, j: int) -> Array:
         return _box_sum(guide[i] * guide[j], radius) / area - mean[i] * mean[j]
@@ -159,7 +160,7 @@ def _local_model(guide: Array, epsilon: Array, radius: int) -> _LocalModel:
     return _LocalModel(mean, covariance, area)
 
 
-def _guided(piece: Array, guide: Array, model: _LocalModel, radius: int) -> Array:
+def _guided(piece: Array, guide: tuple[Array, ...], model: _LocalModel, radius: int) -> Array:
     """The guided filter of one slice."""
     mean = _box_sum(piece, radius) / model.area
     covariance = [
