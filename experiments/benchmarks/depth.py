@@ -34,10 +34,9 @@ from mvedge_jax.edges.sides import (
     bidirectional,
     surface_vectors,
 )
-from mvedge_jax.image import spline_coefficients
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.photometry.matching import hypotheses
-from mvedge_jax.photometry.measuring import Measuring, photometric_labels
+from mvedge_jax.photometry.measuring import Measuring, arm_splines, photometric_labels
 
 
 def main() -> None:
@@ -182,7 +181,7 @@ def _stages(measure, params: Parameters, light_field, sizes: Sizes) -> None:
         first,
         SurfaceParams(),
     )
-    splines = [a._replace(planes=spline_coefficients(a.planes, axis=-1)) for a in arms]
+    splines = map(arm_splines, arms)
     labels = measure(
         "dense labels",
         lean_jit(

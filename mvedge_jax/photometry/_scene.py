@@ -10,7 +10,6 @@ from mvedge_jax._crosshair import Arm, crosshair
 from mvedge_jax._fence import staged
 from mvedge_jax._params import cast
 from mvedge_jax.color import srgb_to_lab
-from mvedge_jax.image import spline_coefficients
 from mvedge_jax.lightfield import LightField
 
 from .brightness._denoise import denoised, low_pass, soften
@@ -19,7 +18,7 @@ from .brightness._noise import Noise, measure_noise
 from .brightness._unlit import lit
 from .matching._cost import VolumeParams, hypotheses
 from .measuring._grid import Grid, grid_of
-from .measuring._look import Look, look
+from .measuring._look import ArmSplines, Look, arm_splines, look
 from .measuring._measure import PhotometricLabels, labels, shared
 from .measuring._measuring import Measuring, PhotometricParams
 
@@ -57,13 +56,13 @@ class Sight(NamedTuple):
 
     Attributes:
         arms: of the crosshair, low-passed as the noise asks.
-        splines: the same as coefficients of cubic splines along the arms.
+        splines: the same as coefficients of cubic splines.
         params: of the measurement in views of this noise.
         grid: all views, where they are asked for.
     """
 
     arms: tuple[Arm, Arm]
-    splines: tuple[Arm, Arm]
+    splines: tuple[ArmSplines, ArmSplines]
     params: Measuring
     grid: Grid | None = None
 
@@ -158,9 +157,7 @@ def sight(scene: Scene, params: PhotometricParams, *, every: LightField | None =
     sigma = jnp.minimum(30 * scene.noise.deviation, 1)
     arms, kept, grain = low_pass(scene.arms, scene.noise, sigma)
     measuring = measuring_in(scene.noise, scene.exposure.scale, kept, grain, params)
-    horizontal, vertical = (
-        arm._replace(planes=spline_coefficients(arm.planes, axis=-1)) for arm in arms
-    )
+    horizontal, vertical = map(arm_splines, arms)
     grid = None if every is None else _whole_grid(scene, every, sigma)
     return Sight(arms, (horizontal, vertical), measuring, grid)
 

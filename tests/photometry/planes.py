@@ -5,8 +5,8 @@ import numpy as np
 from scipy import ndimage
 
 from mvedge_jax._crosshair import crosshair
-from mvedge_jax.image import spline_coefficients
 from mvedge_jax.lightfield import LightField
+from mvedge_jax.photometry.measuring import arm_splines
 
 
 def plane_views(disparity, *, views=(5, 5), size=(20, 28), noise=0.0, seed=0):
@@ -25,9 +25,12 @@ def plane_views(disparity, *, views=(5, 5), size=(20, 28), noise=0.0, seed=0):
     return LightField(jnp.asarray(np.clip(grid, 0, 1)))
 
 
-def plane_arms(disparity, *, splines=True, **choices):
+def plane_arms(disparity, **choices):
     """The arms of `plane_views`."""
-    arms = crosshair(plane_views(disparity, **choices))
-    if not splines:
-        return arms
-    return tuple(a._replace(planes=spline_coefficients(a.planes, axis=-1)) for a in arms)
+    return crosshair(plane_views(disparity, **choices))
+
+
+def plane_splines(disparity, **choices):
+    """The arms of `plane_views`, ready for being looked at."""
+    across, down = plane_arms(disparity, **choices)
+    return arm_splines(across), arm_splines(down)

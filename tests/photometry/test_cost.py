@@ -43,7 +43,7 @@ def test_hypotheses_find_both_sides_of_an_occlusion_edge():
 
 
 def test_hypotheses_do_not_see_a_missing_view():
-    across, down = plane_arms(0.5, splines=False)
+    across, down = plane_arms(0.5)
     lab = 100 * across.planes[2]
     there = across.available.at[0].set(False)
     tried = jnp.linspace(-1, 1, 41)
@@ -93,7 +93,7 @@ def test_paths_are_the_cheapest_of_all_paths():
 
 
 def test_a_plain_surface_follows_its_surroundings():
-    across, down = plane_arms(0.5, splines=False)
+    across, down = plane_arms(0.5)
     hole = np.s_[..., 6:14, 10:18]
     planes = across.planes.at[hole].set(0.5), down.planes.at[..., 10:18, 6:14].set(0.5)
     arms = across._replace(planes=planes[0]), down._replace(planes=planes[1])
@@ -106,7 +106,7 @@ def test_a_plain_surface_follows_its_surroundings():
 
 def test_gloss_does_not_move_the_best_hypothesis():
     # Faint texture under a change of colour from view to view that is larger than the texture.
-    across, down = plane_arms(0.5, splines=False)
+    across, down = plane_arms(0.5)
     faint = tuple(
         a._replace(planes=0.5 + 0.02 * (a.planes - 0.5) + 0.002 * a.steps[:, None, None, None])
         for a in (across, down)
@@ -127,7 +127,7 @@ def test_gloss_does_not_move_the_best_hypothesis():
 
 def test_no_drift_is_granted_beside_an_outline():
     # With the colours of a strong outline nearby, the limit of the drift changes nothing.
-    across, down = plane_arms(0.5, splines=False)
+    across, down = plane_arms(0.5)
     lab = jnp.zeros((3, 20, 28)).at[0, ::4].set(1e4)
     tried = jnp.linspace(-1, 1, 9)
     found = [
@@ -139,7 +139,7 @@ def test_no_drift_is_granted_beside_an_outline():
 
 @pytest.mark.slow
 def test_derivatives_of_the_hypotheses_match_differences():
-    across, down = plane_arms(0.3, views=(3, 3), size=(8, 9), splines=False)
+    across, down = plane_arms(0.3, views=(3, 3), size=(8, 9))
     lab = 100 * across.planes[1]
     tried = jnp.linspace(-0.5, 1, 7)
 

@@ -9,11 +9,11 @@ from photometry.planes import plane_views
 from scipy import ndimage
 
 from mvedge_jax._crosshair import crosshair
-from mvedge_jax.image import spline_coefficients
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.photometry.measuring import (
     Grid,
     Measuring,
+    arm_splines,
     grid_of,
     labels,
     look_around,
@@ -89,7 +89,7 @@ def test_finds_a_plane_better_than_the_crosshair_does():
     found = look_around(grid(field), start, Measuring(), radius=2)
     lab = jnp.zeros((3, 20, 28))
     every = labels(found, lab, start, Measuring(), passes=2)
-    arms = (a._replace(planes=spline_coefficients(a.planes, axis=-1)) for a in crosshair(field))
+    arms = map(arm_splines, crosshair(field))
     cross = photometric_labels(*arms, lab, start, Measuring(), radius=2, passes=2)
     inner = (slice(4, -4), slice(4, -4))
     errors = [float(jnp.sqrt(jnp.mean((m.disparity - truth)[inner] ** 2))) for m in (every, cross)]

@@ -5,12 +5,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from helpers import check_gradient, random_like, with_values
-from photometry.planes import plane_arms
+from photometry.planes import plane_arms, plane_splines
 
-from mvedge_jax.image import spline_coefficients
 from mvedge_jax.photometry.measuring import (
     Look,
     Measuring,
+    arm_splines,
     labels,
     look,
     mismatch,
@@ -25,7 +25,7 @@ def test_a_photometric_step_finds_the_plane_and_knows_how_well():
     truth, start = 0.31, 0.28
     errors, predicted = [], []
     for seed in range(3):
-        arms = plane_arms(truth, noise=0.01, seed=seed)
+        arms = plane_splines(truth, noise=0.01, seed=seed)
         labels = photometric_labels(
             arms[0],
             arms[1],
@@ -45,25 +45,28 @@ def test_a_photometric_step_finds_the_plane_and_knows_how_well():
 
 
 def test_missing_views_take_no_part():
-    across, down = plane_arms(0.2)
+    across, down = plane_splines(0.2)
     there = across.available.at[0].set(False)
     params = Measuring()
     disparity = jnp.full((20, 28), 0.15)
 
     def measure(planes):
-        arm = across._replace(planes=planes, available=there)
+        arm = across._replace(others=planes, available=there)
         return photometric_labels(arm, down, PLAIN, disparity, params, radius=2, passes=1).disparity
 
-    junk = across.planes.at[0].set(0.123)
-    np.testing.assert_array_equal(measure(across.planes), measure(junk))
-    gradient = jax.grad(lambda p: measure(p).sum())(across.planes)
+    junk = across.others.at[0].set(0.123)
+    np.testing.assert_array_equal(measure(across.others), measure(junk))
+    gradient = jax.grad(lambda p: measure(p).sum())(across.others)
     assert float(jnp.abs(gradient[0]).max()) == 0
     assert float(jnp.abs(gradient[1]).max()) > 0
 
 
 def test_flat_images_leave_the_map_alone_and_say_so():
-    arms = plane_arms(0.0)
-    flat = tuple(a._replace(planes=jnp.full_like(a.planes, 0.5)) for a in arms)
+    arms = plane_splines(0.0)
+    flat = tuple(
+        a._replace(centre=jnp.full_like(a.centre, 0.5), others=jnp.full_like(a.others, 0.5))
+        for a in arms
+    )
     labels = photometric_labels(
         flat[0], flat[1], PLAIN, jnp.full((20, 28), 0.4), Measuring(), radius=2, passes=2
     )
@@ -73,20 +76,21 @@ def test_flat_images_leave_the_map_alone_and_say_so():
 
 def small_problem():
     """What the measurement reads, and a smooth number that all of its results go into."""
-    across, down = plane_arms(0.2, views=(3, 3), size=(8, 9))
+    across, down = plane_splines(0.2, views=(3, 3), size=(8, 9))
     rng = np.random.default_rng(0)
     disparity = 0.15 + 0.01 * jnp.sin(jnp.arange(72.0).reshape(8, 9))
     lab = jnp.asarray(8 * rng.standard_normal((3, 8, 9)))
 
     def loss(tree):
-        planes, lab, disparity, params = tree
-        around = look(across._replace(planes=planes), down, disparity, params, radius=2)
+        (centre, others), lab, disparity, params = tree
+        arm = across._replace(centre=centre, others=others)
+        around = look(arm, down, disparity, params, radius=2)
         found = labels(around, lab, disparity, params, passes=1)
         residual = mismatch(around, lab, disparity, params, passes=1)
         sure = jnp.sum(1 / (1 + 1e4 * found.variance))
         return jnp.sum(found.disparity**2) + sure + jnp.sum(jnp.sqrt(residual + 1e-6))
 
-    return loss, (across.planes, lab, disparity, Measuring())
+    return loss, ((across.centre, across.others), lab, disparity, Measuring())
 
 
 def test_gradient_of_the_measurement_matches_differences():
@@ -108,13 +112,13 @@ def test_forward_mode_of_the_measurement_agrees():
 def drifting(arms, drift):
     """Views whose colours change by `drift`, one number per channel, from each to the next."""
     change = jnp.asarray(drift)[None, :, None, None]
-    return tuple(a._replace(planes=a.planes + a.steps[:, None, None, None] * change) for a in arms)
+    return tuple(a._replace(others=a.others + a.steps[:, None, None, None] * change) for a in arms)
 
 
 def test_drift_does_not_move_a_label():
     # Gloss: every view is a little brighter than the one before it, in a colour of its own.
     truth = 0.31
-    arms = drifting(plane_arms(truth), (0.012, 0.006, -0.004))
+    arms = drifting(plane_splines(truth), (0.012, 0.006, -0.004))
     inner = (slice(4, -4), slice(4, -4))
     errors = []
     for stiffness in (1.0, 1e9):
@@ -131,7 +135,7 @@ def test_drift_does_not_move_a_label():
 def test_matt_surfaces_pay_nothing_for_drift():
     # Noise without drift: to believe every drift costs information, to ask for evidence none.
     truth = 0.31
-    arms = plane_arms(truth, size=(40, 48), noise=0.01)
+    arms = plane_splines(truth, size=(40, 48), noise=0.01)
     inner = (slice(8, -8), slice(8, -8))
 
     def error(**settings):
@@ -199,15 +203,13 @@ def test_elimination_equals_the_regression_with_all_unknowns():
 def test_noise_is_no_information():
     # Plain surfaces under noise: what looks like contrast must not pass for a measurement.
     truth = 0.2
-    noisy = plane_arms(truth, noise=0.02, seed=1)
+    noisy = plane_splines(truth, noise=0.02, seed=1)
     rng = np.random.default_rng(2)
     plain = tuple(
-        a._replace(
-            planes=spline_coefficients(
-                jnp.asarray(0.5 + 0.02 * rng.standard_normal(a.planes.shape)), axis=-1
-            )
+        arm_splines(
+            a._replace(planes=jnp.asarray(0.5 + 0.02 * rng.standard_normal(a.planes.shape)))
         )
-        for a in noisy
+        for a in plane_arms(truth)
     )
     disparity = jnp.full((20, 28), truth)
     weights = []
@@ -221,18 +223,19 @@ def test_noise_is_no_information():
 
 
 def test_neighbours_of_another_colour_take_no_part():
-    across, down = plane_arms(0.2)
+    across, down = plane_splines(0.2)
     disparity = jnp.full((20, 28), 0.18)
     lab = PLAIN.at[0, :, 14:].set(60.0)
 
     def measured(planes):
-        arm = across._replace(planes=planes)
+        arm = across._replace(centre=planes[0], others=planes[1])
         params = Measuring()
         # The half that is looked at is far from what the other half's occlusions could reach.
         return photometric_labels(arm, down, lab, disparity, params, radius=2, passes=2).disparity[
             :, :12
         ]
 
-    gradient = jax.grad(lambda p: jnp.sum(measured(p) ** 2))(across.planes)
+    gradients = jax.grad(lambda p: jnp.sum(measured(p) ** 2))((across.centre, across.others))
+    gradient = jnp.concatenate([gradients[0][None], gradients[1]])
     # Nine columns of the spline, its view steps and the trust in views reach over the outline.
     assert float(jnp.abs(gradient[..., 17:]).max()) < 1e-12 * float(jnp.abs(gradient).max())

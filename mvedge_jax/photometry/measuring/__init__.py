@@ -6,7 +6,13 @@ from ._grid import (
     grid_of as grid_of,
     look_around as look_around,
 )
-from ._look import Look as Look, look as look, view_weights as view_weights
+from ._look import (
+    ArmSplines as ArmSplines,
+    Look as Look,
+    arm_splines as arm_splines,
+    look as look,
+    view_weights as view_weights,
+)
 from ._measure import (
     PhotometricLabels as PhotometricLabels,
     labels as labels,

@@ -6,18 +6,51 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import lax
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from mvedge_jax._crosshair import Arm
 from mvedge_jax._fence import fenced
+from mvedge_jax._linear_map import linear_map
 from mvedge_jax._params import cast
 from mvedge_jax._unstack import unstack
-from mvedge_jax.image import box_mean, cubic_taps
+from mvedge_jax.image import box_mean, cubic_taps, spline_coefficients
 
 from ._measuring import Measuring
 from ._reach import occlusion_reach
+
+
+class ArmSplines(NamedTuple):
+    """The views of an arm as coefficients of cubic splines along it.
+
+    Attributes:
+        centre: of the centre view, `[c, y, x]`.
+        others: of the other views, apart, as each look would have to copy them, `[s, c, y, x]`.
+        steps: disparity is multiplied by this to get from the centre view to each other one, `[s]`.
+        available: which of them are there, `[s]`.
+    """
+
+    centre: Float[Array, "c y x"]
+    others: Float[Array, "s c y x"]
+    steps: Float[Array, " s"]
+    available: Bool[Array, " s"]
+
+
+def arm_splines(arm: Arm) -> ArmSplines:
+    """Makes an arm ready for being looked at.
+
+    Args:
+        arm: of the crosshair.
+
+    Returns:
+        Its coefficients. Differentiable in the colours.
+    """
+    planes, own = spline_coefficients(arm.planes, axis=-1), arm.centre
+
+    def others(of: Array) -> Array:
+        return jnp.concatenate([of[:own], of[own + 1 :]])
+
+    return ArmSplines(planes[own], others(planes), others(arm.steps), others(arm.available))
 
 
 class Look(NamedTuple):
@@ -78,8 +111,8 @@ class _Moments(NamedTuple):
 
 @partial(jax.jit, static_argnames="radius")
 def look(
-    horizontal: Arm,
-    vertical: Arm,
+    horizontal: ArmSplines,
+    vertical: ArmSplines,
     disparity: Float[Array, "y x"],
     params: Measuring,
     *,
@@ -88,8 +121,8 @@ def look(
     """Reads colours and gradients of all views around a map.
 
     Args:
-        horizontal: the horizontal arm, planes holding spline coefficients.
-        vertical: the vertical arm, likewise, transposed.
+        horizontal: the horizontal arm.
+        vertical: the vertical arm, transposed.
         disparity: px per view step, `[y, x]`.
         params: see `Measuring`.
         radius: how far occluders are looked for, px.
@@ -99,11 +132,11 @@ def look(
     """
     params = cast(params, disparity.dtype)
 
-    def arm_look(arm: Arm, disparity: Array) -> _ArmLook:
+    def arm_look(arm: ArmSplines, disparity: Array) -> _ArmLook:
         # Stored, or the vertical arm is summed up across the rows in memory.
         return fenced(lambda a, d, p: _arm_look(a, d, p, radius), arm, disparity, params)
 
-    there = jnp.concatenate([horizontal.available, vertical.available])
+    there = jnp.concatenate([horizontal.available, vertical.available]).astype(disparity.dtype)
     across = arm_look(horizontal, disparity)
     down = jax.tree.map(jnp.transpose, arm_look(vertical, disparity.T))
     return Look(
@@ -111,7 +144,7 @@ def look(
         across.information + down.information,
         across.power + down.power,
         across.freedom + down.freedom,
-        0.5 * jnp.sum(there.astype(disparity.dtype)),
+        1 + 0.5 * jnp.sum(there),
         (across.spread, down.spread),
         None,
         (across.slope, down.slope),
@@ -121,8 +154,8 @@ def look(
 
 @partial(jax.jit, static_argnames="radius")
 def view_weights(
-    horizontal: Arm,
-    vertical: Arm,
+    horizontal: ArmSplines,
+    vertical: ArmSplines,
     disparity: Float[Array, "y x"],
     params: Measuring,
     *,
@@ -131,8 +164,8 @@ def view_weights(
     """How far each view shows what the centre view shows: the weights that `look` gives them.
 
     Args:
-        horizontal: the horizontal arm, planes holding spline coefficients.
-        vertical: the vertical arm, likewise, transposed.
+        horizontal: the horizontal arm.
+        vertical: the vertical arm, transposed.
         disparity: px per view step, `[y, x]`.
         params: see `Measuring`.
         radius: how far occluders are looked for, px.
@@ -144,9 +177,9 @@ def view_weights(
     """
     params = cast(params, disparity.dtype)
 
-    def weights(arm: Arm, disparity: Array) -> Array:
+    def weights(arm: ArmSplines, disparity: Array) -> Array:
         found = _arm_views(arm, disparity, params, radius)
-        return jnp.insert(found.weight, arm.centre, found.own, axis=0)
+        return jnp.insert(found.weight, arm.others.shape[0] // 2, found.own, axis=0)
 
     down = jnp.swapaxes(fenced(weights, vertical, disparity.T), 1, 2)
     return jnp.concatenate([down, fenced(weights, horizontal, disparity)])
@@ -162,22 +195,19 @@ class _ArmViews(NamedTuple):
     slopes: list[Array]
 
 
-def _arm_look(arm: Arm, disparity: Array, params: Measuring, radius: int) -> _ArmLook:
+def _arm_look(arm: ArmSplines, disparity: Array, params: Measuring, radius: int) -> _ArmLook:
     """The sums of one arm, per pixel."""
     seen = _arm_views(arm, disparity, params, radius)
-    steps = arm.steps[_others(arm)]
-    return _sums(_moments(seen.weight, steps, seen.relative, seen.gradients, seen.own, seen.slopes))
+    return _sums(
+        _moments(seen.weight, arm.steps, seen.relative, seen.gradients, seen.own, seen.slopes)
+    )
 
 
-def _others(arm: Arm) -> np.ndarray:
-    return np.delete(np.arange(arm.planes.shape[0]), arm.centre)
-
-
-def _arm_views(arm: Arm, disparity: Array, params: Measuring, radius: int) -> _ArmViews:
+def _arm_views(arm: ArmSplines, disparity: Array, params: Measuring, radius: int) -> _ArmViews:
     negative, positive = occlusion_reach(disparity, radius=radius, step=0.05)
     columns = jnp.arange(disparity.shape[1], dtype=disparity.dtype)[None, :]
     last = disparity.shape[1] - 1
-    centre, slopes = _sample_whole(arm.planes[arm.centre])
+    centre, slopes = _sample_whole(arm.centre)
 
     @jax.checkpoint
     def one(view: tuple[Array, Array, Array]) -> tuple[Array, ...]:
@@ -191,10 +221,9 @@ def _arm_views(arm: Arm, disparity: Array, params: Measuring, radius: int) -> _A
         return (seen.astype(disparity.dtype), *relative, *slopes)
 
     # Colours are relative to the centre view, whose own are therefore 0.
-    others = _others(arm)
-    seen, *rest = lax.map(one, (arm.planes[others], arm.steps[others], arm.available[others]))
+    seen, *rest = lax.map(one, (arm.others, arm.steps, arm.available))
     relative, gradients = rest[: len(centre)], rest[len(centre) :]
-    first = _moments(seen, arm.steps[others], relative, gradients, jnp.ones_like(disparity), slopes)
+    first = _moments(seen, arm.steps, relative, gradients, jnp.ones_like(disparity), slopes)
     own, weight = _trusted(seen, relative, first, params)
     return _ArmViews(own, weight, relative, gradients, slopes)
 
@@ -208,25 +237,29 @@ def _moments(
     slopes: list[Array],
 ) -> _Moments:
     """Sums over the views; `own` and `slopes` are weight and gradients of the centre view."""
-    weights, colours = unstack(weight), [unstack(v) for v in values]
-
-    def total(factors: Sequence[Array], images: Sequence[Array] | None = None) -> Array:
-        terms = factors if images is None else [f * i for f, i in zip(factors, images, strict=True)]
-        # An arm may have a single view.
-        return sum(terms[1:], terms[0]) if terms else jnp.zeros_like(own)
-
-    first = [w * step for w, step in zip(weights, steps, strict=True)]
-    second = [w * step**2 for w, step in zip(weights, steps, strict=True)]
-    squares = [_square(of) for of in zip(*colours, strict=True)]
+    step = steps[:, None, None]
+    first = weight * step
     return _Moments(
-        own + total(weights),
-        total(first),
-        total(second),
-        [total(weights, colour) for colour in colours],
-        [total(first, colour) for colour in colours],
-        total(weights, squares),
-        [own * s + total(weights, unstack(g)) for s, g in zip(slopes, gradients, strict=True)],
+        own + _over_views(weight),
+        _over_views(first),
+        _over_views(first * step),
+        [_over_views(weight * colour) for colour in values],
+        [_over_views(first * colour) for colour in values],
+        _over_views(weight * _square(values)),
+        [own * s + _over_views(weight * g) for s, g in zip(slopes, gradients, strict=True)],
     )
+
+
+def _over_views(images: Float[Array, "s y x"]) -> Float[Array, "y x"]:
+    """Sum over the views, plane by plane: XLA on CPU vectorises no sum over a leading axis."""
+
+    def total(_: None, images: Array) -> Array:
+        planes = unstack(images)
+        # An arm may have a single view.
+        return sum(planes[1:], planes[0]) if planes else jnp.zeros(images.shape[1:], images.dtype)
+
+    # By itself, JAX would put the planes' cotangents together again, one by one.
+    return linear_map(total, lambda _, ct: jnp.broadcast_to(ct, images.shape), None, images)
 
 
 def _square(colour: Sequence[Array]) -> Array:

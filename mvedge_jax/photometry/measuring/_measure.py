@@ -9,12 +9,11 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
-from mvedge_jax._crosshair import Arm
 from mvedge_jax._params import cast
 from mvedge_jax._unstack import unstack
 
 from .._window import weighted_sum
-from ._look import Look, look
+from ._look import ArmSplines, Look, look
 from ._measuring import Measuring
 
 _Tree = TypeVar("_Tree")
@@ -62,8 +61,8 @@ class PhotometricLabels(NamedTuple):
 
 @partial(jax.jit, static_argnames=("radius", "passes"))
 def photometric_labels(
-    horizontal: Arm,
-    vertical: Arm,
+    horizontal: ArmSplines,
+    vertical: ArmSplines,
     lab: Float[Array, "c y x"],
     disparity: Float[Array, "y x"],
     params: Measuring,
@@ -85,8 +84,8 @@ def photometric_labels(
     noise is therefore subtracted from the information, so that plain surfaces have none.
 
     Args:
-        horizontal: the horizontal arm, planes holding spline coefficients.
-        vertical: the vertical arm, likewise, transposed.
+        horizontal: the horizontal arm.
+        vertical: the vertical arm, transposed.
         lab: the centre view in CIELAB, `[c, y, x]`.
         disparity: the map to improve, px per view step, `[y, x]`.
         params: see `Measuring`.
