@@ -78,15 +78,25 @@ def _summed_jvp(window: _Window, primals: Any, tangents: Any) -> tuple[Array, Ar
 
     def images_from(weights: Array, out: Array) -> Array:
         canvas, unpad = jax.vjp(lambda i: window.padded(i, count), jnp.zeros(shape, out.dtype))
+        size, (height, width) = window.size(count), shape[1:]
+        reach = (size - 1) * window.spacing
+        sides = ((0, 0), (0, 0), (reach, reach))
+        # Padded once: a pad for every offset would not be vectorised.
+        rows = jnp.pad(weights, sides).reshape(size, size, height, width + 2 * reach)
+        out = jnp.pad(out, sides)
 
         def add(canvas: Array, item: tuple[Array, Array]) -> tuple[Array, None]:
-            weight, offset = item
-            start = window.start(offset, count)
-            sums = lax.dynamic_slice(canvas, start, shape) + weight[None] * out
+            # A row of the window at a time: one pass over the canvas for all of its offsets.
+            weights, y = item
+            start = window.start(y * size, count)
+            sums = lax.dynamic_slice(canvas, start, (shape[0], height, width + reach))
+            for x in range(size):
+                first = reach - x * window.spacing
+                part = slice(first, first + width + reach)
+                sums = sums + weights[x, :, part][None] * out[..., part]
             return lax.dynamic_update_slice(canvas, sums, start), None
 
-        offsets = jnp.arange(count, dtype=jnp.int32)
-        canvas, _ = lax.scan(add, jnp.zeros_like(canvas), (weights, offsets))
+        canvas, _ = lax.scan(add, jnp.zeros_like(canvas), (rows, jnp.arange(size, dtype=jnp.int32)))
         return unpad(canvas)[0]
 
     def weights_from(images: Array, out: Array) -> Array:
