@@ -144,7 +144,7 @@ def look(
         across.information + down.information,
         across.power + down.power,
         across.freedom + down.freedom,
-        1 + 0.5 * jnp.sum(there),
+        1 + 0.5 * jnp.sum(there),  # and the centre view
         (across.spread, down.spread),
         None,
         (across.slope, down.slope),
