@@ -153,16 +153,8 @@ def test_the_package_never_mentions_development_data():
 
 
 _FLOORS = (
-    (
-        "_compiler",
-        "_params",
-        "_fence",
-        "_linear_map",
-        "_root",
-        "_unstack",
-        "color",
-        "image",
-    ),
+    ("_compiler", "_params", "_fence", "_linear_map", "_root", "_unstack"),
+    ("color", "image"),
     ("_checks", "lightfield"),
     ("_crosshair",),
     ("photometry",),

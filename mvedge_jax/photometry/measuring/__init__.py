@@ -1,13 +1,7 @@
 """The measurement: disparity and standard error of a pixel around a map, in the views it shows."""
 
-from ._grid import (
-    Grid as Grid,
-    PosedGrid as PosedGrid,
-    grid_of as grid_of,
-    look_around as look_around,
-)
+from ._grid import Grid as Grid, grid_of as grid_of, look_around as look_around
 from ._look import (
-    ArmSplines as ArmSplines,
     Look as Look,
     arm_splines as arm_splines,
     look as look,
