@@ -6,7 +6,7 @@ from jaxtyping import Array, Float
 
 from mvedge_jax._crosshair import Arm
 from mvedge_jax.edges import EdgePoints
-from mvedge_jax.image import sample
+from mvedge_jax.interpolation import sample
 from mvedge_jax.photometry.measuring import occlusion_reach
 
 

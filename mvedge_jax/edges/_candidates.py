@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from mvedge_jax._root import root
-from mvedge_jax.image import vertex
+from mvedge_jax.interpolation import vertex
 
 
 class Candidates(NamedTuple):

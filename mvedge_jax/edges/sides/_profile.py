@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from mvedge_jax.image import sample
+from mvedge_jax.interpolation import sample
 
 
 def profiles(

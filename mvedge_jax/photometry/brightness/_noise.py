@@ -9,7 +9,8 @@ from jaxtyping import Array, Float
 
 from mvedge_jax._compiler import lean_jit
 from mvedge_jax._crosshair import Arm
-from mvedge_jax.image import keys_taps, window_sum
+from mvedge_jax.image import window_sum
+from mvedge_jax.interpolation import keys_taps
 from mvedge_jax.lightfield import LightField
 
 from ._exposure import Exposure, rough_exposure

@@ -15,7 +15,7 @@ from mvedge_jax._crosshair import Arm
 from mvedge_jax._fence import fenced
 from mvedge_jax._params import cast, number
 from mvedge_jax._unstack import unstack
-from mvedge_jax.image import keys_taps, vertex
+from mvedge_jax.interpolation import keys_taps, vertex
 
 from .._window import colour_weights, contrast, weighted_sum
 from ..brightness._noise import Noise

@@ -9,7 +9,8 @@ from jax import lax
 from jaxtyping import Array, Bool, Float
 
 from mvedge_jax._params import cast
-from mvedge_jax.image import box_mean, cubic_taps, spline_coefficients
+from mvedge_jax.image import box_mean
+from mvedge_jax.interpolation import cubic_taps, spline_coefficients
 
 from .._places import Projection, Shift
 from ._look import Look

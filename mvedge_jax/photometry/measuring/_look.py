@@ -14,7 +14,8 @@ from mvedge_jax._fence import fenced
 from mvedge_jax._linear_map import linear_map
 from mvedge_jax._params import cast
 from mvedge_jax._unstack import unstack
-from mvedge_jax.image import box_mean, cubic_taps, spline_coefficients
+from mvedge_jax.image import box_mean
+from mvedge_jax.interpolation import cubic_taps, spline_coefficients
 
 from ._measuring import Measuring
 from ._reach import occlusion_reach

@@ -1,0 +1,108 @@
+"""Between samples: splines and their taps, a parabola's vertex, bilinear values."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+_POLE = np.sqrt(3.0) - 2.0
+# The inverse filter decays by 0.27 per sample; 1e-7 of it is left at this radius.
+_RADIUS = 12
+
+
+def keys_taps(fraction: Array) -> tuple[Array, Array, Array, Array]:
+    """Taps of Keys' cubic interpolation.
+
+    Args:
+        fraction: of a pixel, from the second of four samples to the position, in [0, 1].
+
+    Returns:
+        Weights of the four samples. Differentiable.
+
+    Source: Keys (1981), "Cubic convolution interpolation for digital image processing".
+    """
+    f = fraction
+    return (
+        -0.5 * f * (1 - f) ** 2,
+        1 + 0.5 * f * f * (3 * f - 5),
+        0.5 * f * (1 + f * (4 - 3 * f)),
+        0.5 * f * f * (f - 1),
+    )
+
+
+def spline_coefficients(values: Float[Array, "*s"], *, axis: int) -> Float[Array, "*s"]:
+    """Coefficients of the cubic B-spline through `values` along an axis, mirrored at the ends.
+
+    The recursive inverse filter is written as a short symmetric one: XLA runs it as one fused
+    stencil, where two recursions over the axis would be sequential.
+
+    Args:
+        values: samples, any shape.
+        axis: along which to interpolate.
+
+    Returns:
+        Coefficients of the same shape. Linear, hence differentiable.
+    """
+    moved = jnp.moveaxis(values, axis, -1)
+    size = moved.shape[-1]
+    kernel = _POLE ** np.abs(np.arange(-_RADIUS, _RADIUS + 1))
+    kernel = jnp.asarray(kernel / kernel.sum(), values.dtype)
+    # Mirroring without repeating the border sample, for axes shorter than the filter as well.
+    period = max(2 * size - 2, 1)
+    index = np.abs(np.arange(-_RADIUS, size + _RADIUS)) % period
+    padded = moved[..., np.minimum(index, period - index) if size > 1 else index * 0]
+    total = sum(
+        (kernel[i] * padded[..., i : i + size] for i in range(1, 2 * _RADIUS + 1)),
+        kernel[0] * padded[..., :size],
+    )
+    return jnp.moveaxis(total, -1, axis)
+
+
+def cubic_taps(fraction: Float[Array, "*s"]) -> tuple[tuple[Array, ...], tuple[Array, ...]]:
+    """Weights of the four coefficients around a position, and their derivatives.
+
+    Args:
+        fraction: of a pixel, from the second of the four to the position, in [0, 1].
+
+    Returns:
+        Weights of value and of slope, four each.
+    """
+    f, g = fraction, 1 - fraction
+    values = (
+        g * g * g / 6,
+        (4 + f * f * (3 * f - 6)) / 6,
+        (4 + g * g * (3 * g - 6)) / 6,
+        f * f * f / 6,
+    )
+    return values, (-0.5 * g * g, f * (1.5 * f - 2), g * (2 - 1.5 * g), 0.5 * f * f)
+
+
+def vertex(below: Array, middle: Array, above: Array) -> Array:
+    """Offset of the extremum of the parabola through three values at -1, 0 and 1.
+
+    Args:
+        below: values at -1, any shape.
+        middle: at 0.
+        above: at 1.
+
+    Returns:
+        Offsets in [-1, 1], 0 where the values lie on a line. Differentiable.
+    """
+    bend = below - 2 * middle + above
+    flat = jnp.abs(bend) <= 1e-6 * (jnp.abs(below) + jnp.abs(above)) + 1e-30
+    offset = 0.5 * (below - above) / jnp.where(flat, 1, bend)
+    return jnp.where(flat, 0, jnp.clip(offset, -1, 1))
+
+
+def sample(image: Float[Array, "y x"], xy: Float[Array, "n 2"]) -> Float[Array, " n"]:
+    """Bilinear samples of an image; outside, the border repeats.
+
+    Args:
+        image: `[y, x]`.
+        xy: positions `(x, y)`, px.
+
+    Returns:
+        A value per position. Differentiable in both.
+    """
+    coordinates = [xy[:, 1], xy[:, 0]]
+    return jax.scipy.ndimage.map_coordinates(image, coordinates, order=1, mode="nearest")
