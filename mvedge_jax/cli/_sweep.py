@@ -63,22 +63,16 @@ def sweep(
             must see the scenes under the same paths.
         overwrite: replace OUT if it is an earlier result of mvedge, with nothing else in it.
     """
-    try:
+    with _extra("a sweep needs", "sweep"):
         import optuna
 
         from mvedge_jax.sweep import Space, plot_sweep, sweep as search
-    except ModuleNotFoundError as missing:
-        raise ValueError(
-            f"a sweep needs {missing.name}: pip install 'mvedge_jax[sweep]'."
-        ) from missing
     scenes, out = scenes_and_out(paths)
     if workers < 0:
         raise ValueError(f"--workers must not be negative, got {workers}.")
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     space = Space(dict(map(_interval, vary)), dict(map(_choice, choose)))
-    for scene in scenes:
-        if load_light_field(scene).truth is None:
-            raise ValueError(f"{scene} has no ground truth, by which a sweep scores.")
+    _check_truth(scenes)
     journal = out.with_name(f"{out.name}.journal") if journal is None else journal
     before = time.perf_counter()
     with output_folder(out, inputs=scenes, overwrite=overwrite) as folder:
@@ -106,6 +100,22 @@ def sweep(
     note(f"{objective} {found.value:.4g} (first setting: {first}); written to {out}")
     for name, value in found.study.best_params.items():
         note(f"  {name} = {_number(value)}")
+
+
+def _check_truth(scenes: Sequence[Path]) -> None:
+    """Raises a ValueError for a scene that nothing can be scored by."""
+    for scene in scenes:
+        if load_light_field(scene).truth is None:
+            raise ValueError(f"{scene} has no ground truth, by which a sweep scores.")
+
+
+@contextlib.contextmanager
+def _extra(who: str, name: str) -> Iterator[None]:
+    """Imports from an extra, with a sentence where it is not installed."""
+    try:
+        yield
+    except ModuleNotFoundError as missing:
+        raise ValueError(f"{who} {missing.name}: pip install 'mvedge_jax[{name}]'.") from missing
 
 
 def _write(
@@ -188,12 +198,8 @@ def _executor(workers: int, scheduler: str | None) -> Iterator[Any]:
     if not workers and scheduler is None:
         yield None
         return
-    try:
+    with _extra("--workers and --scheduler need", "cluster"):
         from distributed import Client, LocalCluster
-    except ModuleNotFoundError as missing:
-        raise ValueError(
-            f"--workers and --scheduler need {missing.name}: pip install 'mvedge_jax[cluster]'."
-        ) from missing
     with contextlib.ExitStack() as stack:
         address: Any = scheduler
         if address is None:

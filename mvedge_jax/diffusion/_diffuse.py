@@ -44,23 +44,22 @@ def diffuse(
 
     *Stopping.* The residual is a poor measure where weights differ by orders of magnitude: it
     weighs an error by the stiffness of the place. One V-cycle on the residual is an estimate of
-    the error itself, in the unit of the labels, that conjugate gradients computes anyway; the
-    iteration ends one step after its largest entry falls below the tolerance times the range of
-    the labels. Where the preconditioner misses a mode, the estimate is too small by the smallest
-    eigenvalue of the preconditioned matrix, so it is divided by what conjugate gradients have seen
-    of that eigenvalue. Where edges differ by more than 1e3, what they have not seen yet is looked
-    for in a companion, a system of the same matrix whose solution is known and that takes the same
-    steps: its error, times three, has to fall below the tolerance, too. What float32 cannot solve,
-    it cannot solve for the companion either, and the solve does not claim to have converged
-    (`experiments/solver_truth.py`): in float32 that begins where edges are cut by 1e-6 or more.
+    the error itself, in the unit of the labels, that conjugate gradients computes anyway; one step
+    after its largest entry falls below the tolerance times the range of the labels, it ends. Where
+    the preconditioner misses a mode, the estimate is too small by the smallest eigenvalue of the
+    preconditioned matrix, so it is divided by what conjugate gradients have seen of that. Where
+    edges differ by more than 1e3, what they have not seen yet is looked for in a companion, a
+    system of the same matrix whose solution is known and that takes the same steps: its error,
+    times three, has to fall below the tolerance, too. What float32 cannot solve, it cannot solve
+    for the companion either, nor below its precision times the norm of the inverse, and does not
+    claim to: that begins where edges are cut by 1e-6 or more (`experiments/solver_truth.py`).
 
     *Singular parts.* A part of the image without a path of positive edges to any data has no
-    unique solution. It takes the weighted mean of all labels (0 if there is no data at all), and
-    is counted in `stats.isolated`.
+    unique solution. It takes the weighted mean of all labels, or 0; `stats.isolated` counts it.
 
     *Batches.* Under `vmap`, large images are solved one after the other and small ones, such as
-    epipolar-plane images, together; each stops on its own. A batch keeps one core of a CPU busy:
-    for more, `jax.config.update("jax_num_cpu_devices", cores)` and `jax.shard_map` over the batch
+    epipolar-plane images, together; each stops on its own. A batch keeps one core busy; for more,
+    `jax.config.update("jax_num_cpu_devices", cores)` and `jax.shard_map` over the batch
     (`experiments/benchmarks/diffusion.py --only batches --devices 2`).
 
     Args:

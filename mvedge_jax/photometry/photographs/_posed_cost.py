@@ -73,8 +73,7 @@ def posed_hypotheses(
     truncation = params.truncation * images.shape[1] * noise_variance(noise)
     share = shared_drift(noise, lab)
     alike = jnp.asarray(SAME_COLOUR, lab.dtype)
-    support = colour_weights(lab, alike, reach=window)
-    wide = colour_weights(lab, alike, reach=window, spacing=2)
+    support, wide = (colour_weights(lab, alike, reach=window, spacing=s) for s in (1, 2))
     apart = root(jnp.sum(places.epipole[1:] ** 2, axis=1))
     limits = params.drift * apart / jnp.max(apart)
     others = (
@@ -98,8 +97,7 @@ def posed_hypotheses(
             gray = jnp.where(inside, jnp.clip(gray, -3 * limit, 3 * limit), 0)
             drift = weighted_sum(gray[None], wide, spacing=2)[0]
             drift = share * jnp.clip(drift, -limit, limit)
-            far = truncated([colour - drift for colour in change], truncation)
-            return jnp.where(inside, far, 1)
+            return jnp.where(inside, truncated([c - drift for c in change], truncation), 1)
 
         return 2 * _better_half(weighted_sum(lax.map(one, others), support), count)
 
