@@ -13,7 +13,8 @@ class Field {
   constructor(gl, data) {
     Object.assign(this, { gl, data });
     [this.rows, this.columns, this.height, this.width] = data.shape;
-    this.screen = program(gl, SCREEN, FIELD);
+    this.plain = program(gl, SCREEN, FIELD);
+    this.overlaid = program(gl, SCREEN, FIELD.replace(COMMON, `${COMMON}#define OVERLAID\n`));
     this.slice = program(gl, SCREEN, SLICE);
   }
 
@@ -35,7 +36,9 @@ class Field {
 
   // The disparity that the viewpoint sees at (x, y); the same search as the shader's.
   depth(layer, x, y, p) {
-    const map = this.data.maps[layer].disparity, [low, high] = this.data.range;
+    const { disparity: map, bounds } = this.data.maps[layer];
+    const block = 2 * (Math.floor(y / BLOCK) * Math.ceil(this.width / BLOCK) + Math.floor(x / BLOCK));
+    const [low, high] = bounds.subarray(block, block + 2);
     const at = (d) => {
       const c = Math.min(Math.max(Math.floor(x + p[0] * d + 0.5), 0), this.width - 1);
       const r = Math.min(Math.max(Math.floor(y + p[1] * d + 0.5), 0), this.height - 1);
@@ -43,8 +46,9 @@ class Field {
     };
     const reach = Math.max(Math.abs(p[0]), Math.abs(p[1]));
     if (reach < 1e-3) return at(0);
+    if (high - low < FLAT) return at(high);
     const steps = Math.min(Math.max(Math.ceil(1.5 * reach * (high - low)) + 1, 2), 96);
-    const pace = (high - low) / steps, thick = 1.5 * pace + 0.05;
+    const pace = (high - low) / steps, thick = 1.5 * pace + FLAT;
     let best = low, miss = Infinity;
     for (let i = 0; i <= steps; i++) {
       const d = high - pace * i, there = at(d), past = there - d;
@@ -60,7 +64,8 @@ class Field {
     const taps = this.taps(state.p, state.aperture, state.shape);
     loadTaps(this.gl, taps);
     this.gl.viewport(left, tall - this.height, this.width, this.height);
-    this.screen({ ...common, origin: [left, 0], height: tall, p: state.p, tapped: taps.length / 4, focus: state.focus,
+    const screen = common.kind > 0 || state.card[2] > 0 ? this.overlaid : this.plain;
+    screen({ ...common, origin: [left, 0], height: tall, p: state.p, tapped: taps.length / 4, focus: state.focus,
       sharp: state.aperture > 0 ? state.sharp : 1e6, opacity: state.opacity, card: state.card });
     this.gl.drawArrays(this.gl.TRIANGLES, 0, 3);
   }

@@ -47,13 +47,13 @@ function texture(gl, unit, target, filter) {
   gl.texParameteri(target, gl.TEXTURE_WRAP_T, gl.CLAMP_TO_EDGE);
 }
 
-// Views as sRGB, so that averages are of light; a view that is missing stays transparent.
+// A view that is missing stays transparent.
 async function loadViews(gl, data) {
   const [rows, columns, height, width] = data.shape;
   const most = gl.getParameter(gl.MAX_ARRAY_TEXTURE_LAYERS);
   if (rows * columns > most) throw new Error(`This browser takes ${most} views, not ${rows * columns}; use --views.`);
   texture(gl, 0, gl.TEXTURE_2D_ARRAY, gl.LINEAR);
-  gl.texStorage3D(gl.TEXTURE_2D_ARRAY, 1, gl.SRGB8_ALPHA8, width, height, rows * columns);
+  gl.texStorage3D(gl.TEXTURE_2D_ARRAY, 1, gl.RGBA8, width, height, rows * columns);
   for (let i = 0; i < data.views.length; i++) {
     if (!data.views[i]) continue;
     const image = await bitmap(data.views[i], "image/webp");
@@ -64,19 +64,25 @@ async function loadViews(gl, data) {
   }
 }
 
+// An array of textures of numbers, one a map.
+function loadNumbers(gl, unit, kind, [width, height], arrays) {
+  const [inside, given] = kind === 1 ? [gl.R32F, gl.RED] : [gl.RG32F, gl.RG];
+  texture(gl, unit, gl.TEXTURE_2D_ARRAY, gl.NEAREST);
+  gl.texStorage3D(gl.TEXTURE_2D_ARRAY, 1, inside, width, height, Math.max(arrays.length, 1));
+  arrays.forEach((array, layer) =>
+    gl.texSubImage3D(gl.TEXTURE_2D_ARRAY, 0, 0, 0, layer, width, height, 1, given, gl.FLOAT, array));
+}
+
 function loadMaps(gl, data) {
-  const [, , height, width] = data.shape;
-  texture(gl, 1, gl.TEXTURE_2D_ARRAY, gl.NEAREST);
-  gl.texStorage3D(gl.TEXTURE_2D_ARRAY, 1, gl.RGBA32F, width, height, Math.max(data.maps.length, 1));
-  data.maps.forEach((map, layer) => {
-    const packed = new Float32Array(4 * width * height);
-    for (let i = 0; i < width * height; i++) {
-      packed[4 * i] = map.disparity[i];
-      packed[4 * i + 1] = map.error ? map.error[i] : UNKNOWN;
-      packed[4 * i + 2] = map.label ? map.label[i] : 0;
-    }
-    gl.texSubImage3D(gl.TEXTURE_2D_ARRAY, 0, 0, 0, layer, width, height, 1, gl.RGBA, gl.FLOAT, packed);
+  const [, , height, width] = data.shape, size = [width, height];
+  const others = data.maps.map(({ error, label }) => {
+    const packed = new Float32Array(2 * width * height);
+    for (let i = 0; i < width * height; i++) [packed[2 * i], packed[2 * i + 1]] = [error ? error[i] : UNKNOWN, label ? label[i] : 0];
+    return packed;
   });
+  loadNumbers(gl, 1, 2, size, others);
+  loadNumbers(gl, 5, 2, size.map((side) => Math.ceil(side / BLOCK)), data.maps.map((map) => map.bounds));
+  loadNumbers(gl, 6, 1, size, data.maps.map((map) => map.disparity));
   texture(gl, 2, gl.TEXTURE_2D, gl.NEAREST);
   gl.pixelStorei(gl.UNPACK_ALIGNMENT, 1);
   gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGB8, 256, 3, 0, gl.RGB, gl.UNSIGNED_BYTE, data.lut);

@@ -64,7 +64,7 @@ class Viewer {
 
   common(layer, kind, other) {
     const { range, errors } = this.data;
-    return { views: 0, maps: 1, lut: 2, taps: 3, picture: 4, size: [this.width, this.height], range, errors, span: this.state.span, layer, other, kind };
+    return { views: 0, maps: 1, lut: 2, taps: 3, picture: 4, bounds: 5, depths: 6, size: [this.width, this.height], range, errors, span: this.state.span, layer, other, kind };
   }
 
   // As large as the window lets it be, pixels up to three times their size.
@@ -79,9 +79,9 @@ class Viewer {
     const { canvas, over } = this;
     if (canvas.width === w && canvas.height === h) return; // setting them clears
     [canvas.width, canvas.height] = [w, h];
-    // Lines are thinner than a pixel of the picture.
-    const fine = Math.min(Math.max(Math.ceil(this.fit() * devicePixelRatio - 0.3), 1), 3);
-    [over.width, over.height] = [w * fine, h * fine];
+    // Lines are thinner than a pixel of the picture: they have those of the window.
+    const fine = Math.min(Math.max(this.fit() * devicePixelRatio, 1), 3);
+    [over.width, over.height] = [Math.round(w * fine), Math.round(h * fine)];
     this.pen.setTransform(fine, 0, 0, fine, 0, 0);
     this.drawn = {};
   }
@@ -154,7 +154,7 @@ class Viewer {
     this.draw();
   }
 
-  say(text) { this.status.textContent = text; }
+  say(text) { if (this.status.textContent !== text) this.status.textContent = text; } // what is new alone is laid out
 
   async choose(file) {
     if (!file) return;

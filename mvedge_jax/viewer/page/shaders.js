@@ -4,15 +4,16 @@
 
 const COMMON = `#version 300 es
 precision highp float; precision highp int; precision highp sampler2D; precision highp sampler2DArray;
-uniform sampler2DArray views, maps; uniform sampler2D lut;
+uniform sampler2DArray views, depths, maps, bounds; uniform sampler2D lut;
 uniform ivec2 size; uniform vec2 range, errors; uniform float span; uniform int layer, other, kind;
 const float UNKNOWN = -1e8;
 vec3 shade(float t, int row) { return texelFetch(lut, ivec2(clamp(t, 0., 1.) * 255. + .5, row), 0).rgb; }
-vec4 mapped(int which, vec2 c) {
-  return texelFetch(maps, ivec3(clamp(ivec2(floor(c + .5)), ivec2(0), size - 1), which), 0);
+ivec3 texel(int which, vec2 c) { return ivec3(clamp(c + .5, vec2(0), vec2(size) - .5), which); }
+float disparityAt(int which, vec2 c) { return texelFetch(depths, texel(which, c), 0).x; }
+vec3 mapped(int which, vec2 c) { // disparity, standard error, label
+  return vec3(disparityAt(which, c), texelFetch(maps, texel(which, c), 0).xy);
 }
 vec4 seen(vec2 c, float view) { return texture(views, vec3((c + .5) / vec2(size), view)); }
-vec3 srgb(vec3 c) { return mix(12.92 * c, 1.055 * pow(max(c, 1e-6), vec3(1. / 2.4)) - .055, step(.0031308, c)); }
 vec3 meaning(int what, float disparity, float error, float label, float reference) {
   if (what == 1) return shade((disparity - range.x) / (range.y - range.x), 0);
   if (what == 2) return error < 0. ? vec3(.9, .3, .7)
@@ -26,7 +27,10 @@ vec3 meaning(int what, float disparity, float error, float label, float referenc
 const SCREEN = `#version 300 es
 void main() { gl_Position = vec4(4 * (gl_VertexID & 1) - 1, 4 * (gl_VertexID >> 1) - 1, 0, 1); }`;
 
+// With the overlay and the card, or as `OVERLAID` is not defined, without.
 const FIELD = COMMON + `
+#define BLOCK ${BLOCK}
+#define FLAT ${FLAT}
 uniform sampler2D taps, picture; uniform int tapped; uniform vec2 origin, p;
 uniform float focus, sharp, opacity; uniform vec4 card; uniform float height;
 out vec4 result;
@@ -34,12 +38,14 @@ out vec4 result;
 float depth(vec2 x) {
   if (layer < 0) return focus;
   float reach = max(abs(p.x), abs(p.y));
-  if (reach < 1e-3) return mapped(layer, x).x;
-  int steps = clamp(int(ceil(1.5 * reach * (range.y - range.x))) + 1, 2, 96);
-  float pace = (range.y - range.x) / float(steps), thick = 1.5 * pace + .05;
-  float best = range.x, miss = 1e9;
+  if (reach < 1e-3) return disparityAt(layer, x);
+  vec2 around = texelFetch(bounds, ivec3(ivec2(x) / BLOCK, layer), 0).xy;
+  if (around.y - around.x < FLAT) return disparityAt(layer, x + p * around.y);
+  int steps = clamp(int(ceil(1.5 * reach * (around.y - around.x))) + 1, 2, 96);
+  float pace = (around.y - around.x) / float(steps), thick = 1.5 * pace + FLAT;
+  float best = around.x, miss = 1e9;
   for (int i = 0; i <= steps; i++) {
-    float d = range.y - pace * float(i), there = mapped(layer, x + p * d).x, past = there - d;
+    float d = around.y - pace * float(i), there = disparityAt(layer, x + p * d), past = there - d;
     if (there < UNKNOWN) continue;
     if (past >= -1e-4 && past < thick) return there;
     if (abs(past) < miss) { miss = abs(past); best = there; }
@@ -51,16 +57,19 @@ void main() {
   float d = depth(x), off = d - focus;
   if (d < UNKNOWN) { d = focus; off = 0.; }
   float at = focus + clamp(off, -sharp, sharp); // blurred as far as the depth is not sharp
+  vec2 from = (x + p * at + .5) / vec2(size), pace = at / vec2(size);
   vec3 sum = vec3(0); float total = 0.;
   for (int i = 0; i < tapped; i++) {
     vec4 tap = texelFetch(taps, ivec2(i, 0), 0);
-    sum += tap.w * seen(x + (p - tap.xy) * at, tap.z).rgb; total += tap.w;
+    vec3 level = texture(views, vec3(from - tap.xy * pace, tap.z)).rgb;
+    sum += tap.w * level * level; total += tap.w; // light, nearly, and back without loss
   }
-  vec3 colour = srgb(sum / max(total, 1e-6));
+  vec3 colour = sqrt(sum / max(total, 1e-6));
+#ifdef OVERLAID
   vec2 c = x + p * d;
   if (kind > 0 && layer >= 0) {
-    vec4 here = mapped(layer, c);
-    float reference = other < 0 ? -1e9 : mapped(other, c).x;
+    vec3 here = mapped(layer, c);
+    float reference = other < 0 ? -1e9 : disparityAt(other, c);
     colour = mix(colour, meaning(kind, here.x, here.y, here.z, reference), opacity);
   }
   // A card on a plane: centre x and y, half a width, disparity; what is nearer hides it.
@@ -70,6 +79,7 @@ void main() {
     vec4 ink = texture(picture, .5 + .5 * q);
     if (max(abs(q.x), abs(q.y)) <= 1.) colour = mix(colour, ink.rgb, ink.a);
   }
+#endif
   result = vec4(colour, 1);
 }`;
 
@@ -82,7 +92,7 @@ void main() {
   int view = int(floor(((column == 1 ? x.x : x.y) + .5) / thick));
   ivec2 s = column == 1 ? ivec2(grid.x / 2, view) : ivec2(view, grid.y / 2);
   vec4 c = seen(column == 1 ? vec2(line, x.y) : vec2(x.x, line), float(s.y * grid.x + s.x));
-  result = vec4(c.a > .5 ? srgb(c.rgb) : vec3(.12), 1);
+  result = vec4(c.a > .5 ? c.rgb : vec3(.12), 1);
 }`;
 
 const SPACE = COMMON + `
@@ -102,11 +112,11 @@ const DENSE = SPACE + `
 out vec3 ink; uniform float centre;
 void main() {
   vec2 c = vec2(gl_VertexID % size.x, gl_VertexID / size.x);
-  vec4 here = mapped(layer, c);
+  vec3 here = mapped(layer, c);
   gl_Position = here.x < UNKNOWN || here.y > worst ? vec4(0, 0, 9, 1) : placed(c, here.x);
   gl_PointSize = dotted(here.y);
-  ink = kind == 0 ? srgb(seen(c, centre).rgb)
-    : meaning(kind, here.x, here.y, here.z, other < 0 ? -1e9 : mapped(other, c).x);
+  ink = kind == 0 ? seen(c, centre).rgb
+    : meaning(kind, here.x, here.y, here.z, other < 0 ? -1e9 : disparityAt(other, c));
 }`;
 const EDGES = SPACE + `
 layout(location = 0) in vec4 edge; layout(location = 1) in vec4 arrow; // x y disparity error, normal, surface
@@ -117,8 +127,8 @@ void main() {
   if (arrows == 2) c += along * float(gl_VertexID) * arrow.zw;
   gl_Position = edge.w > worst ? vec4(0, 0, 9, 1) : placed(c, edge.z);
   gl_PointSize = dotted(edge.w) + 1.;
-  ink = arrows == 1 ? vec3(.34, .71, .91) : arrows == 2 ? vec3(.9, .62, 0) : kind == 0 ? srgb(seen(edge.xy, centre).rgb)
-    : meaning(kind, edge.z, edge.w, mapped(layer, edge.xy).z, other < 0 ? -1e9 : mapped(other, edge.xy).x);
+  ink = arrows == 1 ? vec3(.34, .71, .91) : arrows == 2 ? vec3(.9, .62, 0) : kind == 0 ? seen(edge.xy, centre).rgb
+    : meaning(kind, edge.z, edge.w, mapped(layer, edge.xy).z, other < 0 ? -1e9 : disparityAt(other, edge.xy));
 }`;
 const CAMERAS = SPACE + `
 out vec3 ink; uniform ivec2 grid;
