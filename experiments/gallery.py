@@ -1,4 +1,4 @@
-"""Pictures of the gallery and of the viewer's page, from a generated scene.
+"""Pictures of the gallery, of the viewer's page and of the README, from a generated scene.
 
 Those of the viewer need Chromium and playwright (`pip install mvedge_jax[test]`).
 
@@ -19,7 +19,16 @@ import tyro
 from matplotlib.figure import Figure
 from PIL import Image
 
-from mvedge_jax import Parameters, Sizes, edge_to_depth, plotting, viewer
+from mvedge_jax import (
+    Parameters,
+    Sizes,
+    ViewParams,
+    ViewSizes,
+    depth_of_views,
+    edge_to_depth,
+    plotting,
+    viewer,
+)
 from mvedge_jax.baselines import plane_sweep
 from mvedge_jax.centre import DepthResult
 from mvedge_jax.color import srgb_to_gray
@@ -27,6 +36,7 @@ from mvedge_jax.datasets import synthetic
 from mvedge_jax.edges.sides import BidirectionalParams, bidirectional
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.metrics import boundary_scores, calibration
+from mvedge_jax.superpixels import SuperpixelParams, SuperpixelSizes, superpixels
 
 # What each picture of the viewer shows: the settings, by name.
 _SHOTS: dict[str, dict[str, Any]] = {
@@ -48,10 +58,12 @@ class Arguments:
     Attributes:
         out: folder for the pictures.
         size: side of a view, px.
+        animated: side of a view of the animation, px, which is shown at three quarters of it.
     """
 
     out: Path = Path("docs/images/gallery")
     size: int = 192
+    animated: int = 384
 
 
 def main(options: Arguments) -> None:
@@ -72,6 +84,8 @@ def main(options: Arguments) -> None:
     ]
     for path in screenshots(viewer.page(light_field, *shown), options.out):
         print(path)
+    shape = (9, 9, options.animated, options.animated)
+    print(animation(synthetic.render(scene, shape=shape, key=jax.random.key(0)), options.out))
 
 
 def pictures(
@@ -116,6 +130,30 @@ def pictures(
     yield "calibration", plotting.plot_calibration([found], names=["edges"])
     scores = [boundary_scores(m, light_field.truth.disparity) for m in (swept, result.disparity)]
     yield "boundaries", plotting.plot_precision_recall(scores, names=names)
+
+
+def animation(light_field: LightField, out: Path) -> Path:
+    """Around the grid: the views, the depth of every view, and superpixels in every view."""
+    blind = light_field.without_truth()
+    result = edge_to_depth(blind, Parameters(), Sizes.for_light_field(blind))
+    depths = depth_of_views(blind, result, ViewParams(), ViewSizes.for_light_field(blind))
+    cells = SuperpixelSizes.for_depths(depths)
+    labels = np.asarray(superpixels(blind, depths, SuperpixelParams(), cells).labels)
+    views, maps = np.asarray(light_field.views), np.asarray(depths.disparity)
+    around = plotting.around_the_grid(*maps.shape[:2])
+    panels = zip(
+        [np.round(255 * np.clip(views[place], 0, 1)).astype(np.uint8) for place in around],
+        plotting.view_frames(maps),
+        plotting.superpixel_frames(views, labels),
+        strict=True,
+    )
+    frames = [Image.fromarray(np.concatenate(each, axis=1)) for each in panels]
+    small = [f.resize((3 * f.width // 4, 3 * f.height // 4), Image.Resampling.BOX) for f in frames]
+    path = out / "around.webp"
+    small[0].save(
+        path, save_all=True, append_images=small[1:], duration=70, loop=0, quality=60, method=6
+    )
+    return path
 
 
 def screenshots(html: str, out: Path) -> Iterator[Path]:
