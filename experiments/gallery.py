@@ -140,9 +140,8 @@ def animation(light_field: LightField, out: Path) -> Path:
     cells = SuperpixelSizes.for_depths(depths)
     labels = np.asarray(superpixels(blind, depths, SuperpixelParams(), cells).labels)
     views, maps = np.asarray(light_field.views), np.asarray(depths.disparity)
-    around = plotting.around_the_grid(*maps.shape[:2])
     panels = zip(
-        [np.round(255 * np.clip(views[place], 0, 1)).astype(np.uint8) for place in around],
+        plotting.superpixel_frames(views, np.ones_like(labels)),  # one label: no contours
         plotting.view_frames(maps),
         plotting.superpixel_frames(views, labels),
         strict=True,

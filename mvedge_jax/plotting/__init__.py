@@ -22,8 +22,4 @@ from ._superpixels import (
     superpixel_frames as superpixel_frames,
     superpixel_picture as superpixel_picture,
 )
-from ._views import (
-    around_the_grid as around_the_grid,
-    plot_view_maps as plot_view_maps,
-    view_frames as view_frames,
-)
+from ._views import plot_view_maps as plot_view_maps, view_frames as view_frames
