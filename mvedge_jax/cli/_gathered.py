@@ -4,7 +4,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import equinox as eqx
-import h5py
 import numpy as np
 from jaxtyping import Float
 
@@ -16,6 +15,7 @@ from mvedge_jax.posed.cloud import photographs_of
 
 from ._paths import stem_of
 from ._source import read_json, scene_of
+from ._view_maps import view_maps
 
 
 class Gathered(NamedTuple):
@@ -152,7 +152,7 @@ def _observed(field: LightField, visible: np.ndarray) -> np.ndarray:
 
 
 def _of_views(path: Path, field: LightField, camera: Camera) -> Gathered:
-    disparity, error = _maps(path / "views.h5", field.views.shape[:4])
+    disparity, error = view_maps(path / "views.h5", field.views.shape[:4], "disparity", "error")
     there = np.asarray(field.available)
     pairs = [_metric(camera, *pair) for pair in zip(disparity[there], error[there], strict=True)]
     return Gathered(
@@ -160,26 +160,6 @@ def _of_views(path: Path, field: LightField, camera: Camera) -> Gathered:
         {i: depth for i, (depth, _) in enumerate(pairs)},
         {i: error for i, (_, error) in enumerate(pairs)},
     )
-
-
-def _maps(path: Path, shape: tuple[int, ...]) -> list[np.ndarray]:
-    """Disparity and its standard error in every view."""
-    found = []
-    try:
-        with h5py.File(path, "r") as file:
-            for name in ("disparity", "error"):
-                stored = file.get(name)
-                own = isinstance(file.get(name, getlink=True), h5py.HardLink)
-                if not own or not isinstance(stored, h5py.Dataset):
-                    raise ValueError(f"it has no `{name}` of its own")
-                if stored.external or stored.is_virtual:
-                    raise ValueError(f"its `{name}` lies in other files")
-                if stored.shape != shape or stored.dtype.kind != "f":
-                    raise ValueError(f"its `{name}` is no map of every view, {shape}")
-                found.append(np.asarray(stored))
-    except (OSError, ValueError, RuntimeError) as reason:
-        raise ValueError(f"{path} could not be read: {reason}.") from None
-    return found
 
 
 def _metric(

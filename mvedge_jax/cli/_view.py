@@ -3,7 +3,7 @@
 import webbrowser
 import zipfile
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 import tyro
@@ -15,6 +15,7 @@ from mvedge_jax.lightfield import LightField
 from ._common import note, stage
 from ._interruption import unfinished
 from ._source import scene_of
+from ._view_maps import view_maps
 
 # What tells a folder of results from a light field.
 _MAP, _LABELS = "disparity.pfm", "labels.npy"
@@ -27,6 +28,7 @@ def view(
     other: Annotated[Path | None, tyro.conf.arg(metavar="RESULT")] = None,
     scene: Annotated[Path | None, tyro.conf.arg(metavar="SCENE")] = None,
     superpixels: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")] = None,
+    hidden: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")] = None,
     html: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
     quality: int = 90,
     views: int | None = None,
@@ -47,6 +49,7 @@ def view(
         other: a second result of the same scene, to compare; a folder or a .pfm map.
         scene: the light field, where the result does not tell or it has moved.
         superpixels: what `mvedge superpixels` wrote of the scene, to show as colours.
+        hidden: what `mvedge views` wrote of the scene: surfaces that the centre view does not show.
         html: write one self-contained file, .html, instead of serving it.
         quality: of the views, 1 to 100, which is without loss; less makes the page smaller.
         views: of a SCENE, the central VIEWS x VIEWS only; odd.
@@ -65,7 +68,9 @@ def view(
         source, reading = scene_of(path, advice="name it: --scene")
     with stage(f"reading {source}"):
         light_field = load_light_field(source, **reading)
-        results = _results([path] if is_result else [], other, superpixels, light_field)
+        results = _results([path] if is_result else [], other)
+        added = _added(superpixels, hidden, light_field, results)
+        results = [result._replace(**added) for result in results]
     show(light_field, results, html=html, quality=quality, host=host, port=port, quiet=no_browser)
 
 
@@ -109,19 +114,32 @@ def _refuse(html: Path, overwrite: bool) -> None:
         raise FileExistsError(f"{html} is there already; choose another file or pass --overwrite.")
 
 
-def _results(
-    paths: list[Path], other: Path | None, superpixels: Path | None, light_field: LightField
-) -> list[viewer.Result]:
+def _results(paths: list[Path], other: Path | None) -> list[viewer.Result]:
     paths = [*paths, *([] if other is None else [other])]
     results = [viewer.read_result(path) for path in paths]
     if len({result.name for result in results}) < len(results):
         results = [viewer.read_result(path, name=str(path)) for path in paths]
-    if superpixels is None:
-        return results
-    if not results:
-        raise ValueError("--superpixels needs a RESULT, whose map they are shown on.")
-    labels = _labels(superpixels, light_field)
-    return [result._replace(labels=labels) for result in results]
+    return results
+
+
+def _added(
+    superpixels: Path | None,
+    hidden: Path | None,
+    light_field: LightField,
+    results: list[viewer.Result],
+) -> dict[str, Any]:
+    """What other commands found out, for every result."""
+    for option, folder in (("--superpixels", superpixels), ("--hidden", hidden)):
+        if folder is not None and not results:
+            raise ValueError(f"{option} needs a RESULT, with whose map it is shown.")
+    added = {}
+    if superpixels is not None:
+        added["labels"] = _labels(superpixels, light_field)
+    if hidden is not None:
+        shape = light_field.views.shape[:4]
+        maps = view_maps(hidden / "views.h5", shape, "disparity", "error", "source")
+        added["hidden"] = viewer.hidden_surfaces(light_field, *maps)
+    return added
 
 
 def _labels(folder: Path, light_field: LightField) -> np.ndarray:

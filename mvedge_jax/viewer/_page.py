@@ -132,8 +132,15 @@ def _packed_result(result: Result, light_field: LightField) -> dict[str, Any]:
         "labels": None if result.labels is None else packed_labels(result.labels),
         "states": [] if result.states is None else [packed(state) for state in result.states],
         "points": points or None,
+        "hidden": None if result.hidden is None else _packed_hidden(result.hidden),
         "scores": _scores(result, light_field),
     }
+
+
+def _packed_hidden(hidden: np.ndarray) -> dict[str, Any]:
+    names = ("x", "y", "disparity", "error", "red", "green", "blue")
+    columns = zip(names, hidden.T, strict=True)
+    return {name: packed(column, log=name == "error") for name, column in columns}
 
 
 def _scores(result: Result, light_field: LightField) -> list[tuple[str, float]]:

@@ -8,6 +8,7 @@ from jaxtyping import Float, Int
 
 from mvedge_jax.centre import DepthResult
 from mvedge_jax.datasets import columns_of, read_pfm
+from mvedge_jax.lightfield import LightField
 
 
 class Result(NamedTuple):
@@ -23,6 +24,7 @@ class Result(NamedTuple):
         surfaces: their surface vectors, px.
         states: maps of an optimisation, first to last; `disparity` is the last.
         labels: superpixels of the centre view, 0 for none.
+        hidden: surfaces that the centre view does not show, from `hidden_surfaces`.
     """
 
     name: str
@@ -34,6 +36,7 @@ class Result(NamedTuple):
     surfaces: Float[np.ndarray, "n 2"] | None = None
     states: Float[np.ndarray, "k y x"] | None = None
     labels: Int[np.ndarray, "y x"] | None = None
+    hidden: Float[np.ndarray, "m 7"] | None = None
 
 
 def result_of(depth: DepthResult, *, name: str = "result") -> Result:
@@ -56,6 +59,38 @@ def result_of(depth: DepthResult, *, name: str = "result") -> Result:
         np.asarray(points.normal)[keep],
         np.asarray(depth.surface.offset)[keep],
     )
+
+
+def hidden_surfaces(
+    light_field: LightField,
+    disparity: Float[np.ndarray, "v u y x"],
+    error: Float[np.ndarray, "v u y x"],
+    source: Int[np.ndarray, "v u y x"],
+) -> Float[np.ndarray, "m 7"]:
+    """Points of surfaces that only other views than the centre view show.
+
+    Args:
+        light_field: the views, for their colours.
+        disparity: of every view, as in `ViewDepths`, px per view step.
+        error: its standard error, px.
+        source: what a pixel is known from; 1 is other views only.
+
+    Returns:
+        `(x, y)` in the centre view, px, where it would show the point if nothing hid it; disparity;
+        its standard error; sRGB in [0, 1]. Of points that fall together, to a pixel and a
+        twentieth of one in disparity, the most certain one; most certain first.
+    """
+    there = np.asarray(light_field.available)[..., None, None] & np.isfinite(disparity)
+    places = np.nonzero((source == 1) & there)
+    v, u, y, x = places
+    vc, uc = light_field.centre
+    nearness, doubt = disparity[places], error[places]
+    across, down = x + (u - uc) * nearness, y + (v - vc) * nearness
+    cells = np.round(np.stack([across, down, 20 * nearness], axis=1)).astype(np.int64)
+    order = np.argsort(doubt, kind="stable")
+    _, first = np.unique(cells[order], axis=0, return_index=True)
+    colours = np.asarray(light_field.views)[places]
+    return np.column_stack([across, down, nearness, doubt, colours])[order[np.sort(first)]]
 
 
 def read_result(folder: Path, *, name: str | None = None) -> Result:

@@ -1,5 +1,6 @@
 import json
 
+import h5py
 import numpy as np
 import pytest
 from viewer.scenes import disparity, square_field
@@ -62,6 +63,24 @@ def test_a_result_finds_its_scene_and_another_is_compared(result, scene, tmp_pat
     assert data["results"][0]["labels"] is not None
     twins = ["view", str(result), "--other", str(result / "disparity.pfm"), "--scene", str(scene)]
     assert _main.main([*twins, "--html", str(tmp_path / "twins.html")]) == 0
+
+
+def test_what_other_views_show_comes_from_every_view(result, tmp_path, capsys):
+    folder = tmp_path / "views"
+    folder.mkdir()
+    words = ["view", str(result), "--hidden", str(folder), "--html", str(tmp_path / "page.html")]
+    assert _main.main(words) == 2
+    assert "views.h5 does not exist; `mvedge views` writes it" in capsys.readouterr().err
+    source = np.zeros((5, 5, 48, 64), np.int8)
+    source[2, 4, 20, 10:14] = 1
+    with h5py.File(folder / "views.h5", "w") as file:
+        file["disparity"] = np.zeros((5, 5, 48, 64), np.float32)
+        file["error"] = np.full((5, 5, 48, 64), 0.1, np.float32)
+        file["source"] = source
+    assert _main.main(words) == 0
+    hidden = _data(tmp_path / "page.html")["results"][0]["hidden"]
+    assert hidden["x"]["shape"] == [4]
+    assert (hidden["x"]["low"], hidden["x"]["high"]) == pytest.approx((10, 13))
 
 
 def test_what_is_missing_is_named(result, scene, tmp_path, capsys):

@@ -292,6 +292,24 @@ def test_it_works_with_less(look, case):
     assert ("Geometry" in names) == (case != "nothing known")
 
 
+def test_what_only_other_views_show_is_drawn_in_its_colour(look):
+    """A row of points before everything else, green as nothing in the scene is."""
+    x = np.arange(20.0, 44.0)
+    columns = [x, 0 * x + 24, 0 * x + 1.5, 0 * x + 0.01, 0 * x, 0 * x + 1, 0 * x]
+    field, seen = square_field(), result()
+    tab = look(page(field, seen._replace(hidden=np.stack(columns, 1)), quality=100))
+    green = """() => { mvedge.draw(); let n = 0;
+      for (let x = 0; x < 960; x += 3) for (let y = 0; y < 720; y += 3) {
+        const [r, g, b] = mvedge.pixel(x, y); n += r < 20 && g > 235 && b < 20; }
+      return n; }"""
+    _set(tab, mode="G", yaw=0, pitch=0)
+    assert tab.evaluate(green) > 10
+    _set(tab, hidden=False)
+    assert tab.evaluate(green) == 0
+    _set(tab, hidden=True, bound=-3)
+    assert tab.evaluate(green) == 0
+
+
 def test_speed_is_measured_in_the_page(look, html):
     tab = look(html)
     assert tab.evaluate("mvedge.measure(0.2)") > 0

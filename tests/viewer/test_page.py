@@ -201,3 +201,30 @@ def test_an_address_that_is_not_ours_is_refused():
         serve("", host="192.0.2.1", port=0)
     with pytest.raises(ValueError, match="between 0 and 65535, got 70000"):
         serve("", port=70000)
+
+
+def test_hidden_surfaces_are_the_most_certain_points_of_other_views():
+    """Of the plane behind the square, every view shows what its own shift uncovers."""
+    field = square_field(missing=[(0, 0)])
+    shape = field.views.shape[:4]
+    far = np.zeros(shape)
+    error = np.random.default_rng(0).uniform(0.1, 1, shape)
+    source = np.zeros(shape, np.int8)
+    source[2, 4, 20, 50:54] = 1
+    source[0, 4, 20, 50:54] = 1
+    source[0, 0, 20, 24:28] = 1  # a view that is not there
+    source[4, 4, 5, 5:9] = 2  # seen by none
+    far[2, 0, 8, 8], source[2, 0, 8, 8] = np.nan, 1
+    found = viewer.hidden_surfaces(field, far, error, source)
+    assert (np.diff(found[:, 3]) > 0).all()
+    found = found[np.argsort(found[:, 0])]
+    assert found[:, :2].tolist() == [[50 + k, 20] for k in range(4)]
+    least = np.minimum(error[2, 4, 20, 50:54], error[0, 4, 20, 50:54])
+    assert found[:, 3] == pytest.approx(least)
+    assert found[:, 4:] == pytest.approx(np.tile(np.asarray(field.views)[2, 4, 20, 50], (4, 1)))
+    # A disparity carries a point to where the centre view would show it.
+    near = viewer.hidden_surfaces(field, far + 0.5, error, source)
+    row = near[near[:, 1] == 20]  # of view (2, 4), two steps to the right of the centre
+    assert sorted(row[:, 0]) == [51, 52, 53, 54]
+    packed = _data(page(field, result()._replace(hidden=found)))["results"][0]["hidden"]
+    assert _unpacked(packed["error"]) == pytest.approx(found[:, 3], rel=1e-3)

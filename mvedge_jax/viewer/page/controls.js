@@ -31,6 +31,7 @@ function controls(data) {
     mapped && pick("colours", "colours", "G", kinds, "picture"),
     mapped && check("dense", "points of the map", "G", true),
     points && check("edges", "edge points", "G", true),
+    data.results.some((r) => r.hidden) && check("hidden", "what only other views show", "G", true),
     points && check("normals", "their normals", "G", false),
     points && check("surfaces", "their surface vectors", "G", false),
     data.camera && check("cameras", "the cameras", "G", true),

@@ -39,6 +39,13 @@ async function labels(packed) {
   return out;
 }
 
+async function columnsOf(packed) {
+  if (!packed) return null;
+  const found = {};
+  for (const [name, column] of Object.entries(packed)) found[name] = await numbers(column);
+  return found;
+}
+
 function bitmap(text, type) {
   const options = { colorSpaceConversion: "none", premultiplyAlpha: "none" };
   return createImageBitmap(new Blob([bytes(text)], { type }), options);
@@ -86,10 +93,8 @@ async function unpack(element) {
     const layer = add(await numbers(packed.disparity), error, label);
     const states = [];
     for (const state of packed.states) states.push(add(await numbers(state), null, label));
-    const points = {};
-    for (const [name, column] of Object.entries(packed.points || {})) points[name] = await numbers(column);
-    results.push({ name: packed.name, scores: packed.scores, layer, states, points: packed.points && points,
-      error: !!error, labels: !!label });
+    const points = await columnsOf(packed.points), hidden = await columnsOf(packed.hidden);
+    results.push({ name: packed.name, scores: packed.scores, layer, states, points, hidden, error: !!error, labels: !!label });
   }
   const truth = data.truth ? add(await numbers(data.truth), null, null) : -1;
   const lut = bytes(data.lut);

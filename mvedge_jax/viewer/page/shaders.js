@@ -119,7 +119,8 @@ void main() {
     : meaning(kind, here.x, here.y, here.z, other < 0 ? -1e9 : disparityAt(other, c));
 }`;
 const EDGES = SPACE + `
-layout(location = 0) in vec4 edge; layout(location = 1) in vec4 arrow; // x y disparity error, normal, surface
+// x y disparity error; then normal and surface vector, or of hidden surfaces their colour.
+layout(location = 0) in vec4 edge; layout(location = 1) in vec4 arrow;
 out vec3 ink; uniform float centre, along; uniform int arrows;
 void main() {
   vec2 c = edge.xy;
@@ -127,7 +128,9 @@ void main() {
   if (arrows == 2) c += along * float(gl_VertexID) * arrow.zw;
   gl_Position = edge.w > worst ? vec4(0, 0, 9, 1) : placed(c, edge.z);
   gl_PointSize = dotted(edge.w) + 1.;
-  ink = arrows == 1 ? vec3(.34, .71, .91) : arrows == 2 ? vec3(.9, .62, 0) : kind == 0 ? seen(edge.xy, centre).rgb
+  if (arrows == 3) // the centre view's map knows nothing of it
+    ink = kind == 0 ? arrow.rgb : kind > 2 ? vec3(.5) : meaning(kind, edge.z, edge.w, 0., 0.);
+  else ink = arrows == 1 ? vec3(.34, .71, .91) : arrows == 2 ? vec3(.9, .62, 0) : kind == 0 ? seen(edge.xy, centre).rgb
     : meaning(kind, edge.z, edge.w, mapped(layer, edge.xy).z, other < 0 ? -1e9 : disparityAt(other, edge.xy));
 }`;
 const CAMERAS = SPACE + `

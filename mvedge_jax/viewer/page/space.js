@@ -15,14 +15,17 @@ class Space {
     this.dense = program(gl, DENSE, INK);
     this.edges = program(gl, EDGES, INK);
     this.cameras = program(gl, CAMERAS, INK);
-    this.buffers = data.results.map((result) => this.upload(result.points));
+    const place = ["x", "y", "disparity", "error"];
+    this.buffers = data.results.map(({ points, hidden }) => ({
+      points: this.upload(points, [...place, "normal_x", "normal_y", "surface_x", "surface_y"]),
+      hidden: this.upload(hidden, [...place, "red", "green", "blue"]),
+    }));
     this.empty = gl.createVertexArray();
   }
 
-  upload(points) {
+  upload(points, names) {
     if (!points) return null;
     const { gl } = this, count = points.x.length, packed = new Float32Array(8 * count);
-    const names = ["x", "y", "disparity", "error", "normal_x", "normal_y", "surface_x", "surface_y"];
     names.forEach((name, k) => points[name] && points[name].forEach((value, i) => { packed[8 * i + k] = value; }));
     const vao = gl.createVertexArray();
     gl.bindVertexArray(vao);
@@ -66,7 +69,12 @@ class Space {
       this.dense(values);
       gl.drawArrays(gl.POINTS, 0, this.width * this.height);
     }
-    if (of && state.edges) this.drawEdges(state, values, of);
+    if (of?.hidden && state.hidden) {
+      gl.bindVertexArray(of.hidden.vao);
+      this.edges({ ...values, arrows: 3, along: 0 });
+      gl.drawArrays(gl.POINTS, 0, of.hidden.count);
+    }
+    if (of?.points && state.edges) this.drawEdges(state, values, of.points);
     if (data.camera && state.cameras) {
       gl.bindVertexArray(this.empty);
       this.cameras(values);
