@@ -78,8 +78,11 @@ def main(options: Arguments) -> None:
     for name, figure in pictures(light_field, result, swept):
         figure.savefig(options.out / f"{name}.webp", dpi=130, pil_kwargs={"quality": 80})
         print(options.out / f"{name}.webp")
+    depths = depth_of_views(blind, result, ViewParams(), ViewSizes.for_light_field(blind))
+    maps = (np.asarray(each) for each in (depths.disparity, depths.error, depths.source))
+    hidden = viewer.hidden_surfaces(light_field, *maps)
     shown = [
-        viewer.result_of(result, name="edges"),
+        viewer.result_of(result, name="edges")._replace(hidden=hidden),
         viewer.Result("plane sweep", np.asarray(swept)),
     ]
     for path in screenshots(viewer.page(light_field, *shown), options.out):

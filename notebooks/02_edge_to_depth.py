@@ -95,13 +95,16 @@ print(Parameters())
 
 
 # %%
-def loss(parameters):
-    return jnp.mean(jnp.abs(edge_to_depth(blind, parameters, sizes).disparity - truth))
+def loss(logs):
+    found = edge_to_depth(blind, jax.tree.map(jnp.exp, logs), sizes).disparity
+    return jnp.mean(jnp.log1p(((found - truth) / 0.03) ** 2))
 
 
-gradient = eqx.filter_jit(eqx.filter_grad(loss))(Parameters())
+step = eqx.filter_jit(eqx.filter_value_and_grad(loss))
+logs = jax.tree.map(jnp.log, Parameters())
+_, gradient = step(logs)
 for name, leaf in vars(gradient.centre).items():
-    print(f"d loss / d centre.{name} = {float(leaf):+.2e}")
+    print(f"d loss / d log centre.{name} = {float(leaf):+.2e}")
 
 # %% [markdown]
 # ## Forward mode
@@ -127,15 +130,7 @@ plotting.plot_disparity([moved], names=["d disparity / d log(smoothness)"])
 # says nothing about other scenes: `experiments/learn_parameters.py` learns from two and shows what
 # happens to two that it has not seen.
 
-
 # %%
-def error_of(logs):
-    found = edge_to_depth(blind, jax.tree.map(jnp.exp, logs), sizes).disparity
-    return jnp.mean(jnp.log1p(((found - truth) / 0.03) ** 2))
-
-
-step = eqx.filter_jit(eqx.filter_value_and_grad(error_of))
-logs = jax.tree.map(jnp.log, Parameters())
 adam = optax.adam(0.05)
 state = adam.init(logs)
 losses = []
