@@ -58,6 +58,20 @@ ITEMS = (
         "Figure 6.10: error against hyperparameters",
     ),
     Item(
+        "every_view",
+        "every_view.py",
+        "edges --size 96 --views 5 --methods ours naive --repeats 1",
+        "demo edges crossing thin wide room bench",
+        "Figures 6.5, 6.6: depth of every view, and its consistency",
+    ),
+    Item(
+        "table_7_1",
+        "table_7_1.py",
+        None,
+        "",
+        "Table 7.1: depth from five posed photographs",
+    ),
+    Item(
         "table_7_2",
         "table_7_2.py",
         None,
@@ -171,6 +185,20 @@ ITEMS = (
         None,
         "--size 96",
         "Settings per second: batches beside single calls",
+    ),
+    Item(
+        "benchmark_edges",
+        "benchmarks/edges.py",
+        None,
+        "",
+        "Seconds of the points' stages, beside SciPy and OpenCV",
+    ),
+    Item(
+        "benchmark_optimise",
+        "benchmarks/optimise.py",
+        None,
+        "",
+        "Seconds of a step of the optimisation",
     ),
     Item(
         "benchmark_depth",
