@@ -175,7 +175,7 @@ ITEMS = (
     Item(
         "benchmark_diffusion",
         "benchmarks/diffusion.py",
-        "--only ours --sizes 128",
+        "--only ours --sizes 128 --contrasts 1 1e6 --no-real",
         "",
         "Seconds of one diffusion",
     ),
