@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from epi.slices import STEPS, VIEWS, WIDTH, epi_lines, smooth, step
 from scipy import ndimage
 
 from mvedge_jax.baselines import joint_filter
@@ -15,33 +16,12 @@ from mvedge_jax.baselines._alignment import (
 )
 from mvedge_jax.baselines._entropy import entropy_search, line_entropy
 from mvedge_jax.baselines._vote import spatial_vote
-from mvedge_jax.epi import EpiLines
-
-_VIEWS, _WIDTH = 9, 64
-_STEPS = _VIEWS // 2 - np.arange(_VIEWS)
-
-
-def _lines(position, disparity, confidence=None):
-    position = jnp.asarray(position, jnp.float64)
-    confidence = jnp.ones_like(position) if confidence is None else jnp.asarray(confidence)
-    valid = jnp.ones(position.shape, bool)
-    return EpiLines(position, jnp.asarray(disparity, jnp.float64), confidence, valid)
-
-
-def _step(position, disparity):
-    """Coverage of a half plane to the right of a line, antialiased."""
-    x = np.arange(_WIDTH)[None]
-    return np.clip(x - (position + _STEPS * disparity)[:, None] + 0.5, 0, 1)
-
-
-def _smooth(epi):
-    return ndimage.gaussian_filter(epi, (0, 0.85, 0))
 
 
 def test_alignment_tells_true_slopes_from_false_ones():
-    epi = jnp.asarray(_smooth(60 * _step(30.0, 0.6)[..., None])[..., 0])
-    cosine = np.asarray(alignment(epi, _lines([30.0, 30.0, 5.0], [0.6, -0.9, 0.0])))
-    assert cosine.shape == (3, _VIEWS)
+    epi = jnp.asarray(smooth(60 * step(30.0, 0.6)[..., None])[..., 0])
+    cosine = np.asarray(alignment(epi, epi_lines([30.0, 30.0, 5.0], [0.6, -0.9, 0.0])))
+    assert cosine.shape == (3, VIEWS)
     assert cosine[0].min() > 0.95
     assert np.median(cosine[0]) > 0.999
     assert np.median(cosine[1]) < 0.6
@@ -50,7 +30,7 @@ def test_alignment_tells_true_slopes_from_false_ones():
 
 def test_runs_and_counts_are_those_of_plain_loops():
     rng = np.random.default_rng(3)
-    cosine = rng.choice([0.1, 0.99], size=(20, _VIEWS))
+    cosine = rng.choice([0.1, 0.99], size=(20, VIEWS))
     for row, run, count in zip(
         cosine, longest_run(jnp.asarray(cosine)), aligned_count(jnp.asarray(cosine)), strict=True
     ):
@@ -61,12 +41,12 @@ def test_runs_and_counts_are_those_of_plain_loops():
 
 def test_a_line_is_hidden_where_a_nearer_one_covers_it():
     far, near, width = (32.0, -0.5), (26.0, 1.2), 6.0
-    back = 20 + 50 * _step(*far)
-    cover = _step(*near) - _step(near[0] + width, near[1])
-    epi = jnp.asarray(_smooth((cover * 95 + (1 - cover) * back)[..., None])[..., 0])
-    lines = _lines([far[0], near[0], near[0] + width], [far[1], near[1], near[1]])
-    visible = np.asarray(line_visibility(alignment(epi, lines), lines, width=_WIDTH))
-    gap = far[0] + _STEPS * far[1] - near[0] - _STEPS * near[1]
+    back = 20 + 50 * step(*far)
+    cover = step(*near) - step(near[0] + width, near[1])
+    epi = jnp.asarray(smooth((cover * 95 + (1 - cover) * back)[..., None])[..., 0])
+    lines = epi_lines([far[0], near[0], near[0] + width], [far[1], near[1], near[1]])
+    visible = np.asarray(line_visibility(alignment(epi, lines), lines, width=WIDTH))
+    gap = far[0] + STEPS * far[1] - near[0] - STEPS * near[1]
     hidden = (gap > 1) & (gap < width - 1)
     assert hidden.any()
     assert not visible[0][hidden].any()
@@ -85,9 +65,9 @@ def test_entropy_is_that_of_the_histogram():
 def test_the_entropy_search_comes_closer_and_never_raises_the_entropy():
     rng = np.random.default_rng(5)
     texture = 50 + 40 * ndimage.gaussian_filter1d(rng.normal(size=200), 1.5)
-    x = np.arange(_WIDTH)[None]
-    epi = jnp.asarray(np.interp(x - 0.4 * _STEPS[:, None] + 60, np.arange(200), texture))
-    lines = _lines(np.arange(12.0, 52), np.full(40, 0.46))
+    x = np.arange(WIDTH)[None]
+    epi = jnp.asarray(np.interp(x - 0.4 * STEPS[:, None] + 60, np.arange(200), texture))
+    lines = epi_lines(np.arange(12.0, 52), np.full(40, 0.46))
     found = entropy_search(
         epi, lines, jnp.asarray(0.4), jnp.asarray(0.88), iterations=20, key=jax.random.key(0)
     )

@@ -4,25 +4,15 @@ import json
 import cv2
 import numpy as np
 import pytest
+from cli.scenes import textured_plane
 from datasets.layouts import write_hci
-from scipy import ndimage
 
 from mvedge_jax.cli import _edges, _main
 
 
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory):
-    """A textured plane at disparity 0.4, 3x3 views of 32x40 px, in the HCI layout."""
-    rng = np.random.default_rng(0)
-    texture = ndimage.gaussian_filter(rng.uniform(size=(52, 60, 3)), (0.9, 0.9, 0)) * 2 - 0.5
-    y, x = np.mgrid[0:32, 0:40].astype(float) + 10
-    views = np.zeros((3, 3, 32, 40, 3))
-    for v, u in np.ndindex(3, 3):
-        for c in range(3):
-            place = [y - (1 - v) * 0.4, x - (1 - u) * 0.4]
-            views[v, u, ..., c] = ndimage.map_coordinates(texture[..., c], place, order=3)
-    views = np.round(255 * np.clip(views, 0, 1)).astype(np.uint8)
-    return write_hci(tmp_path_factory.mktemp("edges") / "plane", views)
+    return write_hci(tmp_path_factory.mktemp("edges") / "plane", textured_plane())
 
 
 def test_edges_writes_everything_and_is_right(scene, tmp_path, capsys):

@@ -6,6 +6,7 @@ import cv2
 import h5py
 import numpy as np
 import pytest
+from cli.scenes import textured_plane
 from datasets.layouts import write_hci
 from scipy import ndimage
 
@@ -15,18 +16,8 @@ from mvedge_jax.datasets import load_light_field, read_pfm
 
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory):
-    """A textured plane at disparity 0.4, 3x3 views of 32x40 px, in the HCI layout."""
-    rng = np.random.default_rng(0)
-    texture = ndimage.gaussian_filter(rng.uniform(size=(52, 60, 3)), (0.9, 0.9, 0)) * 2 - 0.5
-    y, x = np.mgrid[0:32, 0:40].astype(float) + 10
-    views = np.zeros((3, 3, 32, 40, 3))
-    for v, u in np.ndindex(3, 3):
-        for c in range(3):
-            place = [y - (1 - v) * 0.4, x - (1 - u) * 0.4]
-            views[v, u, ..., c] = ndimage.map_coordinates(texture[..., c], place, order=3)
     truth = np.full((32, 40), 0.4, np.float32)
-    views = np.round(255 * np.clip(views, 0, 1)).astype(np.uint8)
-    return write_hci(tmp_path_factory.mktemp("views") / "plane", views, disparity=truth)
+    return write_hci(tmp_path_factory.mktemp("views") / "plane", textured_plane(), disparity=truth)
 
 
 def test_views_writes_maps_of_all_views(scene, tmp_path):

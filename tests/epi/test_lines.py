@@ -2,10 +2,9 @@
 
 import jax.numpy as jnp
 import numpy as np
-from scipy import ndimage
+from epi.slices import VIEWS, WIDTH, epi_lines, smooth, step
 
 from mvedge_jax.epi import (
-    EpiLines,
     bank_radius,
     epi_edge_map,
     fit_lines,
@@ -13,33 +12,13 @@ from mvedge_jax.epi import (
     prewitt_bank,
 )
 
-_VIEWS, _WIDTH = 9, 64
-_STEPS = _VIEWS // 2 - np.arange(_VIEWS)
-
-
-def _lines(position, disparity, confidence=None):
-    position = jnp.asarray(position, jnp.float64)
-    confidence = jnp.ones_like(position) if confidence is None else jnp.asarray(confidence)
-    valid = jnp.ones(position.shape, bool)
-    return EpiLines(position, jnp.asarray(disparity, jnp.float64), confidence, valid)
-
-
-def _step(position, disparity):
-    """Coverage of a half plane to the right of a line, antialiased."""
-    x = np.arange(_WIDTH)[None]
-    return np.clip(x - (position + _STEPS * disparity)[:, None] + 0.5, 0, 1)
-
-
-def _smooth(epi):
-    return ndimage.gaussian_filter(epi, (0, 0.85, 0))
-
 
 def test_a_flat_epi_has_no_lines_and_a_step_has_one():
-    bank = prewitt_bank(jnp.asarray(np.arange(-10, 11) * 0.1), _VIEWS, bank_radius(1.0, _VIEWS))
-    for epi, expected in ((np.full((_VIEWS, _WIDTH), 30.0), 0), (50 * _step(31.3, 0.6), 1)):
+    bank = prewitt_bank(jnp.asarray(np.arange(-10, 11) * 0.1), VIEWS, bank_radius(1.0, VIEWS))
+    for epi, expected in ((np.full((VIEWS, WIDTH), 30.0), 0), (50 * step(31.3, 0.6), 1)):
         for modulate in (False, True):
             confidence, slope = epi_edge_map(
-                jnp.asarray(_smooth(epi[..., None])), bank, modulate=modulate
+                jnp.asarray(smooth(epi[..., None])), bank, modulate=modulate
             )
             confidence = jnp.where(confidence > 1e-6, confidence, 0)
             lines, left = fit_lines(confidence, slope, jnp.asarray(1.8), capacity=8)
@@ -60,11 +39,11 @@ def test_slots_that_run_out_are_counted():
 
 
 def test_merging_keeps_only_what_the_fine_scale_lacks():
-    fine = _lines([20.0, 40.0], [0.5, 0.0])
+    fine = epi_lines([20.0, 40.0], [0.5, 0.0])
     # The same line; one that crosses the second; one of its own; and an empty slot.
-    coarse = _lines([9.75, 19.75, 27.0, 5.0], [0.25, 0.5, 0.1, 0.0])
+    coarse = epi_lines([9.75, 19.75, 27.0, 5.0], [0.25, 0.5, 0.1, 0.0])
     coarse = coarse._replace(valid=jnp.asarray([True, True, True, False]))
-    merged = merge_scales(fine, coarse, jnp.asarray(1.8), views=_VIEWS)
+    merged = merge_scales(fine, coarse, jnp.asarray(1.8), views=VIEWS)
     np.testing.assert_array_equal(merged.valid, [True, True, False, False, True, False])
     np.testing.assert_allclose(merged.position[4], 54.5)
     np.testing.assert_allclose(merged.disparity[4], 0.2)
