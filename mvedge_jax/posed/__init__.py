@@ -1,7 +1,7 @@
 """Depth from a few posed photographs, by the light field's own measurement.
 
-Rooms: `sparse` (the thesis' own method: points, diffused and optimised), `cloud` (surfaces as
-points), `scores` (errors in depth).
+Rooms: `sparse` (the thesis' own method: points, diffused and optimised), `objective` (its loss),
+`cloud` (surfaces as points), `scores` (errors in depth).
 """
 
 from ._parameters import (

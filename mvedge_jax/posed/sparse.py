@@ -8,14 +8,12 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import lax
-from jax.scipy.ndimage import map_coordinates
 from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
 from mvedge_jax._compiler import lean_jit
-from mvedge_jax._params import as_number, at_least, cast
+from mvedge_jax._params import as_number, at_least
 from mvedge_jax.color import srgb_to_gray
-from mvedge_jax.losses import LossTerms, LossWeights
-from mvedge_jax.losses.terms import edge_aware_smoothness, gradient_reward, ssim
+from mvedge_jax.losses import LossWeights
 from mvedge_jax.model import (
     DepthModel,
     ModelParams,
@@ -24,12 +22,12 @@ from mvedge_jax.model import (
     render_model,
     start_from_image,
 )
-from mvedge_jax.model.objectives import Trust, unlimited
+from mvedge_jax.model.objectives import unlimited
 from mvedge_jax.model.optimisation import Progress, Rates, Routine, begin, one_at_a_time, optimise
-from mvedge_jax.photometry.photographs import Projection
 
 from ._parameters import Reference
 from ._photographs import Photographs, projections
+from .objective import PosedReprojection
 
 # Slopes below this share of the steepest one are no edges.
 _FAINT = 0.05
@@ -131,79 +129,6 @@ class SparseStereoSizes:
 
     def __post_init__(self) -> None:
         at_least(self, smoothing=1, extra=0, iterations=1, passes=0)
-
-
-class PosedReprojection(eqx.Module):
-    """How badly a model's map explains the photographs: an objective for `optimise`.
-
-    Attributes:
-        images: the reference first, sRGB.
-        places: where each of them shows the reference's pixels.
-        trust: limits of the parameters.
-        params: of the rendering.
-        weights: of the terms.
-        sizes: of the rendering.
-    """
-
-    images: Float[Array, "s c y x"]
-    places: Projection
-    trust: Trust
-    params: ModelParams
-    weights: LossWeights
-    sizes: ModelSizes = eqx.field(static=True)
-
-    def __call__(
-        self, model: DepthModel, start: Float[Array, "y x"], *, key: PRNGKeyArray | None = None
-    ) -> tuple[Float[Array, ""], Float[Array, "y x"]]:
-        """Loss and map."""
-        disparity = render_model(model, self.params, self.sizes, start=start).disparity
-        return posed_loss(disparity, self.images, self.places, self.weights), disparity
-
-    def project(self, model: DepthModel) -> DepthModel:
-        """The nearest model within the limits."""
-        return self.trust.project(model)
-
-
-def posed_loss(
-    disparity: Float[Array, "y x"],
-    images: Float[Array, "s c y x"],
-    places: Projection,
-    weights: LossWeights,
-) -> Float[Array, ""]:
-    """The loss (7.16) of a photograph's map: `self_supervised_loss`, for posed photographs.
-
-    Args:
-        disparity: of the first photograph, px per baseline.
-        images: sRGB, the reference first.
-        places: where each of them shows the reference's pixels.
-        weights: of the terms.
-
-    Returns:
-        The loss. What a photograph shows, by `Projection.seen`, is a selection; differentiable in
-        all arguments.
-
-    Source: Thesis 7.1.4, Eq. 7.15-7.16, with the homographies of posed photographs.
-    """
-    weights = cast(weights, disparity.dtype)
-    centre = images[0]
-
-    def one(image: Array, place: Projection) -> tuple[Array, Array]:
-        x, y = place.positions(disparity)
-        seen = place.seen(disparity, 1)
-        shown = jax.vmap(lambda plane: map_coordinates(plane, [y, x], order=1, mode="nearest"))
-        return jnp.where(seen[None], shown(image), centre), seen
-
-    others = Projection(places.homography[1:], places.epipole[1:])
-    warped, seen = jax.vmap(one)(images[1:], others)
-    # Hidden pixels show the reference itself: their difference is 0.
-    total = jnp.sum(jnp.mean(jnp.abs(warped - centre[None]), axis=1), axis=0)
-    count = jnp.maximum(jnp.sum(seen, axis=0).astype(disparity.dtype), 1)
-    alike = jnp.mean(jax.vmap(lambda image: ssim(image, centre))(warped))
-    error = total / count
-    smoothness = jnp.mean(edge_aware_smoothness(disparity, centre))
-    reward = jnp.mean(gradient_reward(total))
-    terms = LossTerms(jnp.mean(error), smoothness, 1 - alike, reward, error)
-    return terms.weighted(weights)
 
 
 class SparseStereo(NamedTuple):

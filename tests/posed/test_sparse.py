@@ -9,11 +9,11 @@ from posed.walls import MATRIX, POSES, places, wall
 
 from mvedge_jax.model import DepthModel, ModelSizes
 from mvedge_jax.posed import Photographs, projections, reference_of
+from mvedge_jax.posed.objective import posed_loss
 from mvedge_jax.posed.scores import depth_errors
 from mvedge_jax.posed.sparse import (
     SparseStereoParams,
     SparseStereoSizes,
-    posed_loss,
     posed_reprojection,
     seen_points,
     sparse_stereo,
