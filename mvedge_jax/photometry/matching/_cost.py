@@ -1,26 +1,22 @@
 """Hypotheses: per pixel, the disparity whose views agree best, whatever hides some of them."""
 
-from collections.abc import Callable
 from functools import partial
-from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
-from jax import lax
 from jaxtyping import Array, Float
 
 from mvedge_jax._crosshair import Arm
-from mvedge_jax._fence import fenced
 from mvedge_jax._params import cast, number
-from mvedge_jax._unstack import unstack
-from mvedge_jax.interpolation import keys_taps, vertex
+from mvedge_jax.interpolation import vertex
 
-from .._window import colour_weights, contrast, weighted_sum
+from .._window import contrast
 from ..brightness._noise import Noise
+from ._arm import Limits, swept
 from ._paths import aggregate
 from ._pooling import pooled
+from ._volume import Sweep, volume
 
 # Gradients are looked for within this distance, px: the reach of a window and of its drift.
 _OUTLINE = 5
@@ -29,8 +25,6 @@ _OUTLINE = 5
 _OUTLINED = 2.0
 # Least noise assumed, standard deviation in sRGB.
 _LEAST_NOISE = 1 / 255
-# Neighbours whose CIELAB colour differs by much more than this take no part in a window.
-SAME_COLOUR = 4.0
 # Step of CIELAB colour that halves the price of a jump.
 COLOUR_OF_JUMPS = 4.0
 # How far costs are averaged along a surface where noise rules, px.
@@ -55,24 +49,6 @@ class VolumeParams(eqx.Module):
     drift: Float[Array, ""] = number(1.5 / 255, "sRGB")
     slant: Float[Array, ""] = number(0.05, "of a cost of at most 2")
     jump: Float[Array, ""] = number(0.8, "of a cost of at most 2")
-
-
-class _Half(NamedTuple):
-    """The views on one side of the centre that a sweep looks at, padded along the arm."""
-
-    planes: Array
-    steps: Array
-    there: Array
-
-
-class _Swept(NamedTuple):
-    """An arm prepared for a sweep, with the weights of its windows."""
-
-    centre: Array
-    halves: tuple[_Half, _Half]
-    support: Array
-    wide: Array
-    share: Array
 
 
 @partial(jax.jit, static_argnames="window")
@@ -116,10 +92,10 @@ def hypotheses(
     """
     params = cast(params, lab.dtype)
     noise = Noise.of(jnp.zeros((), lab.dtype)) if noise is None else noise
-    cost = _matching_cost(horizontal, vertical, lab, params, noise, window)
+    costs = _costs(horizontal, vertical, lab, disparities, params, noise, window)
     cheaper = 1 - 0.75 * noise.alpha
     total = aggregate(
-        pooled(lax.map(cost, disparities), lab, noise, jnp.asarray(POOLING, lab.dtype)),
+        pooled(costs, lab, noise, jnp.asarray(POOLING, lab.dtype)),
         lab,
         slant=cheaper * params.slant,
         jump=cheaper * params.jump,
@@ -156,30 +132,26 @@ def best_match(
     """
     params = cast(params, lab.dtype)
     noise = Noise.of(jnp.zeros((), lab.dtype)) if noise is None else noise
-    total = lax.map(_matching_cost(horizontal, vertical, lab, params, noise, window), disparities)
+    total = _costs(horizontal, vertical, lab, disparities, params, noise, window)
     return cheapest(total, disparities), jnp.min(total, axis=0)
 
 
-def _matching_cost(
-    horizontal: Arm, vertical: Arm, lab: Array, params: VolumeParams, noise: Noise, window: int
-) -> Callable[[Array], Array]:
-    """The cost of a disparity at every pixel, `[y, x]`, over both arms."""
-    alpha = noise.alpha
+def _costs(
+    horizontal: Arm,
+    vertical: Arm,
+    lab: Array,
+    disparities: Array,
+    params: VolumeParams,
+    noise: Noise,
+    window: int,
+) -> Float[Array, "d y x"]:
+    """The cost of every disparity at every pixel over both arms."""
     truncation = params.truncation * horizontal.planes.shape[1] * noise_variance(noise)
     share = shared_drift(noise, lab)
-    across = _swept(horizontal, lab, share, window)
-    down = _swept(vertical, jnp.swapaxes(lab, 1, 2), share.T, window)
-
-    @jax.checkpoint
-    def cost(disparity: Array) -> Array:
-        # Stored before the transposition, or the windows are summed across the rows in memory.
-        along_rows, along_columns = (
-            fenced(_arm_cost, arm, disparity, truncation, params.drift, alpha)
-            for arm in (across, down)
-        )
-        return along_rows + along_columns.T
-
-    return cost
+    across = swept(horizontal, lab, share, window)
+    down = swept(vertical, jnp.swapaxes(lab, 1, 2), share.T, window)
+    limits = Limits(truncation, params.drift, noise.alpha)
+    return volume(window, Sweep(across, down, disparities, limits))
 
 
 def noise_variance(noise: Noise) -> Float[Array, ""]:
@@ -192,115 +164,6 @@ def noise_variance(noise: Noise) -> Float[Array, ""]:
 def shared_drift(noise: Noise, lab: Float[Array, "c y x"]) -> Float[Array, "y x"]:
     """How much of a window's drift is granted at every pixel, 0..1."""
     return (1 - noise.alpha) / (1 + (contrast(lab, radius=_OUTLINE) / _OUTLINED) ** 4)
-
-
-def _swept(arm: Arm, lab: Array, share: Array, window: int) -> _Swept:
-    alike = jnp.asarray(SAME_COLOUR, lab.dtype)
-    # Drift is looked for in a window twice as wide as that of the cost, through as many pixels.
-    return _Swept(
-        arm.planes[arm.centre],
-        _halves(arm),
-        colour_weights(lab, alike, reach=window),
-        colour_weights(lab, alike, reach=window, spacing=2),
-        share,
-    )
-
-
-def _arm_cost(
-    arm: _Swept, disparity: Array, truncation: Array, limit: Array, alpha: Array
-) -> Array:
-    """Cost of the half that agrees better, in units of the truncation."""
-    # Stored, because both the drift and the cost read them.
-    changes = [fenced(_changes, half, arm.centre, disparity) for half in arm.halves]
-    drifts = arm.share[None] * _drift(arm.halves, changes, arm.wide, limit)
-
-    def cost(half: _Half, changes: list[list[Array]], drift: Array) -> Array:
-        total = jnp.zeros_like(drift)
-        for change, step, there in zip(changes, half.steps, half.there, strict=True):
-            rest = [colour - step * drift for colour in change]
-            total = total + there * truncated(rest, truncation)
-        count = jnp.sum(half.there)
-        # A half without views confirms nothing.
-        return jnp.where(count > 0, total / jnp.maximum(count, 1), 1)
-
-    means = jnp.stack([cost(*of) for of in zip(arm.halves, changes, unstack(drifts), strict=True)])
-    first, second = unstack(weighted_sum(means, arm.support))
-    return _better(first, second, alpha)
-
-
-def _better(first: Array, second: Array, alpha: Array) -> Array:
-    """The smaller of two costs; under noise softly, for the least of two is biased."""
-    scale = 0.05 * jnp.where(alpha > 0, alpha, 1)
-
-    def soft(first: Array, second: Array) -> Array:
-        return jnp.minimum(first, second) - scale * jnp.log(
-            0.5 * (1 + jnp.exp(-jnp.abs(first - second) / scale))
-        )
-
-    return lax.cond(alpha > 0, soft, jnp.minimum, first, second)
-
-
-def _drift(
-    halves: tuple[_Half, _Half], changes: list[list[list[Array]]], weights: Array, limit: Array
-) -> Float[Array, "h y x"]:
-    """Change of the grey of a window per view step, by regression through the centre view."""
-    ends = [jnp.max(jnp.abs(half.steps), initial=1) for half in halves]
-
-    def trend(half: _Half, changes: list[list[Array]], last: Array) -> Array:
-        total, square = jnp.zeros_like(weights[0]), jnp.zeros_like(last)
-        for change, step, there in zip(changes, half.steps, half.there, strict=True):
-            gray = sum(change[1:], change[0]) / len(change)
-            # What is far beyond any drift is another surface, and says nothing about this one.
-            total = total + there * step * jnp.clip(gray, -3 * limit, 3 * limit)
-            square = square + there * step**2
-        return total * (last / jnp.maximum(square, 1))
-
-    trends = jnp.stack([trend(*of) for of in zip(halves, changes, ends, strict=True)])
-    change = weighted_sum(trends, weights, spacing=2)
-    return jnp.clip(change, -limit, limit) / jnp.stack(ends)[:, None, None]
-
-
-def truncated(change: list[Array], truncation: Array) -> Array:
-    # Colours are summed by hand: XLA on CPU does not vectorise a sum over a leading axis.
-    square = change[0] ** 2
-    for colour in change[1:]:
-        square = square + colour**2
-    return square / (square + truncation)
-
-
-def _halves(arm: Arm) -> tuple[_Half, _Half]:
-    width = arm.planes.shape[3]
-    indices = sweep_views(arm.planes.shape[0])
-
-    def half(views: list[int]) -> _Half:
-        chosen = np.asarray(views, int)
-        padding = ((0, 0), (0, 0), (0, 0), (width, width + 3))
-        planes = jnp.pad(arm.planes[chosen], padding, mode="edge")
-        return _Half(planes, arm.steps[chosen], arm.available[chosen].astype(planes.dtype))
-
-    before = half([i for i in indices if i < arm.centre])
-    return before, half([i for i in indices if i > arm.centre])
-
-
-def _changes(half: _Half, centre: Array, disparity: Array) -> list[list[Array]]:
-    """Colours of every view of a half at a disparity, less those of the centre view."""
-    width = centre.shape[2]
-    result = []
-    for planes, step in zip(unstack(half.planes), half.steps, strict=True):
-        shift = step * disparity
-        whole = jnp.floor(shift)
-        weights = keys_taps(shift - whole)
-        first = jnp.clip(whole.astype(jnp.int32), -width, width) + width - 1
-        part = lax.dynamic_slice_in_dim(planes, first, width + 3, axis=2)
-        taps = [unstack(part[:, :, j : j + width]) for j in range(4)]
-        result.append(
-            [
-                sum((weights[j] * taps[j][c] for j in range(1, 4)), weights[0] * taps[0][c])
-                - reference
-                for c, reference in enumerate(unstack(centre))
-            ]
-        )
-    return result
 
 
 def cheapest(total: Float[Array, "d y x"], disparities: Float[Array, " d"]) -> Array:
@@ -317,11 +180,3 @@ def cheapest(total: Float[Array, "d y x"], disparities: Float[Array, " d"]) -> A
     shift = jnp.where((winner == inner)[0], shift, 0)
     spacing = (disparities[-1] - disparities[0]) / (count - 1)
     return disparities[winner[0]] + spacing * shift
-
-
-def sweep_views(count: int) -> tuple[int, ...]:
-    """Views of an arm that a sweep looks at: the ends and half of the way to them."""
-    centre = count // 2
-    near = centre // 2
-    picked = {0, centre - near, centre + near, count - 1} - {centre}
-    return tuple(sorted(picked))

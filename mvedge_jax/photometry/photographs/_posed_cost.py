@@ -14,15 +14,14 @@ from mvedge_jax.image import window_sum
 from .._places import Projection
 from .._window import colour_weights, weighted_sum
 from ..brightness._noise import Noise
+from ..matching._arm import SAME_COLOUR, truncated
 from ..matching._cost import (
     COLOUR_OF_JUMPS,
     POOLING,
-    SAME_COLOUR,
     VolumeParams,
     cheapest,
     noise_variance,
     shared_drift,
-    truncated,
 )
 from ..matching._paths import aggregate
 from ..matching._pooling import pooled

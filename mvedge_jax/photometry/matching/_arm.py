@@ -1,0 +1,228 @@
+"""The cost of a disparity along one arm: the half of its views that agrees better."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Float
+
+from mvedge_jax._crosshair import Arm
+from mvedge_jax._fence import fenced
+from mvedge_jax._unstack import unstack
+from mvedge_jax.interpolation import keys_taps
+
+from .._window import colour_weights, weighted_sum
+
+# Neighbours whose CIELAB colour differs by much more than this take no part in a window.
+SAME_COLOUR = 4.0
+
+
+# First row and column of a part of an image.
+Corner = tuple[Array | int, Array | int]
+
+
+class Half(NamedTuple):
+    """The views on one side of the centre that a sweep looks at.
+
+    Attributes:
+        planes: colours, padded along the arm by its length, `[s, c, y, x]`; or a list of those of
+            each view that a disparity moves to the pixels of the centre view, see `shifted`.
+        steps: from the centre view.
+        there: 1 for views that are there, 0 for others.
+    """
+
+    planes: Array | list[Array]
+    steps: Array
+    there: Array
+
+
+class Swept(NamedTuple):
+    """An arm prepared for a sweep.
+
+    Attributes:
+        centre: colours of the centre view, `[c, y, x]`.
+        halves: the other views.
+        support: weights of the window of the cost.
+        wide: weights of the window that drift is looked for in, twice as wide, through as many
+            pixels.
+        share: how much of the drift is granted.
+    """
+
+    centre: Array
+    halves: tuple[Half, Half]
+    support: Array
+    wide: Array
+    share: Array
+
+
+class Limits(NamedTuple):
+    """The numbers of a cost.
+
+    Attributes:
+        truncation: squared differences of colour that count half.
+        drift: largest change of colour that is taken out.
+        alpha: how far noise rules.
+    """
+
+    truncation: Array
+    drift: Array
+    alpha: Array
+
+
+def swept(arm: Arm, lab: Array, share: Array, window: int) -> Swept:
+    """Prepares an arm.
+
+    Args:
+        arm: low-passed.
+        lab: the centre view in CIELAB, in the arm's orientation.
+        share: how much of the drift is granted, likewise.
+        window: half the width of the window, px.
+    """
+    alike = jnp.asarray(SAME_COLOUR, lab.dtype)
+    return Swept(
+        arm.planes[arm.centre],
+        _halves(arm),
+        colour_weights(lab, alike, reach=window),
+        colour_weights(lab, alike, reach=window, spacing=2),
+        share,
+    )
+
+
+def arm_cost(arm: Swept, disparity: Float[Array, ""], limits: Limits) -> Float[Array, "y x"]:
+    """Cost of the half that agrees better, in units of the truncation.
+
+    Args:
+        arm: prepared; its views are moved to where the disparity has them, unless they are.
+        disparity: px per view step.
+        limits: see `Limits`.
+    """
+    # Stored, because both the drift and the cost read them.
+    changes = [fenced(_changes, half, arm.centre, disparity) for half in arm.halves]
+    drifts = arm.share[None] * _drift(arm.halves, changes, arm.wide, limits.drift)
+
+    def cost(half: Half, changes: list[list[Array]], drift: Array) -> Array:
+        total = jnp.zeros_like(drift)
+        for change, step, there in zip(changes, half.steps, half.there, strict=True):
+            rest = [colour - step * drift for colour in change]
+            total = total + there * truncated(rest, limits.truncation)
+        count = jnp.sum(half.there)
+        # A half without views confirms nothing.
+        return jnp.where(count > 0, total / jnp.maximum(count, 1), 1)
+
+    means = jnp.stack([cost(*of) for of in zip(arm.halves, changes, unstack(drifts), strict=True)])
+    first, second = unstack(weighted_sum(means, arm.support))
+    return _better(first, second, limits.alpha)
+
+
+def shifted(half: Half, disparity: Array, corner: Corner, size: tuple[int, int]) -> list[Array]:
+    """What a disparity moves to a part of the centre view, of every view of a half.
+
+    Args:
+        half: with padded planes.
+        disparity: px per view step.
+        corner: first row and column of the part.
+        size: rows and columns of it.
+
+    Returns:
+        Colours of each view, `[c, y, x + 3]`: four taps lie around every pixel.
+    """
+    assert not isinstance(half.planes, list)
+    views, colours = half.planes.shape[:2]
+    places = [shifted_to(half, disparity, s, corner) for s in range(views)]
+    return [
+        lax.dynamic_slice(planes, place, (colours, size[0], size[1] + 3))
+        for planes, (_, *place) in zip(unstack(half.planes), places, strict=True)
+    ]
+
+
+def shifted_to(half: Half, disparity: Array, view: int, corner: Corner) -> list[Array]:
+    """Where in the planes of a half the part begins that `shifted` takes of a view."""
+    assert not isinstance(half.planes, list)
+    width = (half.planes.shape[3] - 3) // 3
+    whole = jnp.floor(half.steps[view] * disparity).astype(jnp.int32)
+    first = jnp.clip(whole, -width, width) + width - 1 + corner[1]
+    return [jnp.asarray(at, jnp.int32) for at in (view, 0, corner[0], first)]
+
+
+def _changes(half: Half, centre: Array, disparity: Array) -> list[list[Array]]:
+    """Colours of every view of a half at a disparity, less those of the centre view."""
+    height, width = centre.shape[1:]
+    moved = half.planes
+    if not isinstance(moved, list):
+        moved = shifted(half, disparity, (0, 0), (height, width))
+    result = []
+    for part, step in zip(moved, half.steps, strict=True):
+        shift = step * disparity
+        weights = keys_taps(shift - jnp.floor(shift))
+        taps = [unstack(part[:, :, j : j + width]) for j in range(4)]
+        result.append(
+            [
+                sum((weights[j] * taps[j][c] for j in range(1, 4)), weights[0] * taps[0][c])
+                - reference
+                for c, reference in enumerate(unstack(centre))
+            ]
+        )
+    return result
+
+
+def _better(first: Array, second: Array, alpha: Array) -> Array:
+    """The smaller of two costs; under noise softly, for the least of two is biased."""
+    scale = 0.05 * jnp.where(alpha > 0, alpha, 1)
+
+    def soft(first: Array, second: Array) -> Array:
+        return jnp.minimum(first, second) - scale * jnp.log(
+            0.5 * (1 + jnp.exp(-jnp.abs(first - second) / scale))
+        )
+
+    return lax.cond(alpha > 0, soft, jnp.minimum, first, second)
+
+
+def _drift(
+    halves: tuple[Half, Half], changes: list[list[list[Array]]], weights: Array, limit: Array
+) -> Float[Array, "h y x"]:
+    """Change of the grey of a window per view step, by regression through the centre view."""
+    ends = [jnp.max(jnp.abs(half.steps), initial=1) for half in halves]
+
+    def trend(half: Half, changes: list[list[Array]], last: Array) -> Array:
+        total, square = jnp.zeros_like(weights[0]), jnp.zeros_like(last)
+        for change, step, there in zip(changes, half.steps, half.there, strict=True):
+            gray = sum(change[1:], change[0]) / len(change)
+            # What is far beyond any drift is another surface, and says nothing about this one.
+            total = total + there * step * jnp.clip(gray, -3 * limit, 3 * limit)
+            square = square + there * step**2
+        return total * (last / jnp.maximum(square, 1))
+
+    trends = jnp.stack([trend(*of) for of in zip(halves, changes, ends, strict=True)])
+    change = weighted_sum(trends, weights, spacing=2)
+    return jnp.clip(change, -limit, limit) / jnp.stack(ends)[:, None, None]
+
+
+def truncated(change: list[Array], truncation: Array) -> Array:
+    # Colours are summed by hand: XLA on CPU does not vectorise a sum over a leading axis.
+    square = change[0] ** 2
+    for colour in change[1:]:
+        square = square + colour**2
+    return square / (square + truncation)
+
+
+def _halves(arm: Arm) -> tuple[Half, Half]:
+    width = arm.planes.shape[3]
+    indices = sweep_views(arm.planes.shape[0])
+
+    def half(views: list[int]) -> Half:
+        chosen = np.asarray(views, int)
+        padding = ((0, 0), (0, 0), (0, 0), (width, width + 3))
+        planes = jnp.pad(arm.planes[chosen], padding, mode="edge")
+        return Half(planes, arm.steps[chosen], arm.available[chosen].astype(planes.dtype))
+
+    before = half([i for i in indices if i < arm.centre])
+    return before, half([i for i in indices if i > arm.centre])
+
+
+def sweep_views(count: int) -> tuple[int, ...]:
+    """Views of an arm that a sweep looks at: the ends and half of the way to them."""
+    centre = count // 2
+    near = centre // 2
+    picked = {0, centre - near, centre + near, count - 1} - {centre}
+    return tuple(sorted(picked))

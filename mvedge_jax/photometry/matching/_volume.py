@@ -1,0 +1,203 @@
+"""All hypotheses' costs, with a transpose that leaves out what no pixel's choice depends on.
+
+Of the hypotheses of a pixel, its disparity and its neighbours' depend on three, as a rule. A
+transpose that goes through all of them, image by image, is a multiple of the work that the costs
+were. Here it goes through parts of the image, and in each through the hypotheses that have
+cotangents there.
+"""
+
+from collections.abc import Sequence
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Bool, Float
+
+from mvedge_jax._fence import fenced
+from mvedge_jax._linear_map import linear_map
+
+from ._arm import Corner, Half, Limits, Swept, arm_cost, shifted, shifted_to
+
+# Side of a part, px. In smaller ones fewer hypotheses count, but more of the work is around them.
+_PART = 64
+
+
+class Sweep(NamedTuple):
+    """What a volume of costs is made from.
+
+    Attributes:
+        across: the horizontal arm.
+        down: the vertical arm, transposed.
+        disparities: px per view step.
+        limits: see `Limits`.
+    """
+
+    across: Swept
+    down: Swept
+    disparities: Array
+    limits: Limits
+
+
+@partial(jax.custom_jvp, nondiff_argnums=(0,))
+def volume(window: int, sweep: Sweep) -> Float[Array, "d y x"]:
+    """The costs of all disparities over both arms.
+
+    Args:
+        window: half the width of the window of the cost, px.
+        sweep: see `Sweep`.
+
+    Returns:
+        Costs, at most 2. Differentiable in both modes, and forwards once more.
+    """
+    del window
+    return _costs(sweep)
+
+
+@volume.defjvp
+def _volume_jvp(window: int, primals: Any, tangents: Any) -> tuple[Array, Array]:
+    def forward(fixed: Sweep, moving: Sweep) -> Array:
+        return jax.jvp(_costs, (fixed,), (moving,))[1]
+
+    (sweep,), (moving,) = primals, tangents
+    return _costs(sweep), linear_map(forward, partial(_pulled, window), sweep, moving)
+
+
+def _costs(sweep: Sweep) -> Array:
+    @jax.checkpoint
+    def cost(disparity: Array) -> Array:
+        # Stored before the transposition, or the windows are summed across the rows in memory.
+        along_rows, along_columns = (
+            fenced(arm_cost, arm, disparity, sweep.limits) for arm in (sweep.across, sweep.down)
+        )
+        return along_rows + along_columns.T
+
+    return lax.map(cost, sweep.disparities)
+
+
+def _pulled(window: int, sweep: Sweep, cotangent: Float[Array, "d y x"]) -> Sweep:
+    """The transpose."""
+    across, along_x = _pulled_arm(window, sweep.across, sweep, cotangent)
+    down, along_y = _pulled_arm(window, sweep.down, sweep, jnp.swapaxes(cotangent, 1, 2))
+    return Sweep(across, down, *jax.tree.map(jnp.add, along_x, along_y))
+
+
+def _pulled_arm(
+    window: int, arm: Swept, sweep: Sweep, cotangent: Array
+) -> tuple[Swept, tuple[Array, Limits]]:
+    """Cotangents of an arm, and of disparities and limits."""
+    # Cost, drift and where drift is looked for reach so far, one after the other.
+    reach = 3 * window
+    shape = arm.centre.shape[1:]
+    part = [min(_PART, side) for side in shape]
+    size = (min(part[0] + 2 * reach, shape[0]), min(part[1] + 2 * reach, shape[1]))
+    across = -(-shape[1] // part[1])
+
+    def visit(total: Any, index: Array) -> tuple[Any, None]:
+        first = index // across * part[0], index % across * part[1]
+        corner = (
+            jnp.clip(first[0] - reach, 0, shape[0] - size[0]),
+            jnp.clip(first[1] - reach, 0, shape[1] - size[1]),
+        )
+        inside = _inside(first, part, corner, size)
+        wanted = jnp.where(inside, _cut(cotangent, corner, size), 0)
+        counts = jnp.any(wanted != 0, axis=(1, 2))
+        order = jnp.argsort(~counts)
+
+        def level(i: Array, state: Any) -> Any:
+            return _level(order[i], wanted, arm, sweep, corner, size, state)
+
+        planes, whole, others = total
+        here = jax.tree.map(lambda a: jnp.zeros_like(_cut(a, corner, size)), whole)
+        count = jnp.sum(counts, dtype=jnp.int32)
+        planes, here, others = lax.fori_loop(0, count, level, (planes, here, others))
+        whole = jax.tree.map(lambda a, b: _added(a, b, corner), whole, here)
+        return (planes, whole, others), None
+
+    local = arm.centre, arm.support, arm.wide, arm.share
+    steps = tuple((half.steps, half.there) for half in arm.halves)
+    start = (
+        tuple(half.planes for half in arm.halves),
+        local,
+        (steps, (sweep.disparities, sweep.limits)),
+    )
+    parts = jnp.arange(-(-shape[0] // part[0]) * across, dtype=jnp.int32)
+    total, _ = lax.scan(visit, jax.tree.map(jnp.zeros_like, start), parts)
+    planes, (centre, support, wide, share), (steps, numbers) = total
+    before, after = (Half(p, *of) for p, of in zip(planes, steps, strict=True))
+    return Swept(centre, (before, after), support, wide, share), numbers
+
+
+def _level(
+    k: Array,
+    wanted: Array,
+    arm: Swept,
+    sweep: Sweep,
+    corner: Corner,
+    size: tuple[int, int],
+    state: Any,
+) -> Any:
+    """Adds the cotangents of one hypothesis in one part."""
+    planes, here, ((steps, (disparities, limits))) = state
+    disparity = sweep.disparities[k]
+
+    def cost(local: Any, moved: Any, of: Any, disparity: Array, limits: Limits) -> Array:
+        centre, support, wide, share = local
+        before, after = (Half(m, *s) for m, s in zip(moved, of, strict=True))
+        return arm_cost(Swept(centre, (before, after), support, wide, share), disparity, limits)
+
+    local = jax.tree.map(
+        lambda a: _cut(a, corner, size), (arm.centre, arm.support, arm.wide, arm.share)
+    )
+    moved = [shifted(half, disparity, corner, size) for half in arm.halves]
+    of = tuple((half.steps, half.there) for half in arm.halves)
+    _, pull = jax.vjp(cost, local, moved, of, disparity, sweep.limits)
+    more, parts, more_of, slope, more_limits = pull(wanted[k])
+    planes = tuple(
+        _moved_back(plane, half, disparity, part, corner)
+        for plane, half, part in zip(planes, arm.halves, parts, strict=True)
+    )
+    here, steps, limits = jax.tree.map(jnp.add, (here, steps, limits), (more, more_of, more_limits))
+    return planes, here, (steps, (disparities.at[k].add(slope), limits))
+
+
+def _moved_back(
+    planes: Array, half: Half, disparity: Array, parts: list[Array], corner: Corner
+) -> Array:
+    """Adds what belongs to the shifted parts of a half's views to the whole planes."""
+    for s, part in enumerate(parts):
+        planes = _added(planes, part[None], shifted_to(half, disparity, s, corner))
+    return planes
+
+
+def _inside(
+    first: Corner, part: list[int], corner: Corner, size: tuple[int, int]
+) -> Bool[Array, "y x"]:
+    """Pixels of a region that are in its part: regions overlap."""
+    rows, columns = (
+        (at >= 0) & (at < side)
+        for at, side in (
+            (jnp.arange(n, dtype=jnp.int32) + c - f, p)
+            for n, c, f, p in zip(size, corner, first, part, strict=True)
+        )
+    )
+    return rows[:, None] & columns[None]
+
+
+def _cut(array: Array, corner: Corner, size: tuple[int, int]) -> Array:
+    """A region of the last two axes."""
+    return lax.dynamic_slice(array, _start(array, corner), array.shape[:-2] + size)
+
+
+def _added(array: Array, region: Array, corner: Sequence[Array | int]) -> Array:
+    """The array with a region added to it."""
+    start = _start(array, corner)
+    own = lax.dynamic_slice(array, start, region.shape)
+    return lax.dynamic_update_slice(array, own + region, start)
+
+
+def _start(array: Array, corner: Sequence[Array | int]) -> list[Array]:
+    """The corner with zeros for the axes before its own."""
+    missing = array.ndim - len(corner)
+    return [jnp.asarray(at, jnp.int32) for at in (*missing * (0,), *corner)]
