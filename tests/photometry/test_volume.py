@@ -10,8 +10,6 @@ from mvedge_jax.photometry.matching._arm import Half, Limits, Swept
 from mvedge_jax.photometry.matching._volume import Sweep, volume
 
 _RNG = np.random.default_rng(0)
-# No multiple of the side of a part, and less than one.
-_SHAPES = [(37, 41), (12, 30)]
 
 
 def _uniform(*shape):
@@ -62,8 +60,8 @@ def _small_parts(monkeypatch):
     monkeypatch.setattr(_volume, "_PART", 16)
 
 
-@pytest.mark.parametrize("share", [0.003, 1.0])
-@pytest.mark.parametrize("shape", _SHAPES)
+# No multiple of the side of a part, and less than one.
+@pytest.mark.parametrize(("shape", "share"), [((37, 41), 0.003), ((12, 30), 1.0)])
 def test_the_transpose_is_that_of_the_costs(shape, share):
     sweep = _sweep(shape, window=1)
     value, own = jax.vjp(lambda s: volume(1, s), sweep)

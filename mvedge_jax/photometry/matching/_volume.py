@@ -40,6 +40,20 @@ class Sweep(NamedTuple):
     limits: Limits
 
 
+class _Region(NamedTuple):
+    """A part of the image with what reaches into it.
+
+    Attributes:
+        corner: its first row and column.
+        wanted: cotangents of the costs of the part; 0 around it, `[d, y, x]`.
+        local: centre view, weights and share of drift there.
+    """
+
+    corner: Corner
+    wanted: Array
+    local: tuple[Array, Array, Array, Array]
+
+
 @partial(jax.custom_jvp, nondiff_argnums=(0,))
 def volume(window: int, sweep: Sweep) -> Float[Array, "d y x"]:
     """The costs of all disparities over both arms.
@@ -100,16 +114,16 @@ def _pulled_arm(
             jnp.clip(first[0] - reach, 0, shape[0] - size[0]),
             jnp.clip(first[1] - reach, 0, shape[1] - size[1]),
         )
-        inside = _inside(first, part, corner, size)
-        wanted = jnp.where(inside, _cut(cotangent, corner, size), 0)
+        wanted = jnp.where(_inside(first, part, corner, size), _cut(cotangent, corner, size), 0)
         counts = jnp.any(wanted != 0, axis=(1, 2))
         order = jnp.argsort(~counts)
+        region = _Region(corner, wanted, jax.tree.map(lambda a: _cut(a, corner, size), local))
 
         def level(i: Array, state: Any) -> Any:
-            return _level(order[i], wanted, arm, sweep, corner, size, state)
+            return _level(order[i], region, arm, sweep, state)
 
         planes, whole, others = total
-        here = jax.tree.map(lambda a: jnp.zeros_like(_cut(a, corner, size)), whole)
+        here = jax.tree.map(jnp.zeros_like, region.local)
         count = jnp.sum(counts, dtype=jnp.int32)
         planes, here, others = lax.fori_loop(0, count, level, (planes, here, others))
         whole = jax.tree.map(lambda a, b: _added(a, b, corner), whole, here)
@@ -129,31 +143,21 @@ def _pulled_arm(
     return Swept(centre, (before, after), support, wide, share), numbers
 
 
-def _level(
-    k: Array,
-    wanted: Array,
-    arm: Swept,
-    sweep: Sweep,
-    corner: Corner,
-    size: tuple[int, int],
-    state: Any,
-) -> Any:
+def _level(k: Array, region: _Region, arm: Swept, sweep: Sweep, state: Any) -> Any:
     """Adds the cotangents of one hypothesis in one part."""
-    planes, here, ((steps, (disparities, limits))) = state
-    disparity = sweep.disparities[k]
+    planes, here, (steps, (disparities, limits)) = state
+    corner, disparity = region.corner, sweep.disparities[k]
 
     def cost(local: Any, moved: Any, of: Any, disparity: Array, limits: Limits) -> Array:
         centre, support, wide, share = local
         before, after = (Half(m, *s) for m, s in zip(moved, of, strict=True))
         return arm_cost(Swept(centre, (before, after), support, wide, share), disparity, limits)
 
-    local = jax.tree.map(
-        lambda a: _cut(a, corner, size), (arm.centre, arm.support, arm.wide, arm.share)
-    )
+    size = region.wanted.shape[1], region.wanted.shape[2]
     moved = [shifted(half, disparity, corner, size) for half in arm.halves]
     of = tuple((half.steps, half.there) for half in arm.halves)
-    _, pull = jax.vjp(cost, local, moved, of, disparity, sweep.limits)
-    more, parts, more_of, slope, more_limits = pull(wanted[k])
+    _, pull = jax.vjp(cost, region.local, moved, of, disparity, sweep.limits)
+    more, parts, more_of, slope, more_limits = pull(region.wanted[k])
     planes = tuple(
         _moved_back(plane, half, disparity, part, corner)
         for plane, half, part in zip(planes, arm.halves, parts, strict=True)
