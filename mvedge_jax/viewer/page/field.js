@@ -13,8 +13,8 @@ class Field {
   constructor(gl, data) {
     Object.assign(this, { gl, data });
     [this.rows, this.columns, this.height, this.width] = data.shape;
-    this.plain = program(gl, SCREEN, FIELD);
-    this.overlaid = program(gl, SCREEN, FIELD.replace(COMMON, `${COMMON}#define OVERLAID\n`));
+    this.plain = program(gl, SCREEN, fieldShader(false));
+    this.overlaid = program(gl, SCREEN, fieldShader(true));
     this.slice = program(gl, SCREEN, SLICE);
   }
 
@@ -37,13 +37,11 @@ class Field {
   // The disparity that the viewpoint sees at (x, y); the same search as the shader's.
   depth(layer, x, y, p) {
     const { disparity: map, bounds } = this.data.maps[layer];
-    const block = 2 * (Math.floor(y / BLOCK) * Math.ceil(this.width / BLOCK) + Math.floor(x / BLOCK));
-    const [low, high] = bounds.subarray(block, block + 2);
-    const at = (d) => {
-      const c = Math.min(Math.max(Math.floor(x + p[0] * d + 0.5), 0), this.width - 1);
-      const r = Math.min(Math.max(Math.floor(y + p[1] * d + 0.5), 0), this.height - 1);
-      return map[r * this.width + c];
-    };
+    const pixel = (place, count) => Math.min(Math.max(Math.floor(place + 0.5), 0), count - 1);
+    const at = (d) => map[pixel(y + p[1] * d, this.height) * this.width + pixel(x + p[0] * d, this.width)];
+    // A script may click anywhere.
+    const [row, column] = [pixel(y, this.height), pixel(x, this.width)].map((i) => Math.floor(i / BLOCK));
+    const block = 2 * (row * Math.ceil(this.width / BLOCK) + column), [low, high] = bounds.subarray(block, block + 2);
     const reach = Math.max(Math.abs(p[0]), Math.abs(p[1]));
     if (reach < 1e-3) return at(0);
     if (high - low < FLAT) return at(high);

@@ -64,9 +64,9 @@ async function loadViews(gl, data) {
   }
 }
 
-// An array of textures of numbers, one a map.
-function loadNumbers(gl, unit, kind, [width, height], arrays) {
-  const [inside, given] = kind === 1 ? [gl.R32F, gl.RED] : [gl.RG32F, gl.RG];
+// An array of textures, one a map, of one or two numbers a pixel.
+function loadNumbers(gl, unit, count, [width, height], arrays) {
+  const [inside, given] = count === 1 ? [gl.R32F, gl.RED] : [gl.RG32F, gl.RG];
   texture(gl, unit, gl.TEXTURE_2D_ARRAY, gl.NEAREST);
   gl.texStorage3D(gl.TEXTURE_2D_ARRAY, 1, inside, width, height, Math.max(arrays.length, 1));
   arrays.forEach((array, layer) =>

@@ -27,10 +27,11 @@ vec3 meaning(int what, float disparity, float error, float label, float referenc
 const SCREEN = `#version 300 es
 void main() { gl_Position = vec4(4 * (gl_VertexID & 1) - 1, 4 * (gl_VertexID >> 1) - 1, 0, 1); }`;
 
-// With the overlay and the card, or as `OVERLAID` is not defined, without.
-const FIELD = COMMON + `
+// With the overlay and the card, or without them, which is faster.
+const fieldShader = (overlaid) => COMMON + `
 #define BLOCK ${BLOCK}
 #define FLAT ${FLAT}
+${overlaid ? "#define OVERLAID" : ""}
 uniform sampler2D taps, picture; uniform int tapped; uniform vec2 origin, p;
 uniform float focus, sharp, opacity; uniform vec4 card; uniform float height;
 out vec4 result;
