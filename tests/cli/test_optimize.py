@@ -5,8 +5,8 @@ import re
 import cv2
 import numpy as np
 import pytest
+from cli.scenes import textured_plane
 from datasets.layouts import write_hci
-from scipy import ndimage
 
 from mvedge_jax.cli import _main
 from mvedge_jax.datasets import read_pfm
@@ -14,18 +14,10 @@ from mvedge_jax.datasets import read_pfm
 
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory):
-    """A textured plane at disparity 0.4, 3x3 views of 24x28 px, in the HCI layout."""
-    rng = np.random.default_rng(0)
-    texture = ndimage.gaussian_filter(rng.uniform(size=(44, 48, 3)), (0.9, 0.9, 0)) * 2 - 0.5
-    y, x = np.mgrid[0:24, 0:28].astype(float) + 10
-    views = np.zeros((3, 3, 24, 28, 3))
-    for v, u in np.ndindex(3, 3):
-        for c in range(3):
-            place = [y - (1 - v) * 0.4, x - (1 - u) * 0.4]
-            views[v, u, ..., c] = ndimage.map_coordinates(texture[..., c], place, order=3)
-    views = np.round(255 * np.clip(views, 0, 1)).astype(np.uint8)
     truth = np.full((24, 28), 0.4, np.float32)
-    return write_hci(tmp_path_factory.mktemp("optimize") / "plane", views, disparity=truth)
+    return write_hci(
+        tmp_path_factory.mktemp("optimize") / "plane", textured_plane(24, 28), disparity=truth
+    )
 
 
 @pytest.mark.slow
