@@ -26,13 +26,12 @@ class Half(NamedTuple):
     """The views on one side of the centre that a sweep looks at.
 
     Attributes:
-        planes: colours, padded along the arm by its length, `[s, c, y, x]`; or a list of those of
-            each view that a disparity moves to the pixels of the centre view, see `shifted`.
+        planes: colours, padded along the arm by its length, `[s, c, y, x]`.
         steps: from the centre view.
         there: 1 for views that are there, 0 for others.
     """
 
-    planes: Array | list[Array]
+    planes: Array
     steps: Array
     there: Array
 
@@ -93,12 +92,48 @@ def arm_cost(arm: Swept, disparity: Float[Array, ""], limits: Limits) -> Float[A
     """Cost of the half that agrees better, in units of the truncation.
 
     Args:
-        arm: prepared; its views are moved to where the disparity has them, unless they are.
+        arm: prepared.
         disparity: px per view step.
         limits: see `Limits`.
     """
+    size = arm.centre.shape[1], arm.centre.shape[2]
+
+    def moved(half: Half, centre: Array, disparity: Array) -> list[list[Array]]:
+        return _changes(shifted(half, disparity, (0, 0), size), half.steps, centre, disparity)
+
     # Stored, because both the drift and the cost read them.
-    changes = [fenced(_changes, half, arm.centre, disparity) for half in arm.halves]
+    changes = [fenced(moved, half, arm.centre, disparity) for half in arm.halves]
+    return _better_half(arm, changes, limits)
+
+
+def moved_cost(
+    arm: Swept, moved: list[list[Array]], disparity: Float[Array, ""], limits: Limits
+) -> Float[Array, "y x"]:
+    """`arm_cost` of a part of the image whose views are moved already.
+
+    Args:
+        arm: cut to the part, but for its planes, which are not read.
+        moved: per half and view, see `shifted`.
+        disparity: px per view step.
+        limits: see `Limits`.
+    """
+    changes = [
+        fenced(_changes, parts, half.steps, arm.centre, disparity)
+        for parts, half in zip(moved, arm.halves, strict=True)
+    ]
+    return _better_half(arm, changes, limits)
+
+
+def reach_of(window: int) -> int:
+    """How far around a pixel its cost looks at the centre view, px.
+
+    Args:
+        window: half the width of the window of the cost; that of the drift is twice as wide.
+    """
+    return 3 * window
+
+
+def _better_half(arm: Swept, changes: list[list[list[Array]]], limits: Limits) -> Array:
     drifts = arm.share[None] * _drift(arm.halves, changes, arm.wide, limits.drift)
 
     def cost(half: Half, changes: list[list[Array]], drift: Array) -> Array:
@@ -127,7 +162,6 @@ def shifted(half: Half, disparity: Array, corner: Corner, size: tuple[int, int])
     Returns:
         Colours of each view, `[c, y, x + 3]`: four taps lie around every pixel.
     """
-    assert not isinstance(half.planes, list)
     views, colours = half.planes.shape[:2]
     places = [shifted_to(half, disparity, s, corner) for s in range(views)]
     return [
@@ -138,21 +172,19 @@ def shifted(half: Half, disparity: Array, corner: Corner, size: tuple[int, int])
 
 def shifted_to(half: Half, disparity: Array, view: int, corner: Corner) -> list[Array]:
     """Where in the planes of a half the part begins that `shifted` takes of a view."""
-    assert not isinstance(half.planes, list)
     width = (half.planes.shape[3] - 3) // 3
     whole = jnp.floor(half.steps[view] * disparity).astype(jnp.int32)
     first = jnp.clip(whole, -width, width) + width - 1 + corner[1]
     return [jnp.asarray(at, jnp.int32) for at in (view, 0, corner[0], first)]
 
 
-def _changes(half: Half, centre: Array, disparity: Array) -> list[list[Array]]:
+def _changes(
+    moved: list[Array], steps: Array, centre: Array, disparity: Array
+) -> list[list[Array]]:
     """Colours of every view of a half at a disparity, less those of the centre view."""
-    height, width = centre.shape[1:]
-    moved = half.planes
-    if not isinstance(moved, list):
-        moved = shifted(half, disparity, (0, 0), (height, width))
+    width = centre.shape[2]
     result = []
-    for part, step in zip(moved, half.steps, strict=True):
+    for part, step in zip(moved, steps, strict=True):
         shift = step * disparity
         weights = keys_taps(shift - jnp.floor(shift))
         taps = [unstack(part[:, :, j : j + width]) for j in range(4)]

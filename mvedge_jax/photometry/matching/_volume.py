@@ -18,7 +18,7 @@ from jaxtyping import Array, Bool, Float
 from mvedge_jax._fence import fenced
 from mvedge_jax._linear_map import linear_map
 
-from ._arm import Corner, Half, Limits, Swept, arm_cost, shifted, shifted_to
+from ._arm import Corner, Half, Limits, Swept, arm_cost, moved_cost, reach_of, shifted, shifted_to
 
 # Side of a part, px. In smaller ones fewer hypotheses count, but more of the work is around them.
 _PART = 64
@@ -101,8 +101,7 @@ def _pulled_arm(
     window: int, arm: Swept, sweep: Sweep, cotangent: Array
 ) -> tuple[Swept, tuple[Array, Limits]]:
     """Cotangents of an arm, and of disparities and limits."""
-    # Cost, drift and where drift is looked for reach so far, one after the other.
-    reach = 3 * window
+    reach = reach_of(window)
     shape = arm.centre.shape[1:]
     part = [min(_PART, side) for side in shape]
     size = (min(part[0] + 2 * reach, shape[0]), min(part[1] + 2 * reach, shape[1]))
@@ -150,8 +149,9 @@ def _level(k: Array, region: _Region, arm: Swept, sweep: Sweep, state: Any) -> A
 
     def cost(local: Any, moved: Any, of: Any, disparity: Array, limits: Limits) -> Array:
         centre, support, wide, share = local
-        before, after = (Half(m, *s) for m, s in zip(moved, of, strict=True))
-        return arm_cost(Swept(centre, (before, after), support, wide, share), disparity, limits)
+        before, after = (Half(h.planes, *s) for h, s in zip(arm.halves, of, strict=True))
+        part = Swept(centre, (before, after), support, wide, share)
+        return moved_cost(part, moved, disparity, limits)
 
     size = region.wanted.shape[1], region.wanted.shape[2]
     moved = [shifted(half, disparity, corner, size) for half in arm.halves]
