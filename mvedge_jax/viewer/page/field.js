@@ -26,8 +26,9 @@ class Field {
       const layer = v * this.columns + u;
       if (!this.data.views[layer]) continue;
       const s = u - (this.columns >> 1), t = v - (this.rows >> 1), dx = s - p[0], dy = t - p[1];
-      const near = (1 - Math.abs(dx)) * (1 - Math.abs(dy)), far = Math.hypot(dx, dy);
-      if (Math.abs(dx) < 1 && Math.abs(dy) < 1 && near > 1e-6) tent.push(s, t, layer, near);
+      // Linear on the two triangles of a cell: three views instead of four, which is a quarter of the picture's time.
+      const near = 1 - Math.max(Math.abs(dx), Math.abs(dy), Math.abs(dx + dy)), far = Math.hypot(dx, dy);
+      if (near > 1e-6) tent.push(s, t, layer, near);
       if (radius > 0 && SHAPES[shape](dx / radius, dy / radius, dx, dy)) found.push(s, t, layer, 1);
       if (far < least) [least, nearest] = [far, [s, t, layer, 1]];
     }

@@ -40,7 +40,7 @@ float depth(vec2 x) {
   if (layer < 0) return focus;
   float reach = max(abs(p.x), abs(p.y));
   if (reach < 1e-3) return disparityAt(layer, x);
-  vec2 around = texelFetch(bounds, ivec3(ivec2(x) / BLOCK, layer), 0).xy;
+  vec2 around = texelFetch(bounds, ivec3(ivec2(x / float(BLOCK)), layer), 0).xy;
   if (around.y - around.x < FLAT) return disparityAt(layer, x + p * around.y);
   int steps = clamp(int(ceil(1.5 * reach * (around.y - around.x))) + 1, 2, 96);
   float pace = (around.y - around.x) / float(steps), thick = 1.5 * pace + FLAT;
