@@ -235,3 +235,25 @@ def test_a_real_light_field():
     result = edge_to_depth(light_field, Parameters(), Sizes.for_light_field(light_field))
     assert bool(jnp.isfinite(result.disparity).all())
     assert int(result.stats.edges.valid) > 5000
+
+
+@pytest.mark.slow
+def test_rounding_does_not_turn_the_gradient():
+    whole = load_light_field(shared_data("hci", "cotton")).without_truth()
+    light_field = eqx.tree_at(lambda f: f.views, whole, whole.views[:, :, 128:320, 128:320])
+    params, sizes = Parameters(), Sizes.for_light_field(light_field)
+
+    @jax.jit
+    def gradient(views):
+        def loss(views):
+            seen = eqx.tree_at(lambda f: f.views, light_field, views)
+            return jnp.mean(jnp.sin(3 * edge_to_depth(seen, params, sizes).disparity))
+
+        return jax.grad(loss)(views)
+
+    exact = np.asarray(gradient(light_field.views), np.float64).ravel()
+    for seed in range(2):
+        shape, dtype = light_field.views.shape, light_field.views.dtype
+        noise = jax.random.uniform(jax.random.key(seed), shape, dtype, minval=-1.0)
+        moved = np.asarray(gradient(light_field.views + 1e-7 * noise), np.float64).ravel()
+        assert exact @ moved > 0.97 * np.linalg.norm(exact) * np.linalg.norm(moved)
