@@ -11,7 +11,7 @@ from jaxtyping import Array, Bool, Float, Int
 from mvedge_jax._fence import recomputed, staged
 from mvedge_jax._root import root
 from mvedge_jax.centre import edge_smoothness
-from mvedge_jax.diffusion import Jacobi, System, diffuse
+from mvedge_jax.diffusion import AutoSolver, System, diffuse
 from mvedge_jax.image import highest
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.photometry import Exposure, Noise, Scene, Sight, recentred, sight
@@ -26,6 +26,8 @@ from ._samples import Samples, added
 _ANCHOR = 1e-6
 # A hypothesis takes the place of the surface behind if its residual is smaller by this factor.
 _CLEARLY = 2.0
+# Standard errors are diffused to this many times the tolerance of disparities.
+_COARSER = 10
 # Views, besides two, whose agreement halves what a residual counts.
 _FEW = 4.0
 # The four corners of the grid, each turned a little towards the next arm: where the corners of the
@@ -151,15 +153,17 @@ def _measured_in(
         # What a label of this weight is known to.
         uncertain = params.precision * jnp.sqrt(1 / jnp.clip(weight, 1e-9, 0.99) - 1)
         uncertain = jnp.where(new, uncertain, doubt)
-        solver = Jacobi(tolerance=sizes.tolerance, by_residual=True)
 
-        def diffused(values: Array, start: Array) -> Array:
+        # One after the other by a loop: the solver compiles slowly.
+        def diffused(asked: tuple[Array, Array, Array]) -> Array:
+            values, start, tolerance = asked
+            solver = AutoSolver(tolerance=tolerance, by_residual=True)
             return diffuse(System(weight, values, across, down), start=start, solver=solver).value
 
-        return (
-            jnp.where(new, diffused(label, disparity), known),
-            jnp.where(new, diffused(uncertain, uncertain), doubt),
-        ), None
+        tolerances = sizes.tolerance * jnp.asarray([1, _COARSER], disparity.dtype)
+        values, starts = jnp.stack([label, uncertain]), jnp.stack([disparity, uncertain])
+        value, doubted = lax.map(diffused, (values, starts, tolerances))
+        return (jnp.where(new, value, known), jnp.where(new, doubted, doubt)), None
 
     state = (guess, doubt)
     (disparity, error), _ = lax.scan(recomputed(solve), state, length=sizes.solves)
