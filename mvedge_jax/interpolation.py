@@ -93,6 +93,7 @@ def vertex(below: Array, middle: Array, above: Array) -> Array:
         less than a thousandth of what they are. Differentiable.
     """
     bend = below - 2 * middle + above
+    # The last term keeps the square above underflow where all three are 0.
     least = _FLAT * (jnp.abs(below) + jnp.abs(above)) + jnp.finfo(bend.dtype).tiny ** 0.25
     offset = 0.5 * (below - above) * bend / jnp.maximum(bend**2, least**2)
     return jnp.clip(offset, -1, 1)

@@ -252,8 +252,8 @@ def test_rounding_does_not_turn_the_gradient():
         return jax.grad(loss)(views)
 
     exact = np.asarray(gradient(light_field.views), np.float64).ravel()
+    shape, dtype = light_field.views.shape, light_field.views.dtype
     for seed in range(2):
-        shape, dtype = light_field.views.shape, light_field.views.dtype
         noise = jax.random.uniform(jax.random.key(seed), shape, dtype, minval=-1.0)
         moved = np.asarray(gradient(light_field.views + 1e-7 * noise), np.float64).ravel()
         assert exact @ moved > 0.97 * np.linalg.norm(exact) * np.linalg.norm(moved)
