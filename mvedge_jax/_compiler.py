@@ -3,7 +3,8 @@
 import contextlib
 import ctypes
 import functools
-from collections.abc import Callable
+import gc
+from collections.abc import Callable, Iterator
 from typing import Any, Generic, ParamSpec, TypeVar
 
 import equinox as eqx
@@ -14,8 +15,11 @@ _P = ParamSpec("_P")
 _T = TypeVar("_T")
 # The newer emitters of fusions cost the chain a third of the compiler's memory and a quarter of its
 # own time on the CPU; an order that lets kernels run side by side, which they hardly do, two fifths
-# of its arrays' memory.
+# of its arrays' memory. What the compiler does to loops beyond its first level of optimisation
+# (unrolling, mostly) is up to a quarter of its time and gains a fortieth of the chain's.
+_LEVEL = "xla_backend_optimization_level"
 _WISHES = {
+    _LEVEL: 1,
     "xla_cpu_use_fusion_emitters": False,
     "xla_cpu_scheduler_type": "CPU_SCHEDULER_TYPE_MEMORY_OPTIMIZED",
 }
@@ -38,7 +42,10 @@ def compiler_options() -> dict[str, bool | int | float | str]:
         >>> float(square(3.0))
         9.0
     """
-    return dict(_known(jax.default_backend()))
+    known = dict(_known(jax.default_backend()))
+    if jax.config.read("jax_disable_most_optimizations"):
+        known.pop(_LEVEL, None)
+    return known
 
 
 @functools.cache
@@ -67,6 +74,18 @@ def _outermost(arguments: Any) -> bool:
     except ValueError:
         return False
     return True
+
+
+@contextlib.contextmanager
+def _no_collections() -> Iterator[None]:
+    """Suspends the garbage collector: a trace makes objects by the million, and little garbage."""
+    enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if enabled:
+            gc.enable()
 
 
 def release_memory() -> None:
@@ -99,7 +118,9 @@ class LeanJit(Generic[_P, _T]):
         kind = structure, *(jax.typeof(x) if hasattr(x, "dtype") else x for x in leaves)
         if kind not in self._known:
             # JAX keeps what is compiled ahead, and its arrays come after the compiler's memory.
-            program.lower(*arguments, **options).compile()
+            with _no_collections():
+                lowered = program.lower(*arguments, **options)
+            lowered.compile()
             self._known.add(kind)
             release_memory()
         return program(*arguments, **options)

@@ -1,6 +1,7 @@
 """Programs ask the compiler for what suits them, wherever JAX lets them ask."""
 
 import functools
+import gc
 
 import jax
 import jax.numpy as jnp
@@ -49,6 +50,40 @@ def test_a_compiler_that_does_not_know_them_is_not_asked(monkeypatch):
 def test_another_device_is_not_asked(monkeypatch):
     monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
     assert compiler_options() == {}
+
+
+@pytest.mark.parametrize("asked", [True, False])
+def test_who_wants_no_optimisations_gets_none(asked):
+    if not compiler_options():
+        pytest.skip("this compiler knows none of them")
+    before = jax.config.read("jax_disable_most_optimizations")
+    jax.config.update("jax_disable_most_optimizations", asked)
+    try:
+        assert ("xla_backend_optimization_level" in compiler_options()) != asked
+    finally:
+        jax.config.update("jax_disable_most_optimizations", before)
+
+
+@pytest.mark.parametrize("enabled", [True, False])
+def test_garbage_is_not_collected_in_a_trace(enabled):
+    seen = []
+
+    @lean_jit
+    def looks(x):
+        seen.append(gc.isenabled())
+        if x.shape == (2,):
+            raise ValueError("no such shape")
+        return x
+
+    (gc.enable if enabled else gc.disable)()
+    try:
+        looks(jnp.ones(3))
+        with pytest.raises(ValueError, match="no such shape"):
+            looks(jnp.ones(2))
+        assert gc.isenabled() == enabled
+    finally:
+        gc.enable()
+    assert seen == [False, False]
 
 
 @pytest.mark.parametrize(
