@@ -17,8 +17,8 @@
 # # A sweep and a learned parameter
 #
 # Every number of `Parameters` is traced: settings run in batches through one program, and have
-# derivatives. Two ways to choose one, on scenes so small that this page runs in a minute: what is
-# found here is not what larger scenes want.
+# derivatives. Two ways to choose one, on rows of views so small that this page runs in a minute,
+# most of which the compiler takes: what is found here is not what larger scenes want.
 
 # %%
 # %matplotlib inline
@@ -31,6 +31,7 @@ import optax
 import optuna
 
 import mvedge_jax
+from mvedge_jax import plotting
 from mvedge_jax.centre import Parameters, Sizes, edge_to_depth
 from mvedge_jax.datasets import synthetic
 from mvedge_jax.lightfield import LightField
@@ -50,7 +51,7 @@ plt.rcParams["figure.dpi"] = 60
 # %%
 def small(name):
     field = synthetic.render(
-        synthetic.scene(name), shape=(3, 3, 48, 48), samples=2, key=jax.random.key(0)
+        synthetic.scene(name), shape=(1, 5, 48, 48), samples=2, key=jax.random.key(0)
     )
     return LightField(field.views, disparity_range=(-2.0, 2.0), truth=field.truth)
 
@@ -92,33 +93,54 @@ plot_sweep(found)
 # %% [markdown]
 # ## A learned parameter
 #
-# The derivative in one number is a pass forwards beside the value: `jax.jvp`. Adam steps along the
-# logarithm. (All numbers at once: `jax.grad`, see the page on gradients.)
+# The derivative in one number is a pass forwards beside the value: `jax.jvp`, here of the loss and
+# of the map at once. (All numbers at once: `jax.grad`, see notebook 02 and the page on gradients.)
 
 
 # %%
-@eqx.filter_jit
-def value_and_slope(log, light_field):
-    def of(log):
-        params = eqx.tree_at(lambda p: p.smoothness.depth, Parameters(), jnp.exp(log))
-        return loss(
-            edge_to_depth(light_field.without_truth(), params, sizes).disparity, light_field
-        )
+def with_depth(params, log):
+    return eqx.tree_at(lambda p: p.smoothness.depth, params, jnp.exp(log))
 
+
+@mvedge_jax.lean_jit
+def value_and_slope(params, light_field):
+    """Loss and map; the derivatives of both in the logarithm of `smoothness.depth`."""
+
+    def of(log):
+        found = edge_to_depth(light_field.without_truth(), with_depth(params, log), sizes)
+        return loss(found.disparity, light_field), found.disparity
+
+    log = jnp.log(params.smoothness.depth)
     return jax.jvp(of, (log,), (jnp.ones_like(log),))
 
 
+# %% [markdown]
+# Where would the map move if smoothness ended at larger steps of depth only?
+
+# %%
+demo = chosen_by["demo"]
+(_, disparity), (_, moved) = value_and_slope(Parameters(), demo)
+plotting.plot_disparity([demo.truth.disparity, disparity], names=["truth", "estimate"])
+
+# %%
+plotting.plot_disparity([moved], names=["d disparity / d log(smoothness.depth)"])
+
+# %% [markdown]
+# Adam steps along the logarithm.
+
+# %%
 log = jnp.log(Parameters().smoothness.depth)
 adam = optax.adam(0.2)
 state, path = adam.init(log), []
 for _ in range(16):
-    pairs = [value_and_slope(log, field) for field in chosen_by.values()]
-    value, slope = (sum(part) / len(pairs) for part in zip(*pairs, strict=True))
+    params = with_depth(Parameters(), log)
+    pairs = [value_and_slope(params, field) for field in chosen_by.values()]
+    value, slope = (sum(loss for loss, _ in part) / len(pairs) for part in zip(*pairs, strict=True))
     path.append((float(jnp.exp(log)), float(value)))
     step, state = adam.update(slope, state)
     log = optax.apply_updates(log, step)
 path = np.array(path)
-best = path[path[:, 1].argmin(), 0]
+learned = with_depth(Parameters(), jnp.log(jnp.asarray(path[path[:, 1].argmin(), 0], jnp.float32)))
 
 fig, ax = plt.subplots(figsize=(5, 3))
 tried = [row for row in found.rows if row["mean"] is not None]
@@ -132,16 +154,13 @@ ax.semilogx(
 ax.semilogx(*path.T, "o-", markersize=3, label="Adam (one number)")
 ax.set(xlabel="smoothness.depth, px", ylabel="mean loss")
 ax.legend()
+
 # %% [markdown]
 # ## A scene that was not chosen by
 #
 # A lower loss on two scenes says nothing about a third, so look.
 
 # %%
-learned = eqx.tree_at(lambda p: p.smoothness.depth, Parameters(), jnp.asarray(best, jnp.float32))
 for name, params in (("defaults", Parameters()), ("sweep", found.params), ("learned", learned)):
-    scores = [
-        float(loss(edge_to_depth(field.without_truth(), params, sizes).disparity, field))
-        for field in (*chosen_by.values(), judge)
-    ]
+    scores = [float(value_and_slope(params, field)[0][0]) for field in (*chosen_by.values(), judge)]
     print(f"{name:9} chosen by {np.mean(scores[:2]):.4f}   unseen {scores[2]:.4f}")
