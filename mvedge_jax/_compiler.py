@@ -118,16 +118,15 @@ class LeanJit(Generic[_P, _T]):
         kind = structure, *(jax.typeof(x) if hasattr(x, "dtype") else x for x in leaves)
         if kind not in self._known:
             # JAX keeps what is compiled ahead, and its arrays come after the compiler's memory.
-            with _no_collections():
-                lowered = program.lower(*arguments, **options)
-            lowered.compile()
+            self.lower(*arguments, **options).compile()
             self._known.add(kind)
             release_memory()
         return program(*arguments, **options)
 
     def lower(self, *arguments: _P.args, **options: _P.kwargs) -> Any:
         """See `equinox.filter_jit`."""
-        return self._program(arguments, options).lower(*arguments, **options)
+        with _no_collections():
+            return self._program(arguments, options).lower(*arguments, **options)
 
     def _program(self, *arguments: Any) -> Any:
         if not _outermost(arguments):
@@ -143,8 +142,8 @@ def lean_jit(function: Callable[_P, _T]) -> LeanJit[_P, _T]:
     """`equinox.filter_jit` of a whole program, in less memory and sooner compiled.
 
     It asks for `compiler_options`, and what memory the compiler leaves behind is given back before
-    the program runs. Within another `jit`, and under `grad` without one, it is `equinox.filter_jit`
-    as it is.
+    the program runs. Python collects no garbage while the function is traced. Within another `jit`,
+    and under `grad` without one, it is `equinox.filter_jit` as it is.
 
     Args:
         function: what to compile; arrays among its arguments are traced, all else is static.
