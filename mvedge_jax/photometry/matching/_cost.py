@@ -8,6 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from mvedge_jax._crosshair import Arm
+from mvedge_jax._fence import kept
 from mvedge_jax._params import cast, number
 from mvedge_jax.interpolation import vertex
 
@@ -92,7 +93,7 @@ def hypotheses(
     """
     params = cast(params, lab.dtype)
     noise = Noise.of(jnp.zeros((), lab.dtype)) if noise is None else noise
-    costs = _costs(horizontal, vertical, lab, disparities, params, noise, window)
+    costs = kept(_costs(horizontal, vertical, lab, disparities, params, noise, window))
     cheaper = 1 - 0.75 * noise.alpha
     total = aggregate(
         pooled(costs, lab, noise, jnp.asarray(POOLING, lab.dtype)),
