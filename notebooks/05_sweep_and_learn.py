@@ -135,7 +135,7 @@ state, path = adam.init(log), []
 for _ in range(16):
     params = with_depth(Parameters(), log)
     pairs = [value_and_slope(params, field) for field in chosen_by.values()]
-    value, slope = (sum(loss for loss, _ in part) / len(pairs) for part in zip(*pairs, strict=True))
+    value, slope = (sum(x for x, _ in part) / len(pairs) for part in zip(*pairs, strict=True))
     path.append((float(jnp.exp(log)), float(value)))
     step, state = adam.update(slope, state)
     log = optax.apply_updates(log, step)
