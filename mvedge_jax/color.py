@@ -8,6 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from mvedge_jax._product import product
+
 # IEC 61966-2-1 primaries with the D65 white point of the 2 degree observer.
 _XYZ_FROM_RGB = np.array(
     [
@@ -71,7 +73,7 @@ def srgb_to_lab(image: Float[Array, "*s c"]) -> Float[Array, "*s c"]:
     """
     _require_rgb(image, "image")
     matrix = jnp.asarray(_XYZ_FROM_RGB / _XYZ_FROM_RGB.sum(1, keepdims=True), image.dtype)
-    xyz = srgb_to_linear(image) @ matrix.T
+    xyz = product(srgb_to_linear(image), matrix.T)
     toe = xyz <= _LAB_DELTA**3
     root = jnp.cbrt(jnp.where(toe, 1.0, xyz))
     f = jnp.where(toe, xyz / (3 * _LAB_DELTA**2) + 4.0 / 29.0, root)
@@ -112,7 +114,7 @@ def srgb_to_gray(image: Float[Array, "*s c"]) -> Float[Array, "*s"]:
         ValueError: if the last axis does not hold three channels.
     """
     _require_rgb(image, "image")
-    return image @ jnp.asarray(_LUMA, image.dtype)
+    return product(image, jnp.asarray(_LUMA, image.dtype))
 
 
 class Factored(NamedTuple):

@@ -153,7 +153,7 @@ def test_the_package_never_mentions_development_data():
 
 
 _FLOORS = (
-    ("_compiler", "_params", "_fence", "_linear_map", "_root", "_unstack"),
+    ("_compiler", "_params", "_fence", "_linear_map", "_product", "_root", "_unstack"),
     ("color", "image", "interpolation"),
     ("_checks", "lightfield"),
     ("_crosshair",),

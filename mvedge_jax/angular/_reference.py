@@ -9,6 +9,7 @@ from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
 from mvedge_jax._fence import recomputed, staged
+from mvedge_jax._product import product
 from mvedge_jax._root import root
 from mvedge_jax.centre import edge_smoothness
 from mvedge_jax.diffusion import AutoSolver, System, diffuse
@@ -47,7 +48,7 @@ def outermost(light_field: LightField) -> Int[Array, "r 2"]:
     rows, columns = light_field.available.shape
     corners = np.asarray(_CORNERS)[::2] if min(rows, columns) == 1 else np.asarray(_CORNERS)
     away = -light_field.steps.reshape(-1, 2)
-    far = jnp.asarray(corners, away.dtype) @ away.T
+    far = product(jnp.asarray(corners, away.dtype), away.T)
     best = jnp.argmax(jnp.where(light_field.available.ravel(), far, -jnp.inf), axis=1)
     return jnp.stack([best // columns, best % columns], axis=1).astype(jnp.int32)
 

@@ -8,6 +8,7 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from mvedge_jax._linear_map import linear_map
+from mvedge_jax._product import FULL
 from mvedge_jax._root import root
 
 from ._bank import FilterBank
@@ -24,7 +25,9 @@ def correlate(rows: Float[Array, "b x i"], taps: Float[Array, "k i w"]) -> Float
     itself take some fifty times as long on a CPU.
     """
     kernel = jnp.transpose(taps, (2, 1, 0))
-    return lax.conv_general_dilated(rows, kernel, (1,), "VALID", dimension_numbers=_LAYOUT)
+    return lax.conv_general_dilated(
+        rows, kernel, (1,), "VALID", dimension_numbers=_LAYOUT, precision=FULL
+    )
 
 
 @correlate.defjvp
@@ -50,7 +53,7 @@ def _taps_from(rows: Float[Array, "b x i"], out: Float[Array, "b x2 k"]) -> Floa
 
     def tap(offset: Array) -> Array:
         seen = lax.dynamic_slice_in_dim(rows, offset, length, axis=1)
-        return jnp.einsum("bxk,bxi->ki", out, seen)
+        return jnp.einsum("bxk,bxi->ki", out, seen, precision=FULL)
 
     return jnp.moveaxis(lax.map(tap, jnp.arange(rows.shape[1] - length + 1)), 0, -1)
 

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from mvedge_jax._params import cast, number
+from mvedge_jax._product import FULL
 from mvedge_jax.color import srgb_to_gray
 
 # Bytes of an array of weights, which none of ours comes near: a file may claim anything.
@@ -20,7 +21,8 @@ def _convolve(planes: Array, kernels: Array) -> Array:
     """Same-size correlation of `[c, y, x]` with `[k, c, h, w]`, borders replicated."""
     ry, rx = kernels.shape[2] // 2, kernels.shape[3] // 2
     padded = jnp.pad(planes, ((0, 0), (ry, ry), (rx, rx)), mode="edge")
-    return jax.lax.conv_general_dilated(padded[None], kernels, (1, 1), "VALID")[0]
+    convolved = jax.lax.conv_general_dilated(padded[None], kernels, (1, 1), "VALID", precision=FULL)
+    return convolved[0]
 
 
 class Colours(eqx.Module):

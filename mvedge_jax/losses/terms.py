@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from mvedge_jax._product import FULL
 from mvedge_jax.warping import warp_planes
 
 from ._views import Views
@@ -162,12 +163,10 @@ def ssim(
 
     def blur(planes: Array) -> Array:
         padded = jnp.pad(planes, ((0, 0), (radius, radius), (radius, radius)), mode="edge")
-        down = jax.lax.conv_general_dilated(
-            padded[:, None], window[None, None, :, None], (1, 1), "VALID"
-        )
-        return jax.lax.conv_general_dilated(down, window[None, None, None, :], (1, 1), "VALID")[
-            :, 0
-        ]
+        blurred = padded[:, None]
+        for taps in (window[None, None, :, None], window[None, None, None, :]):
+            blurred = jax.lax.conv_general_dilated(blurred, taps, (1, 1), "VALID", precision=FULL)
+        return blurred[:, 0]
 
     mean_a, mean_b = blur(a), blur(b)
     var_a, var_b = blur(a * a) - mean_a**2, blur(b * b) - mean_b**2

@@ -9,6 +9,7 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int
 
+from mvedge_jax._product import product
 from mvedge_jax.photometry.photographs import Projection
 
 # Rotations may be off by this much: files hold six digits.
@@ -222,8 +223,9 @@ def projections(
     )
 
     def of(pose: Array, matrix: Array) -> Projection:
-        turn = pose[:3, :3].T @ own[:3, :3]
-        shift = pose[:3, :3].T @ (own[:3, 3] - pose[:3, 3])
-        return Projection(matrix @ turn @ inverse.reshape(3, 3), matrix @ shift / scale)
+        turn = product(pose[:3, :3].T, own[:3, :3])
+        shift = product(pose[:3, :3].T, own[:3, 3] - pose[:3, 3])
+        homography = product(product(matrix, turn), inverse.reshape(3, 3))
+        return Projection(homography, product(matrix, shift) / scale)
 
     return jax.vmap(of)(poses, intrinsics)

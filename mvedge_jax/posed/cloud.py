@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from mvedge_jax._product import product
 from mvedge_jax.lightfield import Camera, LightField
 
 from ._photographs import Photographs
@@ -60,8 +61,9 @@ def surface_of(
     bend = sum(jnp.abs(_bend(1 / depth, axis)) for axis in (0, 1)) * depth
     slope = sum(jnp.abs(_middle(1 / depth, axis)) for axis in (0, 1)) * depth
     whole = known[..., 0] & (bend < 0.01 + 0.5 * slope) & (slope < 0.2)
-    turn = pose[:3, :3]
-    return Surface(local @ turn.T + pose[:3, 3][None, None], normal @ turn.T, whole)
+    turn = pose[:3, :3].T
+    points = product(local, turn) + pose[:3, 3][None, None]
+    return Surface(points, product(normal, turn), whole)
 
 
 def _middle(values: Array, axis: int) -> Array:

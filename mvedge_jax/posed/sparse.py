@@ -12,6 +12,7 @@ from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
 from mvedge_jax._compiler import lean_jit
 from mvedge_jax._params import as_number, at_least
+from mvedge_jax._product import product
 from mvedge_jax.color import srgb_to_gray
 from mvedge_jax.losses import LossWeights
 from mvedge_jax.model import (
@@ -76,10 +77,10 @@ def seen_points(photographs: Photographs, reference: Reference) -> SeenPoints:
         raise ValueError("`photographs` have no sparse points, which this method starts from.")
     index = reference.index
     pose, matrix = photographs.poses[index], photographs.intrinsics[index]
-    local = (photographs.points - pose[None, :3, 3]) @ pose[:3, :3]
+    local = product(photographs.points - pose[None, :3, 3], pose[:3, :3])
     ahead = local[:, 2] > 0
     depth = jnp.where(ahead, local[:, 2], 1)
-    xy = ((local / depth[:, None]) @ matrix.T)[:, :2]
+    xy = product(local / depth[:, None], matrix.T)[:, :2]
     height, width = photographs.images.shape[1:3]
     edge = jnp.asarray([width - 0.5, height - 0.5], xy.dtype)
     valid = ahead & jnp.all((xy >= -0.5) & (xy <= edge[None]), axis=1)

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from mvedge_jax._linear_map import linear_map
+from mvedge_jax._product import product
 
 from ._params import SplatSizes
 from ._profile import absorption
@@ -193,8 +194,8 @@ def _pull(sizes: SplatSizes, at: _At, cotangent: Rays) -> tuple[Array, Physics]:
             m = sizes.order * power * own_weight * point[:, 3:4]
 
             real = (k < count).astype(table.dtype)[:, None]
-            position_q, square_q, sum_q = _about((q @ moments) * real, relative)
-            position_m, square_m, _ = _about((m @ moments) * real, relative)
+            position_q, square_q, sum_q = _about(product(q, moments) * real, relative)
+            position_m, square_m, _ = _about(product(m, moments) * real, relative)
             position = 2 * (
                 physics.inverse_label * position_q + physics.inverse_weight * position_m
             )

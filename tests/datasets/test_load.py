@@ -1,5 +1,6 @@
 """What all layouts share: values, options, memory layout."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -162,6 +163,7 @@ def test_nothing_to_load(tmp_path):
         load_light_field(tmp_path)
 
 
+@pytest.mark.skipif(jax.default_backend() != "cpu", reason="an accelerator has its own memory")
 def test_views_are_adopted_without_a_copy(tmp_path, monkeypatch):
     from mvedge_jax.datasets import _read
 

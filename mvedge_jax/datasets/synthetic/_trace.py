@@ -11,6 +11,8 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
+from mvedge_jax._product import FULL
+
 from ._intersect import Vector, along, intersect, intersect_and_shadow, rotate
 from ._shade import lamp_directions, shade
 from .world import Scene, Sensor, World
@@ -62,7 +64,7 @@ def _blur(image: Float[Array, "y x 3"], sigma: Array) -> Array:
     padded = jnp.pad(image, ((reach, reach), (reach, reach), (0, 0)), mode="edge")
     planes = jnp.moveaxis(padded, -1, 0)[:, None]
     for kernel in (taps[None, None, :, None], taps[None, None, None, :]):
-        planes = lax.conv_general_dilated(planes, kernel, (1, 1), "VALID")
+        planes = lax.conv_general_dilated(planes, kernel, (1, 1), "VALID", precision=FULL)
     return jnp.moveaxis(planes[:, 0], 0, -1)
 
 

@@ -9,6 +9,7 @@ from jax import lax
 from jaxtyping import Array, Bool, Float
 
 from mvedge_jax._crosshair import Arm
+from mvedge_jax._product import FULL
 from mvedge_jax.image import gaussian_taps
 from mvedge_jax.lightfield import LightField
 
@@ -321,4 +322,5 @@ def _blurred_at(image: Float[Array, "y x c"], x: Array, y: Array) -> Float[Array
         (size, size, channels),
         mode="promise_in_bounds",
     )
-    return jnp.einsum("yxi,yxj,yxijc->yxc", taps(y - row), taps(x - column), windows)
+    down, across = taps(y - row), taps(x - column)
+    return jnp.einsum("yxi,yxj,yxijc->yxc", down, across, windows, precision=FULL)
