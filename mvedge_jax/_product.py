@@ -1,4 +1,4 @@
-"""Products of float32 that keep all bits of their factors, which accelerators do only when asked."""
+"""Products of float32 factors with all of their bits, which accelerators keep only when asked."""
 
 import jax.numpy as jnp
 from jax import lax
