@@ -27,7 +27,7 @@ from mvedge_jax.model import (
     start_from_depth,
     start_from_image,
 )
-from mvedge_jax.model.approaches import ByEvidence, ByReprojection
+from mvedge_jax.model.approaches import Approach, ByEvidence, ByReprojection
 from mvedge_jax.model.optimisation import (
     Growth,
     History,
@@ -59,7 +59,7 @@ def optimize(
     supervised: bool = False,
     loss: Literal["evidence", "reprojection"] = "evidence",
     routine: Literal["joint", "thesis"] = "joint",
-    iterations: int = 40,
+    iterations: int | None = None,
     features: Literal["colours", "filters", "vgg16"] = "colours",
     vgg16: Path | None = None,
     no_recycle: bool = False,
@@ -88,7 +88,8 @@ def optimize(
         supervised: fit to the scene's ground truth instead of the views.
         loss: what the views are asked, see above.
         routine: all parameters at once, or the thesis' turns (Q, Z, R, xy; 5 passes).
-        iterations: in all for `joint`; per parameter and pass for `thesis` (13 there).
+        iterations: in all for `joint`, by default 12 for the evidence and 40 otherwise; per
+            parameter and pass for `thesis`, by default 13 as there.
         features: what images are compared by, for `--loss reprojection`.
         vgg16: an .npz file of VGG16's first two convolutions, for `--features vgg16`.
         no_recycle: with `--supervised`, leave points that contribute nothing where they are;
@@ -108,7 +109,7 @@ def optimize(
     approach = _approach(loss, features, vgg16, subset)
     fit = FitParams()
     sizes = ModelSizes.on_raster(raster)
-    table = _table(routine, iterations, (fit if supervised else approach).rates)
+    table = _table(routine, iterations, fit if supervised else approach)
     light_field = _read(scene, views, scale, needs_truth=supervised)
     earlier = None if state is None else State.load(state)
     options: dict[str, Any] = {"routine": table, "state": earlier, "progress": _tell}
@@ -152,11 +153,12 @@ def _approach(
     return ByEvidence(features=extractor)
 
 
-def _table(routine: str, iterations: int, rates: Rates) -> Routine:
-    _at_least(1, "--iterations", iterations)
+def _table(routine: str, iterations: int | None, params: FitParams | Approach) -> Routine:
+    if iterations is not None:
+        _at_least(1, "--iterations", iterations)
     if routine == "thesis":
-        return one_at_a_time(Rates(), iterations=iterations)
-    return all_at_once(rates, iterations=iterations)
+        return one_at_a_time(Rates(), **({} if iterations is None else {"iterations": iterations}))
+    return all_at_once(params.rates, iterations=iterations or params.iterations)
 
 
 def _read(scene: Path, views: int | None, scale: float, *, needs_truth: bool) -> LightField:

@@ -26,11 +26,13 @@ class FitParams(eqx.Module):
         rendering: of the model; by default `ModelParams.narrow`, as the raster asks for.
         weights: of the terms of the loss.
         rates: learning rates.
+        iterations: how many, by default.
     """
 
     rendering: ModelParams | None = None
     weights: SupervisedWeights = eqx.field(default_factory=SupervisedWeights)
     rates: Rates = eqx.field(default_factory=Rates.supervised)
+    iterations: int = eqx.field(static=True, default=40)
 
 
 def fit_edges(
@@ -56,7 +58,8 @@ def fit_edges(
         sizes: of the rendering; `sizes.splat.scale` is the raster's.
         strategy: how points are moved or added; by default `Growth()`. `FixedPoints()` leaves all
             to the gradient, as in the thesis.
-        routine: what every iteration does; by default 40 iterations of all parameters at once.
+        routine: what every iteration does; by default `params.iterations`, of all parameters at
+            once.
         state: of an earlier call with the same arguments, to go on from: iterations of `routine`
             that it has done are skipped.
         progress: called now and then with how far it is.
@@ -93,8 +96,9 @@ def fit_edges(
     rendering = rendering_for(params.rendering, sizes)
     known = truth.disparity.astype(model.disparity.dtype)
     goal = Supervised(known, truth.valid, unlimited(model), rendering, params.weights, sizes)
-    table = all_at_once(params.rates, iterations=40) if routine is None else routine
+    if routine is None:
+        routine = all_at_once(params.rates, iterations=params.iterations)
     begun = resumed(begin(model, start.disparity, key=jax.random.key(0)), state)
-    final, history = optimise(begun, table, goal, strategy=strategy, progress=progress)
+    final, history = optimise(begun, routine, goal, strategy=strategy, progress=progress)
     best = compiled_render(final.best, rendering, sizes, start=final.disparity)
     return Optimised(best.disparity, final.best, history, final)

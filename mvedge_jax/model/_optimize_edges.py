@@ -36,7 +36,8 @@ def optimize_edges(
         start: the model to start from and the first map, see `start_from_depth`.
         params: how the views are asked: `ByEvidence()`, or `ByReprojection()` as in the thesis.
         sizes: of the rendering; `sizes.splat.scale` is the raster's.
-        routine: what every iteration does; by default 40 iterations of all parameters at once.
+        routine: what every iteration does; by default `params.iterations`, of all parameters at
+            once.
         state: of an earlier call with the same arguments, to go on from: iterations of `routine`
             that it has done are skipped.
         progress: called after every quarter with how far it is.
@@ -73,9 +74,10 @@ def optimize_edges(
         )
     blind = light_field.without_truth()
     prepared = params.prepare(blind, start, sizes)
-    table = all_at_once(params.rates, iterations=40) if routine is None else routine
+    if routine is None:
+        routine = all_at_once(params.rates, iterations=params.iterations)
     key = jax.random.key(0) if key is None else key
     begun = begin(prepared.start.model, prepared.start.disparity, key=key)
-    final, history = optimise(resumed(begun, state), table, prepared.objective, progress=progress)
+    final, history = optimise(resumed(begun, state), routine, prepared.objective, progress=progress)
     disparity, verdict = params.finish(blind, prepared, final)
     return Optimised(disparity, final.best, history, final, verdict)

@@ -138,7 +138,7 @@ def fit_to_map(
     rendering: ModelParams,
     sizes: ModelSizes,
     *,
-    iterations: int = 30,
+    iterations: int = 6,
     extra: int | None = None,
 ) -> Start:
     """Fits a model to its own map, so that optimisation starts from that map's quality.

@@ -8,7 +8,13 @@ from helpers import check_modes, count_traces
 from mvedge_jax.diffusion import AutoSolver, Elimination, Multigrid
 from mvedge_jax.losses import LossWeights, SupervisedWeights, Views, self_supervised_loss
 from mvedge_jax.model import DepthModel, ModelParams, ModelSizes, render_model
-from mvedge_jax.model._model import downsample, image_roughness, map_roughness, upsample
+from mvedge_jax.model._model import (
+    downsample,
+    image_roughness,
+    map_roughness,
+    rendering_for,
+    upsample,
+)
 from mvedge_jax.model.objectives import SelfSupervised, Supervised, unlimited
 from mvedge_jax.splatting import SplatParams, SplatSizes
 
@@ -214,3 +220,28 @@ def test_objective_with_all_views_masked_is_finite():
     value, gradient = jax.jit(jax.value_and_grad(loss))(eqx.filter(model, eqx.is_inexact_array))
     assert bool(jnp.isfinite(value))
     assert all(bool(jnp.isfinite(leaf).all()) for leaf in jax.tree.leaves(gradient))
+
+
+@pytest.mark.parametrize("scale", [1, 2])
+def test_narrow_points_end_where_their_sizes_cut_them_off(scale):
+    rng = np.random.default_rng(3)
+    n = 200
+    xy = jnp.asarray(rng.uniform([-2, -2], [SHAPE[1] + 1, SHAPE[0] + 1], (n, 2)))
+    model = DepthModel(
+        jnp.asarray(rng.normal(size=n)), xy, jnp.asarray(rng.normal(size=n)),
+        jnp.asarray(rng.uniform(0, 4, SHAPE)), jnp.ones(n, bool),
+    )  # fmt: skip
+    narrow = ModelParams.narrow(scale)
+    everywhere = ModelSizes(splat=SplatSizes(scale=scale, radius=16))
+    expected = render(model, narrow, everywhere).splat
+    found = render(model, narrow, ModelSizes.on_raster(scale)).splat
+    for name in ("label_sum", "weight", "transmittance"):
+        np.testing.assert_allclose(getattr(found, name), getattr(expected, name), atol=2e-5)
+
+
+def test_points_that_are_cut_off_are_refused():
+    assert rendering_for(None, ModelSizes.on_raster(2)).splat.sigma_label == 0.7
+    thesis = ModelParams()
+    assert rendering_for(thesis, ModelSizes()) is thesis
+    with pytest.raises(ValueError, match=r"sigma_label` = 1\.3 px .* radius` = 2 px"):
+        rendering_for(thesis, ModelSizes.on_raster(1))

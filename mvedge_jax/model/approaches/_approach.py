@@ -44,10 +44,12 @@ class Approach(eqx.Module):
 
     Attributes:
         rates: learning rates that suit the objective.
+        iterations: with which it has converged, at these rates.
         features: what images are compared by in the verdict.
     """
 
     rates: eqx.AbstractVar[Rates]
+    iterations: eqx.AbstractVar[int]
     features: eqx.AbstractVar[Features]
 
     @abc.abstractmethod

@@ -39,6 +39,7 @@ class ByEvidence(Approach):
         relocate: of the first map's depth steps, if the points' positions are in doubt; those of
             `edge_to_depth` are not.
         rates: learning rates.
+        iterations: with which it has converged, at these rates.
         features: what images are compared by in the verdict, which decides nothing here.
 
     Example:
@@ -52,6 +53,7 @@ class ByEvidence(Approach):
     polish: PolishParams = eqx.field(default_factory=PolishParams)
     relocate: RelocateParams | None = None
     rates: Rates = eqx.field(default_factory=Rates.evidence)
+    iterations: int = eqx.field(static=True, default=12)
     features: Features = eqx.field(default_factory=Colours)
 
     def prepare(self, light_field: LightField, start: Start, sizes: ModelSizes) -> Prepared:

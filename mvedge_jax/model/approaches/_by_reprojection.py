@@ -40,6 +40,7 @@ class ByReprojection(Approach):
         margin: share by which the held-out error must fall, or the first map is polished instead;
             minus infinity keeps every result.
         rates: learning rates.
+        iterations: how many, by default.
         subset: views drawn anew for every iteration, or None for all.
 
     Source:
@@ -59,6 +60,7 @@ class ByReprojection(Approach):
     label: Float[Array, ""] = number(0.05)
     margin: Float[Array, ""] = number(0.1)
     rates: Rates = eqx.field(default_factory=Rates.self_supervised)
+    iterations: int = eqx.field(static=True, default=40)
     subset: int | None = eqx.field(static=True, default=None)
 
     def prepare(self, light_field: LightField, start: Start, sizes: ModelSizes) -> Prepared:

@@ -67,7 +67,7 @@ def agreed_correction(
     *,
     radius: int,
     passes: int = 2,
-    margin: int = 1,
+    margin: int = 5,
 ) -> Correction:
     r"""Corrects a map as far as views confirm that were not asked.
 
@@ -83,7 +83,8 @@ def agreed_correction(
         params: see `EvidenceParams`.
         radius: how far occluders are looked for, px.
         passes: over the neighbours whose measurements are shared, see `photometric_labels`.
-        margin: how far depth steps spoil measurements, px.
+        margin: how far depth steps spoil measurements, px: windows and neighbours that share theirs
+            reach across.
 
     Returns:
         The correction and how far it was confirmed.

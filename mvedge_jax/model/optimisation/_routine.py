@@ -33,7 +33,7 @@ class Rates(eqx.Module):
     @classmethod
     def evidence(cls) -> "Rates":
         """For the evidence of the views, linearised (`ByEvidence`)."""
-        return cls(jnp.asarray([0.05, 0.002, 0.05, 0.02]))
+        return cls(jnp.asarray([0.1, 0.004, 0.1, 0.04]))
 
     @classmethod
     def self_supervised(cls) -> "Rates":
