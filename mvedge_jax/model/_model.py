@@ -108,9 +108,10 @@ class ModelSizes:
     def on_raster(scale: int) -> "ModelSizes":
         """Sizes for points as narrow as those of `ModelParams.narrow`, on a raster of any scale.
 
-        Such points end within two pixels (the opacity that is cut off is below 2e-6), so that tiles
-        are small and have few of each other's points: a step of the optimisation takes a third of
-        the time that it takes with tiles for the thesis' widths, `SplatSizes()`.
+        Such points end within two pixels (the opacity that is cut off is below 2e-6, which only
+        differences in float64 see), so that tiles are small and have few of each other's points: a
+        step of the optimisation takes a third of the time that it takes with tiles for the thesis'
+        widths, `SplatSizes()`.
 
         Args:
             scale: raster pixels per pixel and axis; the thesis has 2, 1 takes a quarter of the

@@ -1,5 +1,6 @@
 """A depth map as points and a compact smoothness map: encode, decode, save."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import equinox as eqx
@@ -9,7 +10,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from mvedge_jax.losses import SupervisedWeights
-from mvedge_jax.splatting import SplatParams, SplatSizes
+from mvedge_jax.splatting import SplatParams
 
 from ._model import DepthModel, ModelParams, ModelSizes, compiled_render
 from .objectives import Supervised, unlimited
@@ -19,7 +20,7 @@ from .optimisation._routine import Rates, all_at_once
 from .optimisation._state import begin
 
 # Points are single pixels here, so the profiles are narrow; `second` lets one bit cut one side.
-_SIZES = ModelSizes(splat=SplatSizes(scale=1, radius=2), clears=False, pairing="second")
+_SIZES = replace(ModelSizes.on_raster(1), clears=False, pairing="second")
 _ROUGHNESS = 12.0
 _LOG_WEIGHT = -4.0
 _ROUNDS = 5

@@ -16,6 +16,7 @@ from mvedge_jax.model.approaches import (
     polish,
     relocate_steps,
 )
+from mvedge_jax.model.approaches._approach import explained
 from mvedge_jax.model.approaches._evidence import agreed_correction
 from mvedge_jax.model.optimisation import Rates, advance, all_at_once, begin
 from mvedge_jax.splatting import SplatSizes
@@ -135,7 +136,9 @@ def test_refinement_corrects_a_map_as_far_as_the_views_say():
     refined, verdict = params.finish(grid(views), ready, state)
     assert np.abs(inner(refined) - 0.3).max() < 0.25 * np.abs(inner(first) - 0.3).max()
     assert bool(verdict.kept)
-    assert float(verdict.error[1]) < 0.5 * float(verdict.error[0])
+    # The true map has an error, too: views are interpolated linearly, and end.
+    least = explained(grid(views), flat(0.3), flat(0.3), params.features)[0]
+    assert float(verdict.error[1] - least) < 0.1 * float(verdict.error[0] - least)
     assert verdict.confirmed is not None
     assert ready.correction is not None
     assert float(verdict.confirmed) == pytest.approx(float(ready.correction.share.mean()))

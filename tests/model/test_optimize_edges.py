@@ -14,6 +14,8 @@ from mvedge_jax.model import (
     render_model,
 )
 from mvedge_jax.model.approaches import ByEvidence, ByReprojection, PolishParams, polish
+from mvedge_jax.model.approaches._approach import explained
+from mvedge_jax.model.optimisation import Rates
 
 SHAPE = (20, 22)
 SIZES = ModelSizes.on_raster(1)
@@ -41,9 +43,14 @@ def level(value, n=60):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("params", [ByEvidence(), ByReprojection(subset=3)], ids=type)
+@pytest.mark.parametrize(
+    "params",
+    [ByEvidence(), ByReprojection(subset=3, margin=jnp.asarray(0.01), rates=Rates.supervised())],
+    ids=type,
+)
 def test_a_wrong_map_moves_towards_the_truth_that_is_not_read(params):
-    start, told = level(TRUE + 0.02), []
+    # Labels that are hardly known, so that nothing but the views holds them.
+    start, told = level(TRUE + 0.02)._replace(error=jnp.full(60, 0.1)), []
     lie = GroundTruth(jnp.full(SHAPE, -5.0), jnp.ones(SHAPE, bool))
     key = jax.random.key(2)
     found = optimize_edges(plane(truth=lie), start, params, SIZES, progress=told.append, key=key)
@@ -51,9 +58,12 @@ def test_a_wrong_map_moves_towards_the_truth_that_is_not_read(params):
     assert error.max() < 0.01
     assert found.verdict is not None
     assert bool(found.verdict.kept)
-    assert float(found.verdict.error[1]) < 0.5 * float(found.verdict.error[0])
+    # The truth, too, has an error: views are interpolated linearly, and end.
+    true = jnp.full(SHAPE, TRUE)
+    least = explained(plane(), true, true, params.features)[0]
+    assert float(found.verdict.error[1] - least) < 0.1 * float(found.verdict.error[0] - least)
     assert (found.verdict.confirmed is not None) == isinstance(params, ByEvidence)
-    assert [now.iteration for now in told] == [10, 20, 30, 40]
+    assert [now.iteration for now in told] == [params.iterations * k // 4 for k in (1, 2, 3, 4)]
     assert all(now.grown is None for now in told)
 
 
