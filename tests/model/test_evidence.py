@@ -164,3 +164,12 @@ def test_refinement_relocates_steps_in_doubt_first():
     relocated = relocate_steps(first, views.centre, RelocateParams())
     assert jnp.abs(relocated - first).max() > 0.1
     np.testing.assert_allclose(found.base, polish(relocated, params.polish), rtol=0, atol=1e-5)
+
+
+def test_nothing_is_measured_beside_depth_steps():
+    """Windows reach across them, and so do neighbours that share their measurements."""
+    step = jnp.where(jnp.arange(SHAPE[1]) > SHAPE[1] // 2, 0.8, 0.3)
+    found = agreed(scene(), jnp.broadcast_to(step, SHAPE).astype(jnp.float32))
+    beside = np.abs(np.arange(SHAPE[1]) - (SHAPE[1] // 2 + 0.5)) < 5
+    np.testing.assert_array_equal(np.asarray(found.weight)[:, beside], 0)
+    assert np.all(np.asarray(found.weight)[:, 2:5] > 0)
