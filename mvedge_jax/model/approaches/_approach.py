@@ -44,7 +44,7 @@ class Approach(eqx.Module):
 
     Attributes:
         rates: learning rates that suit the objective.
-        iterations: with which it has converged, at these rates.
+        iterations: how many, by default.
         features: what images are compared by in the verdict.
     """
 
