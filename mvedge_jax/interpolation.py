@@ -92,10 +92,11 @@ def vertex(below: Array, middle: Array, above: Array) -> Array:
         Offsets in [-1, 1]; 0 where the values lie on a line, and towards that where they bend by
         less than a thousandth of what they are. Differentiable.
     """
-    bend = below - 2 * middle + above
-    # The last term keeps the square above underflow where all three are 0.
-    least = _FLAT * (jnp.abs(below) + jnp.abs(above)) + jnp.finfo(bend.dtype).tiny ** 0.25
-    offset = 0.5 * (below - above) * bend / jnp.maximum(bend**2, least**2)
+    # In units of the values: of very small ones, squares underflow and derivatives are 0 / 0. The
+    # last term is the unit where all three are 0.
+    unit = jnp.abs(below) + jnp.abs(above) + jnp.finfo(middle.dtype).tiny ** 0.25 / _FLAT
+    bend, slope = (below - 2 * middle + above) / unit, (below - above) / unit
+    offset = 0.5 * slope * bend / jnp.maximum(bend**2, _FLAT**2)
     return jnp.clip(offset, -1, 1)
 
 

@@ -25,6 +25,14 @@ def test_vertex_of_a_parabola():
     assert float(vertex(*[jnp.asarray(1.0)] * 3)) == 0.0
 
 
+@pytest.mark.parametrize("size", [0.0, 1e-30, 1e-12, 1e-9, 1e-6, 1e30])
+def test_flat_values_of_any_size_have_finite_derivatives(size):
+    values = jnp.full(3, size, jnp.float32)
+    first = jax.grad(lambda v: vertex(*v))(values)
+    second = jax.hessian(lambda v: vertex(*v))(values)
+    assert bool(jnp.isfinite(first).all()) and bool(jnp.isfinite(second).all())
+
+
 def test_nearly_equal_values_have_no_steep_vertex():
     # Views of 8 bits tie exactly; a step of an optimiser leaves them this far apart.
     for bend in (0.0, 1e-9, 1e-7, 1e-5, 1e-3):
