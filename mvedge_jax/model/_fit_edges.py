@@ -9,7 +9,7 @@ from mvedge_jax.lightfield import GroundTruth
 from mvedge_jax.losses import SupervisedWeights
 
 from ._capacity import without_free_places
-from ._model import ModelParams, ModelSizes, compiled_render, rendering_for
+from ._model import ModelParams, ModelSizes, compiled_render
 from ._result import Optimised
 from ._start import Start
 from .objectives import Supervised, unlimited
@@ -93,7 +93,7 @@ def fit_edges(
         )
     strategy = Growth() if strategy is None else strategy
     model = strategy.prepare(without_free_places(start.model))
-    rendering = rendering_for(params.rendering, sizes)
+    rendering = sizes.rendering(params.rendering)
     known = truth.disparity.astype(model.disparity.dtype)
     goal = Supervised(known, truth.valid, unlimited(model), rendering, params.weights, sizes)
     if routine is None:

@@ -1,12 +1,10 @@
 """The differentiable model: points and a smoothness map that render to a disparity map."""
 
-import math
 from dataclasses import dataclass, field
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jax.core import Tracer
 from jaxtyping import Array, Bool, Float
 
 from mvedge_jax._compiler import lean_jit
@@ -22,9 +20,6 @@ from mvedge_jax.diffusion import (
     edge_weights,
 )
 from mvedge_jax.splatting import Splat, SplatParams, SplatSizes, splat
-
-# Opacity that may be left where a point is cut off; the thesis' widths leave 4e-4.
-_MOST_LOST = 1e-3
 
 
 class DepthModel(eqx.Module):
@@ -127,6 +122,23 @@ class ModelSizes:
         return ModelSizes(
             splat=SplatSizes(scale=scale, radius=2 * scale, tile=4 * scale, lanes=512)
         )
+
+    def rendering(self, asked: ModelParams | None) -> ModelParams:
+        """What was asked for, or points that are narrow on this raster.
+
+        Args:
+            asked: None for `ModelParams.narrow`.
+
+        Returns:
+            The parameters of the rendering.
+
+        Raises:
+            ValueError: the points that were asked for are wider than `splat.radius` lets them be.
+        """
+        if asked is None:
+            return ModelParams.narrow(self.splat.scale)
+        self.splat.check(asked.splat)
+        return asked
 
 
 class Rendered(eqx.Module):
@@ -262,27 +274,6 @@ def render_model(
 
 # For the host, where the map is rendered outside of the optimisation.
 compiled_render = lean_jit(render_model)
-
-
-def rendering_for(rendering: ModelParams | None, sizes: ModelSizes) -> ModelParams:
-    """What was asked for, or points that are narrow on the raster of `sizes`.
-
-    Raises:
-        ValueError: the points that were asked for are wider than `sizes.splat.radius` lets them be.
-    """
-    if rendering is None:
-        return ModelParams.narrow(sizes.splat.scale)
-    points, reach = rendering.splat, sizes.splat.radius
-    if not any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(points)):
-        width, density = float(points.sigma_label), float(points.density * points.sigma_depth)
-        lost = density * math.sqrt(2 * math.pi) * math.exp(-(reach**2) / (2 * width**2))
-        if lost > _MOST_LOST:
-            raise ValueError(
-                f"Points of `rendering.splat.sigma_label` = {width:.3g} px still have an opacity "
-                f"of {lost:.2g} at `sizes.splat.radius` = {reach} px, where they are cut off: ask "
-                "for a larger radius, or narrower points."
-            )
-    return rendering
 
 
 def image_roughness(centre: Float[Array, "y x c"], gain: Float[Array, ""]) -> Float[Array, "y x"]:

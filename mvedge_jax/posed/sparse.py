@@ -178,7 +178,8 @@ def sparse_stereo(
         `PosedReprojection`, which is, in points, poses and images too.
 
     Raises:
-        ValueError: there are no points, or none that the photograph shows.
+        ValueError: there are no points, or none that the photograph shows; those of
+            `params.rendering` are too wide for `sizes.model`.
 
     Source: Thesis 7.2.2; the point splats are narrower, see `ModelParams.narrow`, and on the
         photograph's own raster.
@@ -229,8 +230,7 @@ def posed_reprojection(
     order = (jnp.arange(count, dtype=jnp.int32) + reference.index) % count
     scale = reference.scale(photographs)
     places = projections(photographs.poses[order], photographs.intrinsics[order], 0, scale)
-    rendering = params.rendering
-    rendering = ModelParams.narrow(sizes.splat.scale) if rendering is None else rendering
+    rendering = sizes.rendering(params.rendering)
     images = jnp.moveaxis(photographs.images[order], -1, 1)
     return PosedReprojection(images, places, unlimited(model), rendering, params.weights, sizes)
 

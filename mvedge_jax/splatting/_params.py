@@ -1,11 +1,19 @@
 """Hyperparameters and static modes of the splat."""
 
+import math
 from dataclasses import dataclass
 
 import equinox as eqx
+import jax
+from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from mvedge_jax._params import number
+
+
+# Opacity, or share of the weight, that may be left where a point is cut off; the thesis' widths
+# leave 4e-4.
+_MOST_LOST = 1e-3
 
 
 class SplatParams(eqx.Module):
@@ -72,3 +80,31 @@ class SplatSizes:
                 raise ValueError(f"{name} must be at least 1, got {value}.")
         if self.capacity is not None and self.capacity < 1:
             raise ValueError(f"capacity must be None or at least 1, got {self.capacity}.")
+
+    def check(self, params: SplatParams) -> None:
+        """Refuses points that are too wide for `radius`. Widths that are traced pass unseen.
+
+        Args:
+            params: of the points.
+
+        Raises:
+            ValueError: naming the width and the radius.
+        """
+        if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(params)):
+            return
+        label, weight = float(params.sigma_label), float(params.sigma_weight)
+        opacity = float(params.density) * float(params.sigma_depth) * math.sqrt(2 * math.pi)
+        left = {
+            "sigma_label": (label, "an opacity", opacity * math.exp(-(self._squared(label)))),
+            "sigma_weight": (weight, "a share", math.exp(-(self._squared(weight) ** self.order))),
+        }
+        for name, (width, what, lost) in left.items():
+            if lost > _MOST_LOST:
+                raise ValueError(
+                    f"Points of `{name}` = {width:.3g} px still have {what} of {lost:.2g} at "
+                    f"`radius` = {self.radius} px, where they are cut off: ask for a larger radius "
+                    "(`SplatSizes`), or narrower points."
+                )
+
+    def _squared(self, width: float) -> float:
+        return self.radius**2 / (2 * width**2)

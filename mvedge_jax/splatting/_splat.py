@@ -97,6 +97,9 @@ def splat(
         The maps. Differentiable with respect to `xy`, `label`, `weight`, `opacity` and `params`;
         the depth order is piecewise constant.
 
+    Raises:
+        ValueError: points are too wide for `sizes.radius`; not seen where `params` are traced.
+
     Source:
         Thesis 7.1.2-7.1.3, Eq. 7.3-7.14, in the corrected closed form.
 
@@ -110,6 +113,7 @@ def splat(
         (1.5, 1.0)
     """
     dtype = xy.dtype
+    sizes.check(params)
     params = cast(params, dtype)
     # The last row stands for "no point"; it also makes an empty set an ordinary case.
     empty = jnp.array([[1e6, 1e6, 0, 0, 0]], dtype)

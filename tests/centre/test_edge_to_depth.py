@@ -172,20 +172,26 @@ def test_vmap_over_settings_equals_a_loop(edges_scene):
         ),
     ],
 )
-def test_adam_lowers_the_loss_on_another_scene_too(name):
+def test_adam_mends_bad_parameters_on_another_scene_too(name):
+    """From a bad start: with the defaults, what a step gains is less than what single pixels do."""
     import optax
 
     train, test = small_scene(name), small_scene("slanted")
     sizes = [Sizes.for_light_field(f, **SMALL) for f in (train, test)]
     moving, rest = eqx.partition(Parameters().centre, eqx.is_inexact_array)
-    logs = jax.tree.map(jnp.log, moving)
+    bad = eqx.tree_at(
+        lambda c: (c.precision, c.trust, c.smoothness),
+        moving,
+        (moving.precision / 8, moving.trust * 8, moving.smoothness / 8),
+    )
+    logs = jax.tree.map(jnp.log, bad)
 
     def loss(logs, field, size):
         centre = eqx.combine(jax.tree.map(jnp.exp, logs), rest)
         params = eqx.tree_at(lambda p: p.centre, Parameters(), centre)
         return l1(params, field.without_truth(), size, field.truth.disparity)
 
-    optimiser = optax.adam(0.05)
+    optimiser = optax.adam(0.1)
     state = optimiser.init(logs)
     step = eqx.filter_jit(jax.value_and_grad(lambda p: loss(p, train, sizes[0])))
     before = [float(loss(logs, f, s)) for f, s in zip((train, test), sizes, strict=True)]
@@ -196,7 +202,7 @@ def test_adam_lowers_the_loss_on_another_scene_too(name):
             updates, state = optimiser.update(gradient, state)
         logs = optax.apply_updates(logs, updates)
     after = [float(loss(logs, f, s)) for f, s in zip((train, test), sizes, strict=True)]
-    assert after[0] < before[0], (before, after)
+    assert after[0] < 0.95 * before[0], (before, after)
     assert after[1] < before[1], (before, after)
 
 

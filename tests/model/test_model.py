@@ -12,7 +12,6 @@ from mvedge_jax.model._model import (
     downsample,
     image_roughness,
     map_roughness,
-    rendering_for,
     upsample,
 )
 from mvedge_jax.model.objectives import SelfSupervised, Supervised, unlimited
@@ -240,8 +239,8 @@ def test_narrow_points_end_where_their_sizes_cut_them_off(scale):
 
 
 def test_points_that_are_cut_off_are_refused():
-    assert rendering_for(None, ModelSizes.on_raster(2)).splat.sigma_label == 0.7
+    assert ModelSizes.on_raster(2).rendering(None).splat.sigma_label == 0.7
     thesis = ModelParams()
-    assert rendering_for(thesis, ModelSizes()) is thesis
+    assert ModelSizes().rendering(thesis) is thesis
     with pytest.raises(ValueError, match=r"sigma_label` = 1\.3 px .*radius` = 2 px"):
-        rendering_for(thesis, ModelSizes.on_raster(1))
+        ModelSizes.on_raster(1).rendering(thesis)

@@ -7,7 +7,7 @@ import pytest
 from helpers import check_gradient
 from posed.walls import MATRIX, POSES, places, wall
 
-from mvedge_jax.model import DepthModel, ModelSizes
+from mvedge_jax.model import DepthModel, ModelParams, ModelSizes
 from mvedge_jax.posed import Photographs, projections, reference_of
 from mvedge_jax.posed.objective import posed_loss
 from mvedge_jax.posed.scores import depth_errors
@@ -126,5 +126,8 @@ def test_errors_say_what_is_missing():
         sparse_stereo(
             behind, WANTED, SparseStereoParams(), SparseStereoSizes(), key=jax.random.key(0)
         )
+    wide, seen = SparseStereoParams(rendering=ModelParams()), photographs(POINTS)
+    with pytest.raises(ValueError, match="sigma_label` = 1.3 px .* `radius` = 2 px"):
+        sparse_stereo(seen, WANTED, wide, SparseStereoSizes(), key=jax.random.key(0))
     with pytest.raises(ValueError, match="`iterations` must be at least 1, got 0"):
         SparseStereoSizes(iterations=0)

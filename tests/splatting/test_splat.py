@@ -261,3 +261,12 @@ def test_float32_is_close_to_float64():
 def test_bad_sizes_say_what_is_wrong(change, message):
     with pytest.raises(ValueError, match=message):
         SplatSizes(**change)
+
+
+@pytest.mark.parametrize("width", ["sigma_label", "sigma_weight"])
+def test_points_wider_than_their_radius_are_refused(width):
+    params = eqx.tree_at(lambda p: getattr(p, width), SplatParams(), jnp.asarray(3.0))
+    points = (jnp.zeros((1, 2)), jnp.ones(1), jnp.ones(1), jnp.ones(1, bool))
+    with pytest.raises(ValueError, match=f"{width}` = 3 px still have .* at `radius` = 6 px"):
+        splatting.splat(*points, params, SHAPE, SplatSizes())
+    splatting.splat(*points, params, SHAPE, SplatSizes(radius=14))

@@ -10,7 +10,7 @@ from mvedge_jax.losses.features import Colours
 from mvedge_jax.losses.terms import Features
 from mvedge_jax.photometry import occluder_radius
 
-from .._model import ModelParams, ModelSizes, compiled_render, rendering_for
+from .._model import ModelParams, ModelSizes, compiled_render
 from .._result import Verdict
 from .._start import Start, StartParams, fit_to_map, trust_labels
 from ..objectives import Supervised
@@ -69,7 +69,7 @@ class ByEvidence(Approach):
             from `base` by what the model cannot reproduce, which is not for the views to correct.
         """
         views = gather_views(light_field, choice=all_views(light_field))
-        rendering = rendering_for(self.rendering, sizes)
+        rendering = sizes.rendering(self.rendering)
         given = first = start.disparity
         if self.relocate is not None:
             first = relocate_steps(first, views.centre, self.relocate)

@@ -10,7 +10,7 @@ from mvedge_jax.losses import LossWeights
 from mvedge_jax.losses.features import Colours
 from mvedge_jax.losses.terms import Features
 
-from .._model import ModelParams, ModelSizes, compiled_render, rendering_for
+from .._model import ModelParams, ModelSizes, compiled_render
 from .._result import Verdict
 from .._start import Start, StartParams, fit_to_map, trust_labels
 from ..objectives import SelfSupervised
@@ -74,7 +74,7 @@ class ByReprojection(Approach):
         Returns:
             Model and objective.
         """
-        rendering = rendering_for(self.rendering, sizes)
+        rendering = sizes.rendering(self.rendering)
         if self.fit is not None:
             start = fit_to_map(start, self.fit, rendering, sizes)
         trust = trust_labels(start, weight=self.prior, label=self.label)
