@@ -30,7 +30,8 @@ def test_flat_values_of_any_size_have_finite_derivatives(size):
     values = jnp.full(3, size, jnp.float32)
     first = jax.grad(lambda v: vertex(*v))(values)
     second = jax.hessian(lambda v: vertex(*v))(values)
-    assert bool(jnp.isfinite(first).all()) and bool(jnp.isfinite(second).all())
+    assert bool(jnp.isfinite(first).all())
+    assert bool(jnp.isfinite(second).all())
 
 
 def test_nearly_equal_values_have_no_steep_vertex():

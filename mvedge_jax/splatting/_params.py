@@ -10,7 +10,6 @@ from jaxtyping import Array, Float
 
 from mvedge_jax._params import number
 
-
 # Opacity, or share of the weight, that may be left where a point is cut off; the thesis' widths
 # leave 4e-4.
 _MOST_LOST = 1e-3
