@@ -8,6 +8,7 @@ from ._edge_to_depth import (
     DepthStats as DepthStats,
     edge_to_depth as edge_to_depth,
 )
+from ._median import weighted_median as weighted_median
 from ._parameters import (
     CentreParams as CentreParams,
     Parameters as Parameters,
@@ -18,7 +19,6 @@ from ._sharpen import (
     MedianParams as MedianParams,
     Sharpening as Sharpening,
     sharpen as sharpen,
-    weighted_median as weighted_median,
 )
 from ._smoothness import (
     SmoothnessParams as SmoothnessParams,

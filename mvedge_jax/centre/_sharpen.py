@@ -1,21 +1,16 @@
-"""Sharpening: a weighted median whose weights follow the image's colours."""
+"""Sharpening: depth steps are moved onto colour steps."""
 
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
-from jax import lax
 from jaxtyping import Array, Float
 
 from mvedge_jax._params import cast, number
-from mvedge_jax.color import Factored, factored, solved
-from mvedge_jax.image import window_sum
+
+from ._median import weighted_median
 
 Sharpening = Literal["clip", "median", "quantised", "none"]
-
-# Levels of a flat map are this far apart: derivatives hold its inverse squared.
-_CLOSEST = 1e-9
 
 
 class MedianParams(eqx.Module):
@@ -84,99 +79,3 @@ def sharpen(
     if mode == "clip":
         return jnp.clip(disparity, median - params.slack, median + params.slack)
     return median
-
-
-def weighted_median(
-    values: Float[Array, "y x"],
-    guide: Float[Array, "c y x"],
-    epsilon: Float[Array, ""],
-    *,
-    radius: int,
-    levels: int,
-    quantised: bool = False,
-) -> Float[Array, "y x"]:
-    r"""Median over a window, weighted as a guided filter weighs.
-
-    The share of weight at or below a level is the guided filter's answer to the slice
-    $[v \le \ell]$; the median is the level at which it crosses one half. A ramp one slice wide
-    instead of the sharp slice, and linear interpolation between levels, give a continuous value.
-
-    Args:
-        values: image to filter, `[y, x]`.
-        guide: image with three channels that steers the weights, `[c, y, x]`.
-        epsilon: regularisation of the guide's covariance.
-        radius: of the window, px.
-        levels: number of slices between the least and the largest value.
-        quantised: return the first level past one half.
-
-    Returns:
-        The median, `[y, x]`. Differentiable at the levels chosen.
-    """
-    # Planes of their own: derivatives of a stack would be put together anew at every level.
-    colours = tuple(guide)
-    model = _local_model(colours, epsilon, radius)
-    low, high = jnp.min(values), jnp.max(values)
-    spacing = jnp.maximum((high - low) / (levels - 1), _CLOSEST)
-
-    @jax.checkpoint
-    def cross(
-        state: tuple[Array, Array, Array], index: Array
-    ) -> tuple[tuple[Array, Array, Array], None]:
-        before, found, result = state
-        level = low + spacing * index.astype(values.dtype)
-        if quantised:
-            piece = (values <= level + 0.5 * spacing).astype(values.dtype)
-        else:
-            piece = jnp.clip((level - values) / spacing + 0.5, 0, 1)
-        share = _guided(piece, colours, model, radius)
-        now = (share >= 0.5) & ~found
-        gain = share - before
-        part = (0.5 - before) / jnp.where(gain > 0, gain, 1)
-        place = level if quantised else level - spacing * (1 - jnp.clip(part, 0, 1))
-        return (share, found | now, jnp.where(now, place, result)), None
-
-    start = (jnp.zeros_like(values), values > high, jnp.full_like(values, high))
-    (_, _, result), _ = lax.scan(cross, start, jnp.arange(levels))
-    return jnp.clip(result, low, high)
-
-
-class _LocalModel(NamedTuple):
-    """Mean of the guide around every pixel, its covariance; the window's area."""
-
-    mean: tuple[Array, ...]
-    covariance: Factored
-    area: Array
-
-
-def _local_model(guide: tuple[Array, ...], epsilon: Array, radius: int) -> _LocalModel:
-    area = _box_sum(jnp.ones_like(guide[0]), radius)
-    mean = tuple(_box_sum(c, radius) / area for c in guide)
-
-    def moment(i: int, j: int) -> Array:
-        return _box_sum(guide[i] * guide[j], radius) / area - mean[i] * mean[j]
-
-    pairs = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
-    covariance = factored([moment(i, j) for i, j in pairs], epsilon)
-    return _LocalModel(mean, covariance, area)
-
-
-def _guided(piece: Array, guide: tuple[Array, ...], model: _LocalModel, radius: int) -> Array:
-    """The guided filter of one slice."""
-    mean = _box_sum(piece, radius) / model.area
-    covariance = [
-        _box_sum(guide[c] * piece, radius) / model.area - model.mean[c] * mean for c in range(3)
-    ]
-    slope = solved(model.covariance, covariance)
-    offset = mean
-    for c in range(3):
-        offset = offset - slope[c] * model.mean[c]
-    answer = _box_sum(offset, radius)
-    for c in range(3):
-        answer = answer + _box_sum(slope[c], radius) * guide[c]
-    return answer / model.area
-
-
-def _box_sum(image: Float[Array, "y x"], radius: int) -> Float[Array, "y x"]:
-    """Sum over a square window cut at the border."""
-    rows = window_sum(image, radius, 0, border="constant")
-    return window_sum(rows, radius, 1, border="constant")

@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers import check_gradient, count_traces, with_values
+from helpers import check_gradient, check_modes, count_traces, with_values
 from scipy import ndimage
 
 from mvedge_jax.centre import (
@@ -15,7 +15,7 @@ from mvedge_jax.centre import (
     sharpen,
     weighted_median,
 )
-from mvedge_jax.centre._sharpen import _box_sum
+from mvedge_jax.centre._median import _box_sum
 
 
 def test_smoothness_needs_both_steps_to_cut():
@@ -106,6 +106,19 @@ def test_median_with_a_flat_guide_is_the_plain_median():
     sure = np.abs(weight - 0.5)[8:-8, 8:-8] > 0.1
     expected = (weight > 0.5)[8:-8, 8:-8]
     assert ((np.asarray(found)[8:-8, 8:-8] > 0.5) == expected)[sure].all()
+
+
+def test_median_has_both_modes_and_a_second_derivative():
+    rng = np.random.default_rng(4)
+    guide = jnp.asarray(rng.uniform(size=(3, 14, 17)))
+    values = jnp.asarray(ndimage.gaussian_filter(rng.normal(size=(14, 17)), 1.5))
+    weight = jnp.asarray(rng.normal(size=values.shape))
+
+    def total(tree):
+        found = weighted_median(*tree, radius=3, levels=9)
+        return jnp.sum(weight * found**2)
+
+    check_modes(total, (values, guide, jnp.asarray(1e-2)), rtol=1e-5, key=jax.random.key(6))
 
 
 def test_unknown_modes_are_named():
