@@ -10,8 +10,8 @@ from jaxtyping import Array, Float
 
 from mvedge_jax._params import number
 
-# Opacity, or share of the weight, that may be left where a point is cut off; the thesis' widths
-# leave 4e-4.
+# Optical thickness, or share of the weight, that may be left where a point is cut off; the thesis'
+# widths leave 4e-4.
 _MOST_LOST = 1e-3
 
 
@@ -81,7 +81,7 @@ class SplatSizes:
             raise ValueError(f"capacity must be None or at least 1, got {self.capacity}.")
 
     def check(self, params: SplatParams) -> None:
-        """Refuses points that are too wide for `radius`. Widths that are traced pass unseen.
+        """Refuses widths that are not positive, or too large for `radius`; not where traced.
 
         Args:
             params: of the points.
@@ -91,19 +91,16 @@ class SplatSizes:
         """
         if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(params)):
             return
-        label, weight = float(params.sigma_label), float(params.sigma_weight)
-        opacity = float(params.density) * float(params.sigma_depth) * math.sqrt(2 * math.pi)
-        left = {
-            "sigma_label": (label, "an opacity", opacity * math.exp(-(self._squared(label)))),
-            "sigma_weight": (weight, "a share", math.exp(-(self._squared(weight) ** self.order))),
-        }
-        for name, (width, what, lost) in left.items():
+        thickness = float(params.density) * float(params.sigma_depth) * math.sqrt(2 * math.pi)
+        parts = (("sigma_label", thickness, 1), ("sigma_weight", 1.0, self.order))
+        for name, whole, order in parts:
+            width = float(getattr(params, name))
+            if not width > 0:
+                raise ValueError(f"`{name}` must be positive, got {width}.")
+            lost = whole * math.exp(-((0.5 * (self.radius / width) ** 2) ** order))
             if lost > _MOST_LOST:
                 raise ValueError(
-                    f"Points of `{name}` = {width:.3g} px still have {what} of {lost:.2g} at "
-                    f"`radius` = {self.radius} px, where they are cut off: ask for a larger radius "
+                    f"Points of `{name}` = {width:.3g} px still count {lost:.2g} at `radius` = "
+                    f"{self.radius} px, where they are cut off: ask for a larger radius "
                     "(`SplatSizes`), or narrower points."
                 )
-
-    def _squared(self, width: float) -> float:
-        return self.radius**2 / (2 * width**2)

@@ -98,7 +98,8 @@ def splat(
         the depth order is piecewise constant.
 
     Raises:
-        ValueError: points are too wide for `sizes.radius`; not seen where `params` are traced.
+        ValueError: widths are not positive, or too large for `sizes.radius`; not seen where
+            `params` are traced.
 
     Source:
         Thesis 7.1.2-7.1.3, Eq. 7.3-7.14, in the corrected closed form.

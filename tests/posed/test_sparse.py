@@ -127,7 +127,7 @@ def test_errors_say_what_is_missing():
             behind, WANTED, SparseStereoParams(), SparseStereoSizes(), key=jax.random.key(0)
         )
     wide, seen = SparseStereoParams(rendering=ModelParams()), photographs(POINTS)
-    with pytest.raises(ValueError, match="sigma_label` = 1.3 px .* `radius` = 2 px"):
+    with pytest.raises(ValueError, match="sigma_label` = 1.3 px still count .* at `radius` = 2 px"):
         sparse_stereo(seen, WANTED, wide, SparseStereoSizes(), key=jax.random.key(0))
     with pytest.raises(ValueError, match="`iterations` must be at least 1, got 0"):
         SparseStereoSizes(iterations=0)

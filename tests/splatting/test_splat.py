@@ -5,7 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers import check_gradient, check_modes, count_traces
+from helpers import check_gradient, check_modes, count_traces, with_values
 
 from mvedge_jax import splatting
 from mvedge_jax.splatting import SplatParams, SplatSizes, absorption, splat_reference
@@ -263,10 +263,13 @@ def test_bad_sizes_say_what_is_wrong(change, message):
         SplatSizes(**change)
 
 
-@pytest.mark.parametrize("width", ["sigma_label", "sigma_weight"])
-def test_points_wider_than_their_radius_are_refused(width):
-    params = eqx.tree_at(lambda p: getattr(p, width), SplatParams(), jnp.asarray(3.0))
+@pytest.mark.parametrize("name", ["sigma_label", "sigma_weight"])
+def test_points_wider_than_their_radius_are_refused(name):
     points = (jnp.zeros((1, 2)), jnp.ones(1), jnp.ones(1), jnp.ones(1, bool))
-    with pytest.raises(ValueError, match=f"{width}` = 3 px still have .* at `radius` = 6 px"):
-        splatting.splat(*points, params, SHAPE, SplatSizes())
-    splatting.splat(*points, params, SHAPE, SplatSizes(radius=14))
+    wide = with_values(SplatParams, **{name: 3.0})
+    with pytest.raises(ValueError, match=f"{name}` = 3 px still count .* at `radius` = 6 px"):
+        splatting.splat(*points, wide, SHAPE, SplatSizes())
+    splatting.splat(*points, wide, SHAPE, SplatSizes(radius=14))
+    for width in (0.0, float("nan")):
+        with pytest.raises(ValueError, match=f"`{name}` must be positive, got {width}"):
+            SplatSizes().check(with_values(SplatParams, **{name: width}))
