@@ -236,7 +236,7 @@ def test_benchmark_scenes(name, views, bars):
         pytest.param(
             "backgammon",
             marks=pytest.mark.xfail(
-                reason="tips of wedges, a pixel or two wide, are diffused away: docs/differences.md",
+                reason="tips of wedges, two pixels wide, are diffused away: docs/differences.md",
                 strict=True,
             ),
         ),
