@@ -3,6 +3,7 @@
 from functools import partial
 from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
@@ -17,7 +18,7 @@ from mvedge_jax.image import highest
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.photometry import Exposure, Noise, Scene, Sight, recentred, sight
 from mvedge_jax.photometry.matching import hypotheses
-from mvedge_jax.photometry.measuring import PhotometricLabels, labels, look, mismatch
+from mvedge_jax.photometry.measuring import Look, labels, look, mismatch
 
 from ._draw import STEP, decided, drawn
 from ._parameters import ViewParams, ViewSizes
@@ -139,14 +140,13 @@ def _measured_in(
     doubt = samples.error[drawing.sample]
     doubt = jnp.minimum(doubt, jnp.maximum(root(jnp.var(known)), jnp.min(doubt)))
 
-    guess = _guess(reference, known, new, params, sizes)
+    guess, found = _guess(reference, known, new, params, sizes)
 
-    def solve(state: tuple[Array, Array], _: None) -> Any:
-        disparity = state[0]
-        measured = _labels(reference, disparity, sizes)
-        sure = measured.weight(
-            reference.sight.params, precision=params.precision, trust=params.trust
-        )
+    def solve(state: tuple[Array, Array, Look], more: Array) -> Any:
+        disparity, _, found = state
+        seen = reference.sight.params
+        measured = labels(found, reference.scene.lab, disparity, seen, passes=sizes.passes)
+        sure = measured.weight(seen, precision=params.precision, trust=params.trust)
         weight = jnp.where(new, sure + _ANCHOR, 1)
         label = jnp.where(new, measured.disparity, known)
         edges = edge_smoothness(reference.scene.lab, disparity, params.smoothness)
@@ -164,23 +164,28 @@ def _measured_in(
         tolerances = sizes.tolerance * jnp.asarray([1, _COARSER], disparity.dtype)
         values, starts = jnp.stack([label, uncertain]), jnp.stack([disparity, uncertain])
         value, doubted = lax.map(diffused, (values, starts, tolerances))
-        return (jnp.where(new, value, known), jnp.where(new, doubted, doubt)), None
+        disparity, error = jnp.where(new, value, known), jnp.where(new, doubted, doubt)
+        found = lax.cond(more, lambda d: _look(reference, d, sizes), lambda _: found, disparity)
+        return (disparity, error, found), None
 
-    state = (guess, doubt)
-    (disparity, error), _ = lax.scan(recomputed(solve), state, length=sizes.solves)
+    more = jnp.arange(sizes.solves) < sizes.solves - 1
+    (disparity, error, _), _ = lax.scan(recomputed(solve), (guess, doubt, found), more)
     return disparity, error, new
 
 
-def _labels(reference: _Reference, disparity: Array, sizes: ViewSizes) -> PhotometricLabels:
+def _look(reference: _Reference, disparity: Array, sizes: ViewSizes) -> Look:
     seen = reference.sight
     found = look(*seen.splines, disparity, seen.params, radius=sizes.radius)
-    return labels(found, reference.scene.lab, disparity, seen.params, passes=sizes.passes)
+    return found._replace(views=jnp.broadcast_to(found.views, disparity.shape))
 
 
 def _guess(
     reference: _Reference, known: Array, new: Array, params: ViewParams, sizes: ViewSizes
-) -> Array:
-    """Where to look for new surfaces: that behind goes on, unless the views say otherwise."""
+) -> tuple[Array, Look]:
+    """Where to look for new surfaces, and what is seen there.
+
+    The surface behind goes on, unless the views say otherwise.
+    """
     scene, seen = reference.scene, reference.sight
     low, high = jnp.min(known), jnp.max(known)
     # Pixels of twice the size are precise enough for a guess, and shift half as far.
@@ -192,14 +197,18 @@ def _guess(
     other = jnp.pad(other, ((0, height % 2), (0, width % 2)), mode="edge")[:height, :width]
     other = jnp.where(new, other, known)
 
-    def residual(disparity: Array) -> Array:
-        found = look(*seen.splines, disparity, seen.params, radius=sizes.radius)
-        found_in = mismatch(found, scene.lab, disparity, seen.params, passes=sizes.passes)
+    def tried_at(disparity: Array) -> tuple[Look, Array]:
+        found = _look(reference, disparity, sizes)
+        differs = mismatch(found, scene.lab, disparity, seen.params, passes=sizes.passes)
         # That few views agree says little.
-        return (found_in + seen.params.noise**2) * (1 + _FEW / jnp.maximum(found.freedom, 0.1))
+        few = 1 + _FEW / jnp.maximum(found.freedom, 0.1)
+        return found, (differs + seen.params.noise**2) * few
 
-    better = _CLEARLY * residual(other) < residual(known)
-    return jnp.where(new & better, other, known)
+    found, residual = lax.map(recomputed(tried_at), jnp.stack([known, other]))
+    better = new & (_CLEARLY * residual[1] < residual[0])
+    # What was seen of the chosen one need not be looked up again.
+    found = jax.tree.map(lambda both: jnp.where(better, both[1], both[0]), found)
+    return jnp.where(better, other, known), found
 
 
 def _halved(planes: Float[Array, "*c y x"]) -> Float[Array, "*c h w"]:

@@ -1,12 +1,15 @@
 """Outlines: which of two surfaces a pixel beside a depth step shows."""
 
+from functools import partial
+
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jaxtyping import Array, Float, Int
 
-from mvedge_jax._fence import fenced
 from mvedge_jax.color import factored, solved, srgb_to_linear
+
+from ._blocks import in_blocks
 
 # Differences of disparity beyond this, px, are steps, if they are that many times as large as what
 # either surface rises by from pixel to pixel.
@@ -76,9 +79,9 @@ def outline(
     beside = step & (front - back > steep)
     middle = 0.5 * (front + back)
     sure = jnp.where(step, _DOUBT, 1).astype(disparity.dtype)
-    share, unexplained = fenced(
-        _share, disparity, sure, srgb_to_linear(view), middle, _FAINT + noise**2
-    )
+    images = jnp.stack([disparity, middle, sure, *srgb_to_linear(view)])
+    stencil = partial(_share, faint=_FAINT + noise**2)
+    share, unexplained = in_blocks(stencil, beside, images, reach=_REACH)
     ahead = disparity > middle
     believed = jnp.where(ahead, prior, -prior) * unexplained
     chosen = share - 0.5 + believed > 0
@@ -120,23 +123,31 @@ def _part(padded: Array, offset: int, axis: int) -> Array:
     return lax.slice_in_dim(padded, offset, offset + padded.shape[axis] - 2, axis=axis)
 
 
-def _share(
-    disparity: Array, sure: Array, light: Array, middle: Array, faint: Array
-) -> tuple[Array, Array]:
-    """The share of a pixel that the front covers, by its colour, and the variance of the fit."""
-    height, width = disparity.shape
-    margin = (_REACH, _REACH)
-    images = [jnp.pad(a, (margin, margin), mode="edge") for a in (disparity, *light)]
-    images.append(jnp.pad(sure, (margin, margin)))
+def _share(images: Array, *, faint: Array) -> Array:
+    """The share of a pixel that the front covers, by its colour, and the variance of the fit.
+
+    Args:
+        images: disparity, that of the middle between front and back, certainty, linear colours,
+            with a margin of `_REACH`, `[b, 6, y, x]`.
+        faint: variance of colours that tells nothing.
+
+    Returns:
+        Both, without the margin, `[b, 2, y, x]`.
+    """
+    height, width = (size - 2 * _REACH for size in images.shape[-2:])
+
+    def around(dy: int, dx: int) -> list[Array]:
+        y, x = _REACH + dy, _REACH + dx
+        return [images[:, i, y : y + height, x : x + width] for i in range(6)]
+
+    _, middle, _, *own = around(0, 0)
     # Sums of 1, colours, products of colours; of the front, and of its colours.
-    sums = [jnp.zeros_like(disparity)] * 14
+    sums = [jnp.zeros_like(middle)] * 14
     for dy, dx in _OFFSETS:
-        start = (_REACH + dy, _REACH + dx)
-        stop = (start[0] + height, start[1] + width)
-        value, *colours, known = (lax.slice(a, start, stop) for a in images)
+        value, _, known, *colours = around(dy, dx)
         weight = float(np.exp(-0.5 * (dx * dx + dy * dy) / _WIDTH**2)) * known
         # From the pixel's own colour, as differences of large sums would be inexact.
-        colours = [colour - own for colour, own in zip(colours, light, strict=True)]
+        colours = [a - b for a, b in zip(colours, own, strict=True)]
         front = jnp.where(value > middle, weight, 0)
         terms = [weight, *(weight * c for c in colours)]
         terms += [weight * colours[i] * colours[j] for i, j in _PAIRS]
@@ -150,4 +161,4 @@ def _share(
     slope = solved(factored(moments, faint), along)
     share = ahead - sum(s * m for s, m in zip(slope, mean, strict=True))
     explained = sum(s * a for s, a in zip(slope, along, strict=True))
-    return share, jnp.maximum(ahead * (1 - ahead) - explained, 0)
+    return jnp.stack([share, jnp.maximum(ahead * (1 - ahead) - explained, 0)], axis=1)

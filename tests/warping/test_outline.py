@@ -74,8 +74,8 @@ def test_the_share_is_a_weighted_ridge_regression():
     disparity = _steps(7, (12, 14)) + 0.01 * rng.random((12, 14))
     light, sure = rng.random((3, 12, 14)), np.where(rng.random((12, 14)) > 0.8, _DOUBT, 1.0)
     middle = np.full((12, 14), 0.5)
-    arrays = (jnp.asarray(a) for a in (disparity, sure, light, middle, _FAINT))
-    share, unexplained = _share(*arrays)
+    images = np.pad(np.stack([disparity, middle, sure, *light]), ((0, 0), *[(_REACH, _REACH)] * 2))
+    share, unexplained = _share(jnp.asarray(images)[None], faint=jnp.asarray(_FAINT))[0]
     for y, x in ((0, 0), (5, 6), (11, 9)):
         # The border repeats values and has no weight.
         around = [
