@@ -69,10 +69,18 @@ def holes(
 
 def _last(hit: Array, place: Array, axis: int, *, reverse: bool) -> tuple[Array, Array]:
     """Coordinate of the nearest hit to one side, and whether there is one."""
-    end = hit.shape[axis]
-    if reverse:
-        last = lax.cummin(jnp.where(hit, place, end), axis=axis, reverse=True)
-    else:
-        last = lax.cummax(jnp.where(hit, place, -1), axis=axis)
+    if axis == 1:
+        last, found = _last(hit.T, place.T, 0, reverse=reverse)
+        return last.T, found.T
+    end = hit.shape[0]
+    outside, nearer = (end, jnp.minimum) if reverse else (-1, jnp.maximum)
+
+    # Row by row: on the CPU, XLA makes a cumulative extremum of many small images.
+    def further(last: Array, here: Array) -> tuple[Array, Array]:
+        last = nearer(last, here)
+        return last, last
+
+    start = jnp.full(hit.shape[1], outside, place.dtype)
+    _, last = lax.scan(further, start, jnp.where(hit, place, outside), reverse=reverse)
     found = (last >= 0) & (last < end)
     return jnp.where(found, last, 0), found
