@@ -47,10 +47,7 @@ def test_holes_are_those_of_a_walk_from_each_pixel(shape, share):
         assert spread == pytest.approx(max(values) - min(values))
         pairs = [(around[0], around[1]), (around[2], around[3])]
         expected = any(
-            a is not None
-            and b is not None
-            and a[3] == b[3] == 1
-            and abs(a[2] - b[2]) <= _TOLERANCE
+            a is not None and b is not None and a[3] == b[3] == 1 and abs(a[2] - b[2]) <= _TOLERANCE
             for a, b in pairs
         )
         assert crack == expected
