@@ -175,8 +175,7 @@ def _measured_in(
 
 def _look(reference: _Reference, disparity: Array, sizes: ViewSizes) -> Look:
     seen = reference.sight
-    found = look(*seen.splines, disparity, seen.params, radius=sizes.radius)
-    return found._replace(views=jnp.broadcast_to(found.views, disparity.shape))
+    return look(*seen.splines, disparity, seen.params, radius=sizes.radius).per_pixel()
 
 
 def _guess(

@@ -225,22 +225,18 @@ def _look(given: _Given, disparity: Array, sizes: SolveSizes) -> Look:
 
     @staged
     def look(disparity: Array) -> Look:
-        found = _per_pixel(given.views.look(disparity, radius=sizes.radius))
+        found = given.views.look(disparity, radius=sizes.radius).per_pixel()
         alone = _every(given) is None
         return found if alone else found._replace(cross=jnp.zeros_like(disparity))
 
     return look(disparity)
 
 
-def _per_pixel(found: Look) -> Look:
-    return found._replace(views=jnp.broadcast_to(found.views, found.right.shape))
-
-
 def _around(given: _Given, found: Look, disparity: Array, *, sizes: SolveSizes) -> Look:
     """What all views show around a map; beside its steps, what the crosshair does."""
     whole = look_around(_every(given), disparity, given.views.params, radius=sizes.radius)
     share = share_of_all(disparity)
-    return jax.tree.map(lambda a, c: share * a + (1 - share) * c, _per_pixel(whole), found)
+    return jax.tree.map(lambda a, c: share * a + (1 - share) * c, whole.per_pixel(), found)
 
 
 def _sharpened(

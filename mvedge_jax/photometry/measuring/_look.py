@@ -85,6 +85,10 @@ class Look(NamedTuple):
     slope: tuple[tuple[Array, ...], tuple[Array, ...]]
     trend: tuple[tuple[Array, ...], tuple[Array, ...]]
 
+    def per_pixel(self) -> "Look":
+        """The same, `views` per pixel, so that looks can be mixed by pixel."""
+        return self._replace(views=jnp.broadcast_to(self.views, self.right.shape))
+
 
 class _ArmLook(NamedTuple):
     """The fields of a `Look`, of one arm."""
@@ -288,8 +292,7 @@ def _trusted(
             distance = distance + (colour - mean) ** 2
         return present / (1 + box_mean(distance, 1) / scale)
 
-    nothing = jnp.zeros_like(scale)
-    own = one((jnp.ones_like(scale), *(nothing for _ in values)))
+    own = one((jnp.ones_like(scale), *(jnp.zeros_like(scale) for _ in values)))
     return own, lax.map(jax.checkpoint(one), (seen, *values))
 
 
