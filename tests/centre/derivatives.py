@@ -1,6 +1,7 @@
 """Derivatives of a scalar of a pytree, leaf by leaf, beside central differences."""
 
-from collections.abc import Callable
+import contextlib
+from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -88,9 +89,13 @@ def rows(
         A row per leaf, by path, and one per direction of the views.
     """
     moving, rest = eqx.partition(tree, eqx.is_inexact_array)
-    value = jax.jit(lambda m, x: loss((eqx.combine(m, rest), x)))
-    gradient = jax.jit(jax.grad(value, (0, 1)))(moving, views)
-    push = jax.jit(lambda m, x, dm, dx: jax.jvp(value, (m, x), (dm, dx))[1])
+    of = jax.jit(lambda m, x: loss((eqx.combine(m, rest), x)))
+    push = jax.jit(lambda m, x, dm, dx: jax.jvp(of, (m, x), (dm, dx))[1])
+    with _optimised(False):  # runs once
+        gradient = jax.jit(jax.grad(of, (0, 1)))(moving, views)
+    with _optimised(True):  # run hundreds of times
+        value = of.lower(moving, views).compile()
+        push = push.lower(moving, views, moving, views).compile()
     still, nothing = jnp.zeros_like(views), jax.tree.map(jnp.zeros_like, moving)
     leaves, structure = jax.tree_util.tree_flatten_with_path(moving)
     centre = float(value(moving, views))
@@ -133,6 +138,17 @@ def rows(
         direction = jax.random.normal(jax.random.fold_in(key, 1000 + k), views.shape, views.dtype)
         found.append(compare(f"views, direction {k}", (nothing, direction), 1e-2))
     return found
+
+
+@contextlib.contextmanager
+def _optimised(wish: bool) -> Iterator[None]:
+    """Whether XLA optimises what is compiled meanwhile."""
+    before = jax.config.read("jax_disable_most_optimizations")
+    jax.config.update("jax_disable_most_optimizations", not wish)
+    try:
+        yield
+    finally:
+        jax.config.update("jax_disable_most_optimizations", before)
 
 
 def table(found: list[Row]) -> str:

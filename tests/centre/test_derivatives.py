@@ -16,16 +16,6 @@ from mvedge_jax.edges import EdgeSizes
 from mvedge_jax.edges.sides import BidirectionalParams, SurfaceParams
 from mvedge_jax.lightfield import LightField
 
-
-@pytest.fixture(autouse=True)
-def _optimised():
-    """Hundreds of values are computed here: programs that run fast pay off."""
-    before = jax.config.values["jax_disable_most_optimizations"]
-    jax.config.update("jax_disable_most_optimizations", False)
-    yield
-    jax.config.update("jax_disable_most_optimizations", before)
-
-
 # Leaves that only select: which candidates are points. Their derivative is 0 almost everywhere, and
 # rightly so.
 THRESHOLDS = {
@@ -62,20 +52,19 @@ def _check(name, size, zero, *, directions=2, **choices):
 
 
 SCENES = pytest.mark.parametrize("name", ["edges", "demo"])
-SIDES = pytest.mark.parametrize(
-    "side", [40, *(pytest.param(side, marks=pytest.mark.slow) for side in (64, 96))]
+CASES = [(name, side) for name in ("edges", "demo") for side in (40, 64, 96)]
+
+
+@pytest.mark.parametrize(
+    ("name", "side"),
+    [CASES[0], *(pytest.param(*case, marks=pytest.mark.slow) for case in CASES[1:])],
 )
-
-
-@SCENES
-@SIDES
 def test_every_leaf_by_default(name, side):
     _check(name, side, set(THRESHOLDS))
 
 
 @pytest.mark.slow
-@SCENES
-@SIDES
+@pytest.mark.parametrize(("name", "side"), CASES)
 def test_every_leaf_of_the_optional_groups(name, side):
     _check(name, side, {*THRESHOLDS, *_GIVEN}, directions=1, given=True)
 
