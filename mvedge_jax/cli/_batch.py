@@ -18,7 +18,7 @@ from ._common import compiled, finite, missing_views, note, stage, warn
 from ._depth import depth_report, score_depth, write_depth
 from ._output import MARKER, output_folder, refuse_inputs, write_json
 from ._paths import scenes_and_out
-from ._source import read_json
+from ._source import read_json, source_of
 
 _SCORES = ("mse", "q25", "bad_01", "bad_03", "bad_07")
 
@@ -139,6 +139,7 @@ def _run(
                 report = depth_report(found, estimate.params, sizes, result, seconds)
                 write_depth(folder, found, result)
                 report["scores"] = score_depth(folder, found, result)
+                report["source"] = source_of(scene, views=options.views, scale=options.scale)
                 report["warnings"] = [
                     *result.problems(),
                     *(missing_views(found) if options.all_views else []),

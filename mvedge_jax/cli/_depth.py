@@ -20,6 +20,7 @@ from mvedge_jax.metrics import boundary_scores, calibration, depth_scores
 from ._common import compiled, missing_views, note, stage, warn
 from ._output import output_folder, write_json
 from ._points import valid_points, write_points
+from ._source import source_of
 from ._view import show
 
 _COLUMNS = {
@@ -92,13 +93,9 @@ def depth(
             write_depth(folder, light_field, result)
             scores = score_depth(folder, light_field, result)
             report["scores"] = scores
-            report["source"] = {
-                "path": str(scene.resolve()),
-                "views": views,
-                "scale": scale,
-                "flip_u": flip_u,
-                "flip_v": flip_v,
-            }
+            report["source"] = source_of(
+                scene, views=views, scale=scale, flip_u=flip_u, flip_v=flip_v
+            )
             doubts = [*result.problems(), *(missing_views(light_field) if all_views else [])]
             report["warnings"] = doubts
             write_json(folder / "report.json", report)

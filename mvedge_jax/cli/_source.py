@@ -37,6 +37,19 @@ def read_json(path: Path) -> dict[str, Any]:
     raise ValueError(f"{path} could not be read as a report of mvedge.")
 
 
+def source_of(scene: Path, **reading: Any) -> dict[str, Any]:
+    """What a report tells of its light field, for `scene_of`.
+
+    Args:
+        scene: its path.
+        reading: options of `load_light_field` with which it was read.
+
+    Returns:
+        The record.
+    """
+    return {"path": str(scene.resolve()), **reading}
+
+
 def scene_of(result: Path, *, advice: str) -> tuple[Path, dict[str, Any]]:
     """The light field that a result was made from.
 

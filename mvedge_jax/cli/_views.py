@@ -18,6 +18,7 @@ from mvedge_jax.metrics.depth import bad_pixels, mse
 from ._common import note, stage, warn
 from ._every_view import every_view
 from ._output import output_folder, write_json
+from ._source import source_of
 
 
 def views(
@@ -49,7 +50,7 @@ def views(
             _write(folder, found)
             report = {"scene": light_field.name, "seconds": round(seconds, 3), **_report(found)}
             report["scores"] = _score(folder, light_field, found)
-            report["source"] = {"path": str(scene.resolve()), "views": views}
+            report["source"] = source_of(scene, views=views)
             report["warnings"] = doubts
             write_json(folder / "report.json", report)
     for doubt in doubts:

@@ -155,6 +155,7 @@ class SelfSupervised(eqx.Module):
         features: what images are compared by.
         sizes: of the rendering.
         subset: views drawn anew for every iteration, or None for all.
+        similarity: compute the SSIM term at all, see `self_supervised_loss`.
     """
 
     views: Views
@@ -164,6 +165,7 @@ class SelfSupervised(eqx.Module):
     features: Features = eqx.field(default_factory=Colours)
     sizes: ModelSizes = eqx.field(static=True, default_factory=ModelSizes)
     subset: int | None = eqx.field(static=True, default=None)
+    similarity: bool = eqx.field(static=True, default=False)
 
     def __call__(
         self, model: DepthModel, start: Float[Array, "y x"], *, key: PRNGKeyArray
@@ -174,7 +176,9 @@ class SelfSupervised(eqx.Module):
         if self.subset is not None:
             count = views.steps.shape[0]
             views = views.take(jax.random.permutation(key, count)[: min(self.subset, count)])
-        loss, _ = self_supervised_loss(disparity, views, self.weights, features=self.features)
+        loss, _ = self_supervised_loss(
+            disparity, views, self.weights, features=self.features, similarity=self.similarity
+        )
         return loss + self.trust.penalty(model), disparity
 
     def residuals(

@@ -8,6 +8,7 @@ from scipy import ndimage
 
 from mvedge_jax.cli import _batch, _main
 from mvedge_jax.cli._paths import scenes_and_out
+from mvedge_jax.cli._source import scene_of
 from mvedge_jax.datasets import read_pfm
 
 
@@ -64,6 +65,7 @@ def test_a_batch_goes_on_after_a_failure_and_from_where_it_was(tmp_path, capsys,
     assert json.loads((out / "summary.json").read_text())["near"]["converged"] is True
     assert rows["near"]["warnings"] == ""
     assert json.loads((out / "near" / "report.json").read_text())["warnings"] == []
+    assert scene_of(out / "near", advice="") == (near, {"views": None, "scale": 1.0})
     said = capsys.readouterr()
     assert "2 of 3 light fields done" in said.out
     assert "corrupt failed" in said.err

@@ -33,7 +33,7 @@ class ByReprojection(Approach):
         fit: of the model to the first map, in which a tenth more points are added; None if the
             model of the start renders that map already.
         polish: of the map, afterwards.
-        weights: of the terms of (7.16).
+        weights: of the terms of (7.16); that of SSIM counts with `similarity` only.
         features: what images are compared by.
         prior: weight of the labels' standard errors, see `Trust`.
         label: largest change of a label, px per view step.
@@ -42,6 +42,7 @@ class ByReprojection(Approach):
         rates: learning rates.
         iterations: how many, by default.
         subset: views drawn anew for every iteration, or None for all.
+        similarity: compute the SSIM term, which costs as much as the rest of the loss.
 
     Source:
         Thesis 7.1.4, Eq. 7.15-7.16.
@@ -62,6 +63,7 @@ class ByReprojection(Approach):
     rates: Rates = eqx.field(default_factory=Rates.self_supervised)
     iterations: int = eqx.field(static=True, default=40)
     subset: int | None = eqx.field(static=True, default=None)
+    similarity: bool = eqx.field(static=True, default=False)
 
     def prepare(self, light_field: LightField, start: Start, sizes: ModelSizes) -> Prepared:
         """Fits the model to the first map.
@@ -80,7 +82,14 @@ class ByReprojection(Approach):
         trust = trust_labels(start, weight=self.prior, label=self.label)
         training, _ = crosshair_halves(light_field)
         goal = SelfSupervised(
-            training, trust, rendering, self.weights, self.features, sizes, self.subset
+            training,
+            trust,
+            rendering,
+            self.weights,
+            self.features,
+            sizes,
+            self.subset,
+            self.similarity,
         )
         return Prepared(start, start.disparity, start.disparity, goal)
 
