@@ -10,6 +10,7 @@ from jax import lax
 from jaxtyping import Array, Bool, Float
 
 from mvedge_jax._compiler import lean_jit
+from mvedge_jax._fence import recomputed
 from mvedge_jax.image import box_mean
 from mvedge_jax.interpolation import sample
 from mvedge_jax.lightfield import LightField
@@ -70,10 +71,10 @@ def insert_picture(
         # Where the plane shows: q + s (a q) = r, solved for q.
         along = (tilt[0] * x + tilt[1] * y) / (1 + tilt[0] * step[0] + tilt[1] * step[1])
         x, y = x - step[0] * along, y - step[1] * along
-        shown = _between(opaque, x + 0.5 * (picture.shape[1] - 1), y + 0.5 * (picture.shape[0] - 1))
-        alpha = jnp.where(middle + along > depth, shown[..., 3], 0)[..., None]
-        mixed = jnp.where(alpha > 0, shown[..., :3], 0) + (1 - alpha) * view
-        return jnp.where(alpha > 0, mixed, view)
+        x, y = x + 0.5 * (picture.shape[1] - 1), y + 0.5 * (picture.shape[0] - 1)
+        shown = _between(opaque, x, y, beyond="constant")
+        shown = jnp.where((middle + along > depth)[..., None], shown, 0)
+        return shown[..., :3] + (1 - shown[..., 3:]) * view
 
     return _edited(light_field, _each(one, light_field, disparities))
 
@@ -106,10 +107,10 @@ def paint(
     dtype = light_field.views.dtype
     vc, uc = light_field.centre
     centre = light_field.centre_view
-    paint_on = jnp.broadcast_to(colour.astype(dtype), centre.shape)
+    paint_on, mask = jnp.broadcast_to(colour.astype(dtype), centre.shape), mask.astype(dtype)
     total = jnp.maximum(jnp.sum(mask), jnp.finfo(dtype).tiny)
     mean = jnp.maximum(jnp.sum(mask * jnp.mean(centre, axis=-1)) / total, 1e-3)
-    layers = jnp.concatenate([paint_on, mask[..., None].astype(dtype)], axis=-1)
+    layers = jnp.concatenate([paint_on, mask[..., None]], axis=-1)
 
     def one(item: tuple[Array, Array, Array]) -> Array:
         view, depth, step = item
@@ -120,11 +121,11 @@ def paint(
         goes_on = jnp.abs(depth.ravel()[beside] - depth) < _SAME
         place, _ = _nearest(x, y)
         whole = layers.reshape(-1, 4)[place.ravel()[beside]]
-        shown = jnp.where(seen[..., None], _between(layers, x, y), whole)
+        shown = jnp.where(seen[..., None], _between(layers, x, y, beyond="edge"), whole)
         weight = jnp.where(goes_on, shown[..., 3], 0)[..., None]
         bright = jnp.mean(view, axis=-1, keepdims=True) / mean if shaded else 1
         painted = jnp.clip(shown[..., :3] * bright, 0, 1)
-        return jnp.where(weight > 0, weight * painted + (1 - weight) * view, view)
+        return weight * painted + (1 - weight) * view
 
     return _edited(light_field, _each(one, light_field, disparities))
 
@@ -160,7 +161,7 @@ def remove(
 
     def marked(depth: Array, step: Array) -> Array:
         x, y = _in_centre(depth, step)
-        there = _between(mask[..., None].astype(dtype), x, y)[..., 0] > 0
+        there = _between(mask[..., None].astype(dtype), x, y, beyond="edge")[..., 0] > 0
         return margin(there & _shows(centre, depth, x, y), radius=radius)
 
     maps = disparities.reshape(-1, height, width)
@@ -182,12 +183,13 @@ def remove(
             y = jnp.arange(height, dtype=dtype)[:, None] + other[1] * deeper
             clear = _shows(jnp.where(gone[which], jnp.inf, maps[which]), deeper, x, y)
             clear = clear & light_field.available.ravel()[which]
-            return jnp.where(clear[..., None], _between(views[which], x, y), colour), None
+            found = _between(views[which], x, y, beyond="edge")
+            return jnp.where(clear[..., None], found, colour), None
 
-        colour, _ = lax.scan(look, around, sources[order])
+        colour, _ = lax.scan(recomputed(look), around, sources[order])
         return jnp.where(out[..., None], colour, view)
 
-    found = lax.map(one, (views, maps, steps, gone))
+    found = lax.map(recomputed(one), (views, maps, steps, gone))
     return _edited(light_field, found.reshape(light_field.views.shape))
 
 
@@ -239,9 +241,11 @@ def _nearest(x: Array, y: Array) -> tuple[Array, Array]:
     return jnp.where(inside, row * width + column, 0).astype(jnp.int32), inside
 
 
-def _between(image: Float[Array, "h w c"], x: Array, y: Array) -> Float[Array, "y x c"]:
-    """An image between its pixels, 0 beyond them."""
-    ringed = jnp.pad(image, ((1, 1), (1, 1), (0, 0)))
+def _between(
+    image: Float[Array, "h w c"], x: Array, y: Array, *, beyond: str
+) -> Float[Array, "y x c"]:
+    """An image between its pixels; beyond them the border's (`"edge"`) or 0 (`"constant"`)."""
+    ringed = jnp.pad(image, ((1, 1), (1, 1), (0, 0)), mode=beyond)
     xy = jnp.stack([x, y], axis=-1).reshape(-1, 2) + 1
     channels = [sample(ringed[..., c], xy).reshape(x.shape) for c in range(image.shape[-1])]
     return jnp.stack(channels, axis=-1)

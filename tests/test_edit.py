@@ -82,9 +82,7 @@ def test_paint_goes_on_where_the_centre_view_does_not_show_the_surface():
     mask = jnp.asarray(wall[1, 1], field.views.dtype)
     found = paint(field, depth, mask, jnp.asarray([0.0, 0.0, 1.0]), shaded=False)
     painted = np.abs(np.asarray(found.views) - [0, 0, 1]).max(-1) < 1e-9
-    # But for the corners, which have nothing seen beside them.
-    inner = (..., slice(1, -1), slice(1, -1))
-    np.testing.assert_array_equal(painted[inner], wall[inner])
+    np.testing.assert_array_equal(painted, wall)
     assert not painted[~wall].any()
     # Of a wall that is painted on the left only, what is uncovered right of the card stays.
     left = jnp.where(jnp.arange(32)[None] < 16, mask, 0)
@@ -115,6 +113,33 @@ def test_what_blends_with_what_is_removed_goes_with_it_in_every_view():
     assert (np.asarray(found.views).min(-1) >= 0.5 - 1e-9).all()
 
 
+def _wall(disparity, shape=(3, 3, 12, 14)):
+    """A wall of one colour between whole disparities."""
+    return LightField(jnp.full((*shape, 3), 0.4)), jnp.full(shape, disparity)
+
+
+def test_nothing_from_beyond_the_frame_mixes_in():
+    field, depth = _wall(0.3)
+    white, everywhere = jnp.ones(3), jnp.ones((12, 14))
+    painted = paint(field, depth, everywhere, white, shaded=False)
+    np.testing.assert_allclose(painted.views, 1, rtol=1e-12)
+    # A card in the corner, half of a pixel of whose places other views see beyond their frame.
+    card = depth.at[:, :, :4, :4].set(2.0)
+    gone = remove(field, card, card[1, 1] == 2.0)
+    np.testing.assert_allclose(gone.views, 0.4, rtol=1e-12)
+
+
+def test_paint_stays_at_its_end_of_the_wall():
+    """A view's corner that no row or column of the centre view reaches is not the other corner."""
+    field, depth = _wall(2.0)
+    corner = jnp.zeros((12, 14)).at[:6, :6].set(1.0)
+    found = paint(field, depth, corner, jnp.ones(3), shaded=False)
+    changed = np.any(np.asarray(found.views != field.views), axis=-1)
+    assert changed[:, :, :3, :3].all()
+    assert not changed[:, :, 8:].any()
+    assert not changed[:, :, :, 8:].any()
+
+
 def test_margin_grows_a_mask():
     mask = jnp.zeros((7, 7), bool).at[3, 3].set(True)
     assert margin(mask, radius=2).sum() == 25
@@ -132,3 +157,36 @@ def test_derivatives_equal_differences():
 
     tree = (picture, jnp.asarray([10.3, 5.6]), jnp.asarray(0.27))
     check_gradient(loss, tree, rtol=1e-6, step=1e-6, key=jax.random.key(2))
+
+
+def test_what_is_wholly_transparent_has_a_derivative():
+    field, depth = _wall(0.3)
+    weights = jax.random.normal(jax.random.key(1), field.views.shape)
+
+    def loss(tree):
+        alpha, mask = tree
+        picture = jnp.concatenate([jnp.full((5, 5, 3), 0.9), alpha[..., None]], axis=-1)
+        put = insert_picture(field, depth, picture, at=(6.2, 5.1), disparity=1.2)
+        painted = paint(field, depth, mask, jnp.full(3, 0.9), shaded=False)
+        return jnp.sum(weights * (put.views + painted.views))
+
+    tree = (jnp.zeros((5, 5)), jnp.zeros((12, 14)))
+    check_gradient(loss, tree, rtol=1e-6, step=1e-6, key=jax.random.key(2))
+
+
+def test_what_is_removed_has_a_gradient():
+    field, depth, _ = _cards()
+    weights = jax.random.normal(jax.random.key(1), field.views.shape)
+
+    def loss(views):
+        found = remove(LightField(views), depth, depth[1, 1] == _NEAR)
+        return jnp.sum(weights * found.views)
+
+    check_gradient(loss, field.views, rtol=1e-6, step=1e-3, key=jax.random.key(2))
+
+
+def test_the_mask_leaves_the_precision_of_the_views():
+    field, depth = _wall(0.3)
+    single = LightField(field.views.astype(jnp.float32))
+    painted = paint(single, depth.astype(jnp.float32), jnp.ones((12, 14)), jnp.ones(3))
+    assert painted.views.dtype == jnp.float32
