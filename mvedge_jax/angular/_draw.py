@@ -48,11 +48,12 @@ def drawn(samples: Samples, step: Float[Array, "2"], shape: tuple[int, int]) -> 
     nearest = nearest.at[place].max(disparity, mode="promise_in_bounds")
     wins = disparity == nearest[place]
     own = jnp.arange(disparity.size, dtype=jnp.int32)
-    # Any of the winners does: they are equal.
-    winner = jnp.zeros(pixels + 1, jnp.int32)
-    winner = winner.at[jnp.where(wins, place, pixels)].set(own, mode="promise_in_bounds")
+    # Of equal ones the first, in whatever order a device writes.
+    winner = jnp.full(pixels + 1, disparity.size, jnp.int32)
+    winner = winner.at[jnp.where(wins, place, pixels)].min(own, mode="promise_in_bounds")
     winner, nearest = winner[:-1].reshape(shape), nearest[:-1].reshape(shape)
     hit = jnp.isfinite(nearest)
+    winner = jnp.where(hit, winner, 0)
     around = holes(nearest, hit, tolerance=STEP)
     return Drawing(winner.ravel()[around.behind], ~hit & ~around.crack, around.spread)
 

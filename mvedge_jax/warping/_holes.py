@@ -12,8 +12,11 @@ class Holes(NamedTuple):
 
     Attributes:
         behind: flat index of the farthest of the nearest pixels to the left, to the right, above
-            and below; the pixel itself where there is no hole, 0 where the map is empty.
-        spread: what these four differ by, px; 0 where there is no hole.
+            and below; where there are none, as in the corner of a map that moved away from it, that
+            of the pixels above and below in the nearest rows that are not empty. The pixel itself
+            where there is no hole, 0 where the map is empty.
+        spread: what these four differ by, px, or those of the pixel above or below; 0 where there
+            is no hole.
         crack: holes of one pixel between two that differ by at most the tolerance.
     """
 
@@ -64,6 +67,16 @@ def holes(
         (first, one), (second, other) = beside
         crack = crack | (one & other & (jnp.abs(first - second) <= tolerance))
     spread = jnp.where(~hit & (most >= least), most - least, 0)
+    # All pixels of a row with a hit have a source by now, and rows have no part in one another.
+    nearest, known = jnp.where(hit, disparity, least), jnp.any(hit, axis=1)
+    lacks, farthest = ~hit & ~jnp.isfinite(least), jnp.full_like(disparity, jnp.inf)
+    for reverse in (False, True):
+        last, found = _last(known[:, None], rows[:, :1], 0, reverse=reverse)
+        value = jnp.where(found, nearest[last[:, 0]], jnp.inf)
+        takes = lacks & (value < farthest)
+        behind = jnp.where(takes, behind[last[:, 0]], behind)
+        spread = jnp.where(takes, spread[last[:, 0]], spread)
+        farthest = jnp.minimum(farthest, value)
     return Holes(behind, spread, ~hit & crack)
 
 

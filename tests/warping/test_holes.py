@@ -21,8 +21,18 @@ def _around(disparity, hit, y, x):
     return found
 
 
+def _row(hit, y, step):
+    """The nearest row above or below with a pixel that was hit, or None."""
+    y += step
+    while 0 <= y < hit.shape[0]:
+        if hit[y].any():
+            return y
+        y += step
+    return None
+
+
 @pytest.mark.parametrize("shape", [(1, 9), (9, 1), (7, 12), (16, 5)])
-@pytest.mark.parametrize("share", [0.0, 0.1, 0.5, 0.9, 1.0])
+@pytest.mark.parametrize("share", [0.0, 0.03, 0.1, 0.5, 0.9, 1.0])
 def test_holes_are_those_of_a_walk_from_each_pixel(shape, share):
     rng = np.random.default_rng(0)
     # What is not hit must not be read.
@@ -38,7 +48,13 @@ def test_holes_are_those_of_a_walk_from_each_pixel(shape, share):
         around = _around(disparity, hit, y, x)
         known = [place for place in around if place is not None]
         if not known:
-            assert (behind, spread, crack) == (0, 0, False)
+            beside = [r for r in (_row(hit, y, -1), _row(hit, y, 1)) if r is not None]
+            expected = (0, 0, False)
+            if beside:
+                sources = [(np.asarray(found.behind)[r, x], r) for r in beside]
+                source, row = min(sources, key=lambda s: disparity.ravel()[s[0]])
+                expected = (source, np.asarray(found.spread)[row, x], False)
+            assert (behind, spread, crack) == expected
             continue
         v, u, farthest, _ = min(known, key=lambda place: place[2])
         values = [place[2] for place in known]
