@@ -87,6 +87,18 @@ def test_masks_of_odd_input(mask):
     np.testing.assert_array_equal(gradient, mask(flat, jnp.array([1.0, 0.0])))
 
 
+def test_a_pixel_that_is_no_number_does_not_widen_the_bins():
+    # Columns 10 and 11 land on one pixel, the first in front; 4.0 is the farthest of the map.
+    disparity = jnp.full((2, 80), 4.8).at[:, 10].set(4.9).at[:, -1].set(4.0)
+    step = jnp.array([10.0, 0.0])
+    expected = visible_binned(disparity, step)
+    assert bool(expected[1, 10])
+    assert not bool(expected[1, 11])
+    seen = visible_binned(disparity.at[0, 0].set(jnp.nan), step)
+    np.testing.assert_array_equal(seen[1], expected[1])
+    assert not bool(visible_binned(jnp.full((3, 3), jnp.nan), jnp.zeros(2)).any())
+
+
 @pytest.mark.parametrize("step", [(3.0, 0.0), (-2.0, 1.5)])
 def test_warp_of_planes_equals_the_backward_warp(step):
     image, disparity = scene()
