@@ -1,12 +1,12 @@
 """Disparity of every view, drawn from one set of surface samples (Thesis 6.1)."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float, Int, Int8
 
-from mvedge_jax._compiler import lean_jit
+from mvedge_jax._checks import checked_jit, expect, with_numbers
 from mvedge_jax._fence import recomputed
 from mvedge_jax._params import cast
 from mvedge_jax._root import root
@@ -37,7 +37,18 @@ class ViewDepths(NamedTuple):
     overflow: Int[Array, ""]
 
 
-@lean_jit
+def _look(light_field: Any, result: Any, params: Any, sizes: Any) -> tuple[Any, ...]:
+    """The arguments of `depth_of_views`, or what is wrong with them."""
+    order = "the order is (light_field, result, params, sizes)"
+    expect("light_field", light_field, LightField, order)
+    expect("result", result, DepthResult, "`edge_to_depth` makes one, and " + order)
+    expect("params", params, ViewParams, "`ViewParams()` has the defaults, and " + order)
+    chosen = "`ViewSizes.for_light_field(light_field)` chooses them, and " + order
+    expect("sizes", sizes, ViewSizes, chosen)
+    return (light_field, result, with_numbers(params), sizes), {}
+
+
+@checked_jit(_look)
 def depth_of_views(
     light_field: LightField, result: DepthResult, params: ViewParams, sizes: ViewSizes
 ) -> ViewDepths:
@@ -65,7 +76,9 @@ def depth_of_views(
         shows is a selection.
 
     Raises:
-        ValueError: the map of `result` has another size than the views.
+        ValueError: the map of `result` has another size than the views; outside `jit`, a parameter
+            is not finite or is negative.
+        TypeError: an argument is of another kind, or their order is another.
 
     Source: Thesis 6.1, whose angular diffusion (6.4)-(6.8) this replaces.
 

@@ -2,14 +2,18 @@
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Float
 
-from mvedge_jax._params import described, number
+from mvedge_jax._checks import expect, with_numbers
+from mvedge_jax._params import at_least, described, number
 from mvedge_jax.angular import ViewDepths
+from mvedge_jax.lightfield import LightField
 
 # Pairs of labels are numbered in 32 bits.
 _MOST = 32000
@@ -70,10 +74,7 @@ class SuperpixelSizes:
     attempts: int = 4
 
     def __post_init__(self) -> None:
-        for name, least in (("capacity", 1), ("margin", 0), ("rounds", 1), ("attempts", 1)):
-            value = getattr(self, name)
-            if value < least:
-                raise ValueError(f"`{name}` must be at least {least}, got {value}.")
+        at_least(self, capacity=1, margin=0, rounds=1, attempts=1)
         if self.capacity > _MOST:
             raise ValueError(f"`capacity` must be at most {_MOST}, got {self.capacity}.")
 
@@ -122,3 +123,25 @@ def grid_of(
     return jnp.where(fit, rows, jnp.maximum(rows - 1, 1)), jnp.where(
         fit, columns, jnp.maximum(jnp.floor(capacity / jnp.maximum(rows - 1, 1)), 1)
     )
+
+
+# What distances are divided by.
+_UNITS = ("size", "colour", "depth", "slope", "temperature")
+
+
+def look(light_field: Any, depths: Any, params: Any, sizes: Any) -> tuple[Any, ...]:
+    """The arguments of `superpixels` and `soft_superpixels`, or what is wrong with them."""
+    order = "the order is (light_field, depths, params, sizes)"
+    expect("light_field", light_field, LightField, order)
+    expect("depths", depths, ViewDepths, "`depth_of_views` makes them, and " + order)
+    expect(
+        "params", params, SuperpixelParams, "`SuperpixelParams()` has the defaults, and " + order
+    )
+    chosen = "`SuperpixelSizes.for_depths(depths)` chooses them, and " + order
+    expect("sizes", sizes, SuperpixelSizes, chosen)
+    params = with_numbers(params)
+    for name in _UNITS:
+        value = getattr(params, name)
+        if not isinstance(value, Tracer) and not (np.asarray(value) > 0).all():
+            raise ValueError(f"`params.{name}` must be positive, got {np.min(value):g}.")
+    return (light_field, depths, params, sizes), {}

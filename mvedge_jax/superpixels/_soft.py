@@ -7,6 +7,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float, Int
 
+from mvedge_jax._checks import checked_jit
 from mvedge_jax._compiler import lean_jit
 from mvedge_jax._fence import recomputed
 from mvedge_jax._params import cast
@@ -27,7 +28,7 @@ from ._clusters import (
     surface_of,
     updated,
 )
-from ._parameters import SuperpixelParams, SuperpixelSizes
+from ._parameters import SuperpixelParams, SuperpixelSizes, look
 from ._superpixels import check_depths
 
 
@@ -51,7 +52,7 @@ class SoftSuperpixels(NamedTuple):
     number: Int[Array, ""]
 
 
-@lean_jit
+@checked_jit(look)
 def soft_superpixels(
     light_field: LightField,
     depths: ViewDepths,
@@ -77,7 +78,9 @@ def soft_superpixels(
         there are is not. Reverse mode keeps the clusters of every round only.
 
     Raises:
-        ValueError: if the depths are not those of the views' grid and size.
+        ValueError: if the depths are not those of the views' grid and size; outside `jit`, a
+            parameter is negative or not finite, or one that divides is 0.
+        TypeError: an argument is of another kind, or their order is another.
 
     Source: superpixel sampling networks (Jampani et al.), with planes.
 

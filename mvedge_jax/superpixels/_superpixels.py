@@ -7,14 +7,14 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
-from mvedge_jax._compiler import lean_jit
+from mvedge_jax._checks import checked_jit
 from mvedge_jax._params import cast
 from mvedge_jax.angular import ViewDepths
 from mvedge_jax.color import srgb_to_lab
 from mvedge_jax.lightfield import LightField
 
 from ._clusters import Surface, clustered, grid_over, surface_of
-from ._parameters import SuperpixelParams, SuperpixelSizes
+from ._parameters import SuperpixelParams, SuperpixelSizes, look
 from ._pieces import Pieces, fewer, joined, numbered
 from ._tables import tables_of
 from ._views import canvas_of, continued, labelled
@@ -58,7 +58,7 @@ class Superpixels(NamedTuple):
     number: Int[Array, ""]
 
 
-@lean_jit
+@checked_jit(look)
 def superpixels(
     light_field: LightField,
     depths: ViewDepths,
@@ -89,7 +89,9 @@ def superpixels(
         differentiable: `soft_superpixels` is.
 
     Raises:
-        ValueError: if the depths are not those of the views' grid and size.
+        ValueError: if the depths are not those of the views' grid and size; outside `jit`, a
+            parameter is negative or not finite, or one that divides is 0.
+        TypeError: an argument is of another kind, or their order is another.
 
     Source: Thesis Ch. 5, which clusters EPI segments instead: see `baselines`.
 

@@ -50,9 +50,10 @@ def tables_of(
     seen = (area > 0)[:, None]
     xy, plane = jnp.where(seen, xy, hidden[0]), jnp.where(seen, plane, hidden[1])
 
-    def add(sums: Array, item: tuple[Array, Array, Array]) -> tuple[Array, None]:
-        view, label, own = item
-        row = jnp.where((own | (area[label - 1] == 0)) & (label > 0), label - 1, capacity)
+    def add(sums: Array, item: tuple[Array, ...]) -> tuple[Array, None]:
+        view, label, own, there = item
+        counts = (own | (area[label - 1] == 0)) & (label > 0) & there
+        row = jnp.where(counts, label - 1, capacity)
         values = jnp.concatenate([view, jnp.ones_like(view[..., :1])], axis=-1)
         return sums.at[row].add(values, mode="drop"), None
 
@@ -61,6 +62,7 @@ def tables_of(
         light_field.views.reshape(grid, *light_field.views.shape[2:]),
         labels.reshape(grid, *centre.shape),
         jnp.arange(grid) == grid // 2,
+        light_field.available.ravel(),
     )
     sums, _ = lax.scan(add, jnp.zeros((capacity, 4), dtype), items)
     colour = sums[:, :3] / jnp.maximum(sums[:, 3:], 1)

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from angular.cards import FAR, NEAR, cards
-from helpers import dot, random_like
+from helpers import dot, random_like, with_values
 
 from mvedge_jax.angular import ViewParams, ViewSizes, depth_of_views
 from mvedge_jax.baselines import reproject_views
@@ -166,3 +166,9 @@ def test_other_sizes_are_refused():
     for name, value in (("capacity", 0), ("radius", 0), ("hypotheses", 1), ("tolerance", 0.0)):
         with pytest.raises(ValueError, match=f"`{name}` must be"):
             ViewSizes.for_light_field(field, **{name: value})
+    sizes = ViewSizes.for_light_field(field)
+    params = with_values(ViewParams, precision=float("nan"))
+    with pytest.raises(ValueError, match=r"`params.precision` must be finite .*, got nan"):
+        depth_of_views(field, _known(field), params, sizes)
+    with pytest.raises(TypeError, match="`params` must be ViewParams, got ViewSizes"):
+        depth_of_views(field, _known(field), sizes, ViewParams())

@@ -1,7 +1,7 @@
 """Superpixels: connected, on one surface, the same in all views; any grid of views."""
 
 import inspect
-from typing import Any
+from typing import Any, cast
 
 import equinox as eqx
 import jax
@@ -14,7 +14,12 @@ from skimage import measure
 from mvedge_jax.angular import ViewDepths
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.metrics.superpixels import superpixel_scores
-from mvedge_jax.superpixels import SuperpixelParams, SuperpixelSizes, superpixels
+from mvedge_jax.superpixels import (
+    SuperpixelParams,
+    SuperpixelSizes,
+    soft_superpixels,
+    superpixels,
+)
 from mvedge_jax.superpixels._views import whole
 
 _NEAR, _FAR = 1.0, -1.0
@@ -160,6 +165,12 @@ def test_missing_views_have_labels_and_change_none():
     views = field.views.at[0, 0].set(0.0)
     part = _found(LightField(views, available=available), depths)
     np.testing.assert_array_equal(part.labels, _found(field, depths).labels)
+    # Nor do they darken the colours of what the centre view does not show.
+    known = part.colour[part.valid]
+    assert int((part.valid & (part.area == 0)).sum()) > 0
+    either = jnp.asarray([[0.5, 0.3, 0.2], [0.3, 0.4, 0.6]], known.dtype)
+    away = jnp.min(jnp.max(jnp.abs(known[:, None] - either), axis=-1), axis=1)
+    np.testing.assert_allclose(away, 0, atol=1e-3)
 
 
 @pytest.mark.parametrize("fragment", [1.0, 4.0, 12.0])
@@ -225,6 +236,15 @@ def test_bad_input_is_named():
         SuperpixelSizes(capacity=0, margin=1)
     with pytest.raises(ValueError, match="`capacity` must be at most"):
         SuperpixelSizes(capacity=100_000, margin=1)
+    with pytest.raises(ValueError, match="`capacity` must be a whole number, got 64.0"):
+        SuperpixelSizes(capacity=cast("Any", 64.0), margin=1)
+    for function in (superpixels, soft_superpixels):
+        for name, value in (("size", 0.0), ("size", -20.0), ("temperature", 0.0)):
+            params = with_values(SuperpixelParams, **{name: value})
+            with pytest.raises(ValueError, match=f"`params.{name}` must be"):
+                function(field, depths, params, sizes)
+        with pytest.raises(TypeError, match="`params` must be SuperpixelParams"):
+            function(field, depths, sizes, SuperpixelParams())
 
 
 def test_params_describe_themselves():
