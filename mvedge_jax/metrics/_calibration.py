@@ -61,7 +61,8 @@ def calibration(
         See `Calibration`; NaN, and no groups, if no pixel counts.
 
     Raises:
-        ValueError: shapes differ, `error` is not positive where pixels count, or `groups` is not.
+        ValueError: shapes differ, `groups` is not positive, or, where pixels count, `disparity` is
+            not finite or `error` not positive.
 
     Source: sparsification as in Ilg et al. 2018, "Uncertainty estimates and multi-hypotheses
     networks for optical flow"; not in the thesis.
@@ -91,6 +92,11 @@ def calibration(
         none = np.zeros(0)
         return Calibration(np.full(len(_MULTIPLES), np.nan), none, none, none, none, none, np.nan)
     groups = min(groups, count)
+    if not np.isfinite(size).all():
+        raise ValueError(
+            f"`disparity` must be finite; {int((~np.isfinite(size)).sum())} of {count} pixels that "
+            "count are infinite or NaN."
+        )
     if not (sigma > 0).all():
         raise ValueError(
             f"`error` must be positive; {int((~(sigma > 0)).sum())} of {count} pixels that "

@@ -90,9 +90,14 @@ class Space:
 
     def start(self, params: Parameters) -> dict[str, Any] | None:
         """The setting of `params` and the first choices; None if it is not within the intervals."""
-        numbers = {name: float(leaf(params, name)) for name in self.names}
-        if any(not self.numbers[n].low <= v <= self.numbers[n].high for n, v in numbers.items()):
-            return None
+        numbers = {}
+        for name, interval in self.numbers.items():
+            value = np.asarray(leaf(params, name))
+            # A bound that is the default is so but for the rounding of the latter.
+            low, high = (value.dtype.type(end) for end in (interval.low, interval.high))
+            if not low <= value <= high:
+                return None
+            numbers[name] = min(max(float(value), interval.low), interval.high)
         return {**numbers, **{CHOICE + n: values[0] for n, values in self.choices.items()}}
 
 

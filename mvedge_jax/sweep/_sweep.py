@@ -21,6 +21,8 @@ from ._evaluate import Objective, check_objective, evaluate
 from ._space import CHOICE, Space, with_numbers
 
 _OWNER, _LOST = "owner", "lost"
+# Of the rows, beside the scenes' and the space's.
+_COLUMNS = ("number", "state", "mean")
 
 
 @runtime_checkable
@@ -121,7 +123,8 @@ def sweep(
     check_objective(objective)
     start = Parameters() if start is None else start
     study = _study(journal, name, sampler, pruner)
-    _adopt(study, space, [_name(scene, i) for i, scene in enumerate(scenes)], objective)
+    named = dict(zip(_names(scenes), scenes, strict=True))
+    _adopt(study, space, list(named), objective)
     if not study.trials and (first := space.start(start)) is not None:
         study.enqueue_trial(first)
     distributions = _distributions(space)
@@ -129,7 +132,7 @@ def sweep(
         asked = [study.ask(distributions) for _ in range(min(wave, left))]
         for trial in asked:
             trial.set_user_attr(_OWNER, _owner())
-        _run_wave(study, asked, scenes, space, start, objective, batch, submit or _here)
+        _run_wave(study, asked, named, space, start, objective, batch, submit or _here)
         if progress is not None:
             progress(_finished(study), _best(study))
     return _swept(study, space, start)
@@ -219,16 +222,21 @@ def _best(study: optuna.Study) -> float:
     return min((float(t.value) for t in done if t.value is not None), default=float("nan"))
 
 
-def _name(scene: str | Path | LightField, index: int) -> str:
-    if isinstance(scene, LightField):
-        return scene.name or f"scene {index}"
-    return Path(scene).name
+def _names(scenes: Sequence[str | Path | LightField]) -> list[str]:
+    """What scenes are called in rows and journals: what they are, told apart by numbers."""
+    names, taken = [], {_OWNER, *_COLUMNS}
+    for scene in scenes:
+        own = scene.name if isinstance(scene, LightField) else Path(scene).name
+        tries = (own, *(f"{own} ({i})" for i in range(2, len(scenes) + 3)))
+        names.append(next(name for name in tries if name and name not in taken))
+        taken.add(names[-1])
+    return names
 
 
 def _run_wave(
     study: optuna.Study,
     trials: list[optuna.Trial],
-    scenes: Sequence[str | Path | LightField],
+    scenes: dict[str, str | Path | LightField],
     space: Space,
     params: Parameters,
     objective: Objective,
@@ -237,7 +245,7 @@ def _run_wave(
 ) -> None:
     """Scores settings scene after scene; the pruner may give some up in between."""
     total = {trial.number: 0.0 for trial in trials}
-    for index, scene in enumerate(scenes):
+    for index, (name, scene) in enumerate(scenes.items()):
         running = []
         for part in _batches(trials, batch):
             rows = np.asarray([[trial.params[n] for n in space.names] for trial in part])
@@ -252,7 +260,7 @@ def _run_wave(
         left = []
         for part, future in running:
             for trial, score in zip(part, future.result(), strict=True):
-                trial.set_user_attr(_name(scene, index), float(score))
+                trial.set_user_attr(name, float(score))
                 if not np.isfinite(score):
                     study.tell(trial, state=TrialState.FAIL)
                     continue

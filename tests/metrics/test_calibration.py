@@ -85,3 +85,12 @@ def test_few_pixels_make_few_groups_and_none_make_nan():
 def test_mistakes_are_named(error, groups, message):
     with pytest.raises(ValueError, match=message):
         calibration(jnp.zeros(SHAPE), error, jnp.zeros(SHAPE), groups=groups)
+
+
+@pytest.mark.parametrize("value", [jnp.nan, jnp.inf])
+def test_a_disparity_that_is_no_number_is_named(value):
+    disparity, truth = jnp.zeros(SHAPE).at[3, 4].set(value), jnp.zeros(SHAPE)
+    with pytest.raises(ValueError, match="`disparity` must be finite; 1 of 4800"):
+        calibration(disparity, jnp.ones(SHAPE), truth)
+    mask = jnp.ones(SHAPE, bool).at[3, 4].set(False)
+    assert float(calibration(disparity, jnp.ones(SHAPE), truth, mask=mask).within[0]) == 1

@@ -81,6 +81,24 @@ def test_a_minimum_is_found_and_the_defaults_come_first(bowl):
     assert row["mean"] == pytest.approx((row["a"] + row["bc"]) / 2)
 
 
+def test_a_bound_that_is_the_default_holds_it(bowl):
+    """Though its nearest number of single precision may lie beyond."""
+    space = Space({"centre.precision": Interval(0.005, 0.05), "centre.trust": Interval(0.7, 1.4)})
+    first = sweep(["a"], space, trials=1).rows[0]
+    assert first["centre.precision"] == pytest.approx(0.005, rel=1e-6)
+    assert first["centre.trust"] == pytest.approx(1.4, rel=1e-6)
+    beyond = Space({"centre.precision": Interval(0.0051, 0.05)})
+    assert beyond.start(Parameters()) is None
+
+
+def test_scenes_of_one_name_keep_their_scores(bowl):
+    found = sweep(["a", "b/a", "mean"], SPACE, trials=2)
+    row = found.rows[0]
+    scores = [row["a"], row["a (2)"], row["mean (2)"]]
+    assert scores[1] - scores[0] == pytest.approx(2)
+    assert row["mean"] == pytest.approx(np.mean(scores))
+
+
 def test_choices_are_grouped(bowl):
     space = Space(SPACE.numbers, {"solves": (2, 1)})
     found = sweep(["a"], space, trials=32, batch=4)
