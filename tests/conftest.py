@@ -1,6 +1,5 @@
 """Strict numerics for every test: float64, no silent promotion, warnings are errors."""
 
-import os
 import warnings
 from pathlib import Path
 
@@ -12,13 +11,6 @@ mpl.use("Agg")
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_rank_promotion", "raise")
 jax.config.update("jax_numpy_dtype_promotion", "strict")
-
-# What `lean_jit` asks for its own programs, here for all others, too: the newer emitters of fusions
-# double the time of compiling, which is most of a test's. Read when the first program is compiled,
-# and by processes that tests start. XLA aborts on flags that it does not know, hence the version.
-if jax.__version_info__ < (0, 11):
-    flags = ("--xla_cpu_use_fusion_emitters=false", os.environ.get("XLA_FLAGS", ""))
-    os.environ["XLA_FLAGS"] = " ".join(flags).strip()
 
 
 def pytest_configure(config):

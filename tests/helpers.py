@@ -11,6 +11,8 @@ import numpy as np
 import pytest
 from jaxtyping import Array, PRNGKeyArray
 
+from mvedge_jax import compiler_options
+
 _DATA = Path(__file__).resolve().parents[1].parent / "shared" / "data"
 
 
@@ -20,6 +22,11 @@ def shared_data(*parts: str) -> Path:
     if not path.exists():
         pytest.skip(f"development data {'/'.join(parts)} is not there (looked in {_DATA})")
     return path
+
+
+def lean(function: Callable) -> Any:
+    """`jax.jit` with the options of `lean_jit`: compiled in two thirds of the time."""
+    return jax.jit(function, compiler_options=compiler_options())
 
 
 def random_like(tree: Any, *, key: PRNGKeyArray) -> Any:
@@ -59,8 +66,8 @@ def check_gradient(
     leaves = jax.tree.leaves(moving)
     assert leaves, "there is nothing to differentiate"
     assert all(leaf.dtype == jnp.float64 for leaf in leaves), "differences need float64"
-    evaluate = jax.jit(lambda m: function(eqx.combine(m, rest)))
-    gradient = jax.jit(jax.grad(lambda m: function(eqx.combine(m, rest))))(moving)
+    evaluate = lean(lambda m: function(eqx.combine(m, rest)))
+    gradient = lean(jax.grad(lambda m: function(eqx.combine(m, rest))))(moving)
     scale = max(float(jnp.abs(leaf).max()) if leaf.size else 0.0 for leaf in leaves)
     step = np.finfo(np.float64).eps ** (1 / 3) * max(scale, 1e-3) if step is None else step
     for direction_key in jax.random.split(key, directions):
@@ -130,15 +137,15 @@ def check_modes(
     def moved(t: Any) -> Any:
         return jax.tree.map(lambda a, b: a + t * b, moving, direction)
 
-    along, gradient_at = jax.jit(lambda t: value(moved(t))), jax.jit(lambda m: jax.grad(value)(m))
+    along, gradient_at = lean(lambda t: value(moved(t))), lean(lambda m: jax.grad(value)(m))
     numeric = float(along(step) - along(-step)) / (2 * step)
-    forward = float(jax.jit(lambda m, d: jax.jvp(value, (m,), (d,))[1])(moving, direction))
+    forward = float(lean(lambda m, d: jax.jvp(value, (m,), (d,))[1])(moving, direction))
     linear = float(jax.linearize(jax.jit(value), moving)[1](direction))
     gradient = gradient_at(moving)
     for name, found in (("jvp", forward), ("grad", dot(gradient, direction)), ("linear", linear)):
         error = abs(found - numeric) / max(abs(numeric), abs(found), 1e-300)
         assert error <= rtol, f"{name} {found:.12g}, differences {numeric:.12g}: {error:.2e}"
-    turned = jax.jit(lambda m, d: jax.jvp(jax.grad(value), (m,), (d,))[1])(moving, direction)
+    turned = lean(lambda m, d: jax.jvp(jax.grad(value), (m,), (d,))[1])(moving, direction)
     expected = jax.tree.map(
         lambda a, b: (a - b) / (2 * step), gradient_at(moved(step)), gradient_at(moved(-step))
     )

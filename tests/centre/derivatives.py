@@ -8,7 +8,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from helpers import dot, random_like
+from helpers import dot, lean, random_like
 from jaxtyping import PRNGKeyArray
 
 from mvedge_jax.datasets import synthetic
@@ -89,10 +89,10 @@ def rows(
         A row per leaf, by path, and one per direction of the views.
     """
     moving, rest = eqx.partition(tree, eqx.is_inexact_array)
-    of = jax.jit(lambda m, x: loss((eqx.combine(m, rest), x)))
-    push = jax.jit(lambda m, x, dm, dx: jax.jvp(of, (m, x), (dm, dx))[1])
+    of = lean(lambda m, x: loss((eqx.combine(m, rest), x)))
+    push = lean(lambda m, x, dm, dx: jax.jvp(of, (m, x), (dm, dx))[1])
     with _optimised(False):  # runs once
-        gradient = jax.jit(jax.grad(of, (0, 1)))(moving, views)
+        gradient = lean(jax.grad(of, (0, 1)))(moving, views)
     with _optimised(True):  # run hundreds of times
         value = of.lower(moving, views).compile()
         push = push.lower(moving, views, moving, views).compile()

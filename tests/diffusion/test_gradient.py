@@ -7,7 +7,7 @@ import lineax as lx
 import numpy as np
 import pytest
 from diffusion.problems import random_system
-from helpers import check_gradient, random_like
+from helpers import check_gradient, lean, random_like
 
 from mvedge_jax.diffusion import (
     AutoSolver,
@@ -138,7 +138,7 @@ def test_compositions_of_both_modes(name):
     step = 1e-5
     numeric = (line(step) - line(-step)) / (2 * step)
     value, forward = jax.jvp(loss, (system,), (direction,))
-    gradient = jax.jit(jax.grad(loss))(system)
+    gradient = lean(jax.grad(loss))(system)
     pairs = zip(*map(jax.tree.leaves, (gradient, direction)), strict=True)
     reverse = sum(jnp.vdot(a, b) for a, b in pairs)
     linear_value, linear = jax.linearize(loss, system)
@@ -154,7 +154,7 @@ def test_forward_over_reverse_equals_differences_of_the_gradient(name):
     system, direction, loss, _ = _case(name)
     step = 1e-5
 
-    @jax.jit
+    @lean
     def gradient_at(t):
         return jax.grad(loss)(jax.tree.map(lambda a, b: a + t * b, system, direction))
 
@@ -229,7 +229,7 @@ def test_a_loss_of_any_size_has_its_gradient(shape, by_residual):
     target = jax.random.normal(jax.random.key(21), shape, jnp.float32)
     solver = AutoSolver(by_residual=by_residual)
 
-    @jax.jit
+    @lean
     def gradient(scale):
         def loss(system):
             difference = diffuse(system, solver=solver).value - target

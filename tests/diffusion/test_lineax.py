@@ -7,7 +7,7 @@ import lineax as lx
 import numpy as np
 import pytest
 from diffusion.problems import direct, random_system
-from helpers import check_modes, random_like
+from helpers import check_modes, lean, random_like
 
 from mvedge_jax.diffusion import (
     AutoSolver,
@@ -44,7 +44,7 @@ def close(found, expected, rtol=1e-9):
 @pytest.mark.parametrize("kind", [AutoSolver, Multigrid, Elimination])
 def test_equals_the_direct_solve_and_diffuse(kind):
     system = random_system(*SHAPE, key=jax.random.key(0))
-    solve = jax.jit(lambda s: solved(s, s.right_hand_side(), kind))
+    solve = lean(lambda s: solved(s, s.right_hand_side(), kind))
     np.testing.assert_allclose(solve(system), direct(system), rtol=0, atol=1e-10)
     np.testing.assert_allclose(
         solve(system), diffuse(system, solver=kind(1e-13)).value, rtol=0, atol=1e-10
@@ -74,7 +74,7 @@ COMPOSITIONS = {
 @pytest.mark.parametrize("name", COMPOSITIONS)
 def test_compositions(name):
     run = COMPOSITIONS[name]
-    close(jax.jit(lambda: run(solved))(), jax.jit(lambda: run(dense))())
+    close(lean(lambda: run(solved))(), lean(lambda: run(dense))())
 
 
 def test_derivatives_equal_differences():

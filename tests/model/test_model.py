@@ -3,7 +3,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers import check_modes, count_traces
+from helpers import check_modes, count_traces, lean
 
 from mvedge_jax.diffusion import AutoSolver, Elimination, Multigrid
 from mvedge_jax.losses import LossWeights, SupervisedWeights, Views, self_supervised_loss
@@ -59,7 +59,7 @@ def test_gradient_of_the_whole_chain(scale):
     visible = jnp.asarray(np.random.default_rng(2).random((3, *SHAPE)) > 0.2)
     moving, fixed = eqx.partition(model, eqx.is_inexact_array)
 
-    @jax.jit
+    @lean
     def loss_and_gradient(tree):
         def loss(tree):
             disparity = render_model(eqx.combine(tree, fixed), params, sizes).disparity
@@ -170,7 +170,7 @@ def test_no_points_at_all_render_to_zero_with_finite_gradients():
     def total(tree):
         return jnp.sum(render_model(eqx.combine(tree, model), exact(), ModelSizes()).disparity)
 
-    value, gradient = jax.jit(jax.value_and_grad(total))(eqx.filter(model, eqx.is_inexact_array))
+    value, gradient = lean(jax.value_and_grad(total))(eqx.filter(model, eqx.is_inexact_array))
     assert float(value) == 0
     assert all(bool(jnp.isfinite(leaf).all()) for leaf in jax.tree.leaves(gradient))
 
@@ -216,7 +216,7 @@ def test_objective_with_all_views_masked_is_finite():
     def loss(tree):
         return objective(eqx.combine(tree, model), jnp.zeros(SHAPE), key=jax.random.key(0))[0]
 
-    value, gradient = jax.jit(jax.value_and_grad(loss))(eqx.filter(model, eqx.is_inexact_array))
+    value, gradient = lean(jax.value_and_grad(loss))(eqx.filter(model, eqx.is_inexact_array))
     assert bool(jnp.isfinite(value))
     assert all(bool(jnp.isfinite(leaf).all()) for leaf in jax.tree.leaves(gradient))
 

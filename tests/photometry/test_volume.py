@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from helpers import lean
 
 from mvedge_jax.photometry.matching import _volume
 from mvedge_jax.photometry.matching._arm import Half, Limits, Swept
@@ -68,14 +69,14 @@ def test_the_transpose_is_that_of_the_costs(shape, share):
     plain, expected = jax.vjp(_volume._costs, sweep)
     np.testing.assert_array_equal(value, plain)
     cotangent = _cotangent(shape, share)
-    _alike(jax.jit(own)(cotangent)[0], jax.jit(expected)(cotangent)[0])
+    _alike(lean(own)(cotangent)[0], lean(expected)(cotangent)[0])
 
 
 def test_a_half_without_views_has_a_transpose():
     sweep = _sweep((20, 24), window=1, counts=(2, 0), alpha=0.0)
     cotangent = _cotangent((20, 24), 0.1)
     own, expected = (
-        jax.jit(jax.vjp(costs, sweep)[1])(cotangent)[0]
+        lean(jax.vjp(costs, sweep)[1])(cotangent)[0]
         for costs in (lambda s: volume(1, s), _volume._costs)
     )
     _alike(own, expected)
@@ -95,8 +96,8 @@ def test_forward_mode_and_forward_over_reverse_are_those_of_the_costs():
         along = jax.jvp(costs, (sweep,), (tangent,))[1]
         return along, jax.jvp(pulled, (sweep, cotangent), (tangent, turned))[1]
 
-    own = jax.jit(lambda: results(lambda s: volume(1, s)))()
-    _alike(own, jax.jit(lambda: results(_volume._costs))())
+    own = lean(lambda: results(lambda s: volume(1, s)))()
+    _alike(own, lean(lambda: results(_volume._costs))())
 
 
 def test_a_batch_is_a_loop():
@@ -104,6 +105,6 @@ def test_a_batch_is_a_loop():
     sweep = _sweep(shape, window=1)
     cotangents = jnp.stack([_cotangent(shape, 0.02), jnp.zeros((5, *shape))])
     pull = jax.vjp(lambda s: volume(1, s), sweep)[1]
-    found = jax.jit(jax.vmap(lambda ct: pull(ct)[0]))(cotangents)
+    found = lean(jax.vmap(lambda ct: pull(ct)[0]))(cotangents)
     for i, cotangent in enumerate(cotangents):
         _alike(jax.tree.map(lambda a, i=i: a[i], found), pull(cotangent)[0])
