@@ -89,12 +89,15 @@ def rows(
         A row per leaf, by path, and one per direction of the views.
     """
     moving, rest = eqx.partition(tree, eqx.is_inexact_array)
-    of = lean(lambda m, x: loss((eqx.combine(m, rest), x)))
-    push = lean(lambda m, x, dm, dx: jax.jvp(of, (m, x), (dm, dx))[1])
+
+    def of(m: Any, x: Any) -> Any:
+        return loss((eqx.combine(m, rest), x))
+
     with _optimised(False):  # runs once
         gradient = lean(jax.grad(of, (0, 1)))(moving, views)
     with _optimised(True):  # run hundreds of times
-        value = of.lower(moving, views).compile()
+        value = lean(of).lower(moving, views).compile()
+        push = lean(lambda m, x, dm, dx: jax.jvp(of, (m, x), (dm, dx))[1])
         push = push.lower(moving, views, moving, views).compile()
     still, nothing = jnp.zeros_like(views), jax.tree.map(jnp.zeros_like, moving)
     leaves, structure = jax.tree_util.tree_flatten_with_path(moving)
