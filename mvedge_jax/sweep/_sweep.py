@@ -226,9 +226,9 @@ def _names(scenes: Sequence[str | Path | LightField]) -> list[str]:
     """What scenes are called in rows and journals: what they are, told apart by numbers."""
     names, taken = [], {_OWNER, *_COLUMNS}
     for scene in scenes:
-        own = scene.name if isinstance(scene, LightField) else Path(scene).name
+        own = (scene.name if isinstance(scene, LightField) else Path(scene).name) or "scene"
         tries = (own, *(f"{own} ({i})" for i in range(2, len(scenes) + 3)))
-        names.append(next(name for name in tries if name and name not in taken))
+        names.append(next(name for name in tries if name not in taken))
         taken.add(names[-1])
     return names
 

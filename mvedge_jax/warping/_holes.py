@@ -67,7 +67,8 @@ def holes(
         (first, one), (second, other) = beside
         crack = crack | (one & other & (jnp.abs(first - second) <= tolerance))
     spread = jnp.where(~hit & (most >= least), most - least, 0)
-    # All pixels of a row with a hit have a source by now, and rows have no part in one another.
+    # Every pixel of a row with a hit has a source by now: where one has none, its row is empty, and
+    # the nearest row that is not is the same for all of its pixels.
     nearest, known = jnp.where(hit, disparity, least), jnp.any(hit, axis=1)
     lacks, farthest = ~hit & ~jnp.isfinite(least), jnp.full_like(disparity, jnp.inf)
     for reverse in (False, True):
