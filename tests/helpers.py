@@ -66,15 +66,16 @@ def check_gradient(
     leaves = jax.tree.leaves(moving)
     assert leaves, "there is nothing to differentiate"
     assert all(leaf.dtype == jnp.float64 for leaf in leaves), "differences need float64"
-    evaluate = lean(lambda m: function(eqx.combine(m, rest)))
-    gradient = lean(jax.grad(lambda m: function(eqx.combine(m, rest))))(moving)
+    # One program for values and gradient: compiling costs more than gradients nobody looks at.
+    evaluate = lean(jax.value_and_grad(lambda m: function(eqx.combine(m, rest))))
+    gradient = evaluate(moving)[1]
     scale = max(float(jnp.abs(leaf).max()) if leaf.size else 0.0 for leaf in leaves)
     step = np.finfo(np.float64).eps ** (1 / 3) * max(scale, 1e-3) if step is None else step
     for direction_key in jax.random.split(key, directions):
         direction = random_like(moving, key=direction_key)
 
         above, below = (
-            evaluate(jax.tree.map(lambda a, b, t=t: a + t * b, moving, direction))
+            evaluate(jax.tree.map(lambda a, b, t=t: a + t * b, moving, direction))[0]
             for t in (step, -step)
         )
         numeric = float(above - below) / (2 * step)
@@ -137,18 +138,20 @@ def check_modes(
     def moved(t: Any) -> Any:
         return jax.tree.map(lambda a, b: a + t * b, moving, direction)
 
-    along, gradient_at = lean(lambda t: value(moved(t))), lean(lambda m: jax.grad(value)(m))
-    numeric = float(along(step) - along(-step)) / (2 * step)
+    # One program for values, gradients and how these change: compiling is nearly all of the time.
+    @lean
+    def reverse(m: Any) -> Any:
+        return jax.jvp(jax.value_and_grad(value), (m,), (direction,))
+
+    (_, gradient), (_, turned) = reverse(moving)
+    (above, gradient_above), (below, gradient_below) = (reverse(moved(t))[0] for t in (step, -step))
+    numeric = float(above - below) / (2 * step)
     forward = float(lean(lambda m, d: jax.jvp(value, (m,), (d,))[1])(moving, direction))
     linear = float(jax.linearize(jax.jit(value), moving)[1](direction))
-    gradient = gradient_at(moving)
     for name, found in (("jvp", forward), ("grad", dot(gradient, direction)), ("linear", linear)):
         error = abs(found - numeric) / max(abs(numeric), abs(found), 1e-300)
         assert error <= rtol, f"{name} {found:.12g}, differences {numeric:.12g}: {error:.2e}"
-    turned = lean(lambda m, d: jax.jvp(jax.grad(value), (m,), (d,))[1])(moving, direction)
-    expected = jax.tree.map(
-        lambda a, b: (a - b) / (2 * step), gradient_at(moved(step)), gradient_at(moved(-step))
-    )
+    expected = jax.tree.map(lambda a, b: (a - b) / (2 * step), gradient_above, gradient_below)
     for (path, found), wanted in zip(
         jax.tree_util.tree_leaves_with_path(turned), jax.tree.leaves(expected), strict=True
     ):
