@@ -141,34 +141,39 @@ def pcg(
 
 def _step(problem: _Problem, state: _State) -> _State:
     """One step of conjugate gradients, or one that prepares the companion."""
-    probing, last_probe = state.probes > 0, state.probes == 1
-    moved, mixture, curvature = _directed(problem, state)
+    probing = state.probes > 0
+    moved, errors, mixture, curvature = _directed(problem, state)
     energy = moved.energy
     able = state.active & (curvature > 0) & (energy > 0) & jnp.isfinite(energy / curvature)
     able = able & ~probing
     length = jnp.where(able, energy / _nonzero(curvature), 0)
     longest, last = _longest(state, mixture, length)
 
-    def walk(i: Array, images: tuple[Array, Array]) -> tuple[Array, Array]:
+    def walk(i: Array, carry: tuple[Any, Array]) -> tuple[Any, Array]:
+        images, sizes = carry
         # Selected, not multiplied by zero: what cannot be used may be infinite.
         steps = (spread(length) * moved.direction[i], -spread(length) * moved.moved[i])
-        return _each(
-            images,
-            i,
-            [jnp.where(spread(able), a[i] + b, a[i]) for a, b in zip(images, steps, strict=True)],
-        )
+        walked = [
+            jnp.where(spread(able), a[i] + b, a[i]) for a, b in zip(images, steps, strict=True)
+        ]
+        return _each(images, i, walked), sizes.at[i].set(largest(walked[0]))
 
-    value, residual = lax.fori_loop(*_members(problem, state), walk, (state.value, state.residual))
-    moved = _accompanied(problem, moved._replace(value=value, residual=residual))
-
-    size = largest(moved.value[0])
+    (value, residual), (size, wrong) = lax.fori_loop(
+        *_members(problem, state),
+        walk,
+        ((state.value, state.residual), jnp.zeros_like(errors)),
+    )
+    moved = moved._replace(value=value, residual=residual)
+    moved = lax.cond(
+        jnp.any(probing), lambda: _accompanied(problem, moved, errors[0]), lambda: moved
+    )
     if problem.by_residual:
         estimate = jnp.sqrt(inner(residual[0], residual[0]))
     else:
         # The step is taken after its estimate has been made, so that the answer is better than
         # the estimate by about the factor of one iteration.
-        known = largest(moved.value[1]) * jnp.maximum(size / _nonzero(moved.scale), 1)
-        estimate = largest(moved.guess[0]) * longest
+        known = wrong * jnp.maximum(size / _nonzero(moved.scale), 1)
+        estimate = errors[0] * longest
         rounded = _ROUNDED * jnp.finfo(size.dtype).eps * longest * size
         seen = jnp.maximum(_SAFETY * known, rounded)
         estimate = jnp.where(problem.doubtful, jnp.maximum(estimate, seen), estimate)
@@ -176,12 +181,11 @@ def _step(problem: _Problem, state: _State) -> _State:
     converged = ~probing & (estimate <= threshold)
     solving = state.active & ~probing
     # Residuals that are updated fall on when values no longer do: what is left is rounding.
-    own = jnp.maximum(largest(moved.guess[0]), largest(moved.guess[1])) * longest
+    own = jnp.max(errors, axis=0) * longest
     lost = problem.doubtful & (own <= jnp.finfo(own.dtype).eps * threshold)
     more = able & ~converged & ~lost & (state.iterations + 1 < problem.max_iterations)
     return moved._replace(
         probes=jnp.maximum(state.probes - 1, 0),
-        direction=jnp.where(last_probe, 0, moved.direction),
         energy=jnp.where(probing, 0, energy),
         length=length,
         longest=longest,
@@ -199,48 +203,56 @@ def _members(problem: _Problem, state: _State) -> tuple[Array, Array]:
     return first, jnp.where(jnp.any(problem.doubtful), 2, 1)
 
 
-def _directed(problem: _Problem, state: _State) -> tuple[_State, Array, Array]:
+def _directed(problem: _Problem, state: _State) -> tuple[_State, Array, Array, Array]:
     """Preconditions the residuals and makes directions of them.
 
     Returns:
-        The state with guesses of the errors, directions, their products and the energy; the share
-        of the last direction in the new one; the curvature.
+        The state with guesses of the errors, directions, their products and the energy; the
+        largest entries of both guesses; the share of the last direction in the new one; the
+        curvature.
     """
     members, zero = _members(problem, state), jnp.zeros_like(state.energy)
 
-    def guessed(i: Array, carry: tuple[Array, Array]) -> tuple[Array, Array]:
-        guess, energy = carry
+    def guessed(i: Array, carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+        guess, errors, energy = carry
         found = jnp.where(problem.keep, problem.precondition(state.residual[i]), 0)
-        return guess.at[i].set(found), energy + inner(state.residual[i], found)
+        energy = energy + inner(state.residual[i], found)
+        return guess.at[i].set(found), errors.at[i].set(largest(found)), energy
 
-    guess, energy = lax.fori_loop(*members, guessed, (state.guess, zero))
+    guess, errors, energy = lax.fori_loop(
+        *members, guessed, (state.guess, jnp.stack([zero, zero]), zero)
+    )
     mixture = jnp.where(state.energy > 0, energy / _nonzero(state.energy), 0)
     # A probe applies one minus the preconditioned matrix, which leaves what is missed.
     factor = jnp.where(state.probes > 0, -1, mixture)
 
-    def turned(i: Array, carry: tuple[Any, Array]) -> tuple[Any, Array]:
-        images, curvature = carry
-        direction = guess[i] + spread(factor) * state.direction[i]
-        moved = product(problem.coefficients, direction)
-        return _each(images, i, [direction, moved]), curvature + inner(direction, moved)
+    def turned(i: Array, direction: Array) -> Array:
+        # Without a share of the last direction, it may be infinite.
+        before = jnp.where(spread(factor) == 0, 0, spread(factor) * direction[i])
+        return direction.at[i].set(guess[i] + before)
 
-    (direction, moved), curvature = lax.fori_loop(
-        *members, turned, ((state.direction, state.moved), zero)
-    )
+    # A loop of its own: a direction that is not in memory yet is made again by all who use it.
+    direction = lax.fori_loop(*members, turned, state.direction)
+
+    def multiplied(i: Array, carry: tuple[Array, Array]) -> tuple[Array, Array]:
+        moved, curvature = carry
+        found = product(problem.coefficients, direction[i])
+        return moved.at[i].set(found), curvature + inner(direction[i], found)
+
+    moved, curvature = lax.fori_loop(*members, multiplied, (state.moved, zero))
     found = state._replace(guess=guess, direction=direction, moved=moved, energy=energy)
-    return found, mixture, curvature
+    return found, errors, mixture, curvature
 
 
-def _accompanied(problem: _Problem, state: _State) -> _State:
+def _accompanied(problem: _Problem, state: _State, first: Array) -> _State:
     """While probing, the next probe; after the last one, the companion at its start."""
-    probing, last = state.probes > 0, state.probes == 1
+    last = state.probes == 1
     # As large as the solution: the first guess of it.
-    scale = jnp.where(last, largest(state.guess[0]), state.scale)
+    scale = jnp.where(last, first, state.scale)
     share = jnp.where(problem.doubtful, scale / _nonzero(largest(state.direction[1])), 0)
     share = spread(jnp.where(last, share, 1))
     constant = jnp.where(problem.keep & spread(problem.doubtful & last), spread(scale), 0)
     residual = share * state.moved[1] + problem.coefficients.weight * constant
-    residual = jnp.where(probing, residual, state.residual[1])
     value = jnp.where(last, -share * state.direction[1] - constant, state.value[1])
     return state._replace(
         scale=scale,
