@@ -1,11 +1,16 @@
 """Strict numerics for every test: float64, no silent promotion, warnings are errors."""
 
+import os
+import subprocess
+import sys
 import warnings
 from pathlib import Path
 
 import jax
 import matplotlib as mpl
 import pytest
+
+_EMITTERS = "--xla_cpu_use_fusion_emitters=false"
 
 mpl.use("Agg")
 jax.config.update("jax_enable_x64", True)
@@ -15,12 +20,24 @@ jax.config.update("jax_numpy_dtype_promotion", "strict")
 
 def pytest_configure(config):
     if config.getoption("markexpr") == "not slow":
-        # Compiling is nearly all of the fast tier's time, and unoptimised programs compile faster.
+        # Compiling is nearly all of the fast tier's time, and unoptimised programs compile faster;
+        # so they do by the emitters of fusions that the package's own programs are made with.
         jax.config.update("jax_disable_most_optimizations", True)
+        if not hasattr(config, "workerinput"):  # workers are told by the environment
+            _ask_for(_EMITTERS)
     # Only our own warnings are errors at collection time; the filter below applies to each test.
     config.addinivalue_line("filterwarnings", "error")
     config.addinivalue_line("filterwarnings", "ignore::DeprecationWarning:tyro")
     warnings.simplefilter("default")
+
+
+def _ask_for(flag: str) -> None:
+    """Has XLA started with a flag, if it knows the flag: it ends a process that asks for others."""
+    asked = {"XLA_FLAGS": f"{os.environ.get('XLA_FLAGS', '')} {flag}".strip()}
+    start = [sys.executable, "-c", "import jax; jax.devices()"]
+    started = subprocess.run(start, env=os.environ | asked, capture_output=True, check=False)
+    if started.returncode == 0:
+        os.environ.update(asked)
 
 
 def _memory_maps() -> int:

@@ -93,6 +93,14 @@ def test_epi_zooms():
         plotting.plot_epi(_scene(), row=1, column=2)
     with pytest.raises(ValueError, match="belong together"):
         plotting.plot_epi(_scene(), positions=jnp.zeros(3))
+    for row in (99, -1):
+        with pytest.raises(ValueError, match="`row` must be from 0 to"):
+            plotting.plot_epi(_scene(), row=row)
+    with pytest.raises(ValueError, match="`column` must be from 0 to"):
+        plotting.plot_epi(_scene(), column=99)
+    for span in ((8, 3), (-1, 4), (0, 99)):
+        with pytest.raises(ValueError, match="`span` must rise within 0 to"):
+            plotting.plot_epi(_scene(), span=span)
 
 
 def test_edges_are_coloured_by_disparity_and_near_ones_are_on_top():
@@ -224,6 +232,9 @@ def test_calibration_is_drawn_beside_the_diagonal():
     with pytest.raises(ValueError, match="names"):
         plotting.plot_calibration(found, names=["a"])
     _draw(figure)
+    for nothing in ([], [found[0]._replace(predicted=np.full(4, np.inf), found=np.zeros(4))]):
+        with pytest.raises(ValueError, match="no pixel of a finite standard error"):
+            plotting.plot_calibration(nothing)
 
 
 def _labels():

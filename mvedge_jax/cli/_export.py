@@ -14,7 +14,7 @@ from mvedge_jax.posed.cloud import surface_of
 from ._common import note, stage
 from ._gathered import Gathered, gather
 from ._output import output_folder, write_json
-from ._paths import stem_of
+from ._paths import stems_of
 
 
 def export(
@@ -68,12 +68,13 @@ def export(
 def _dense(folder: Path, found: Gathered) -> dict[str, int]:
     """A cloud of every view with depth; how many points each has."""
     counts, views = {}, found.photographs
+    stems = stems_of(views.names)
     for index, depth in found.depth.items():
         pose, matrix = views.poses[index], views.intrinsics[index]
         surface = surface_of(jnp.asarray(depth, pose.dtype), pose, matrix)
         keep = np.isfinite(depth) & (depth > 0)
         colours = np.round(255 * np.asarray(views.images[index])).astype(np.uint8)
-        stem = stem_of(views.names[index])
+        stem = stems[views.names[index]]
         error = found.error.get(index)
         write_ply(
             folder / f"{stem}.ply",
@@ -89,7 +90,8 @@ def _dense(folder: Path, found: Gathered) -> dict[str, int]:
 def _edges(folder: Path, found: Gathered, source: Path) -> dict[str, int]:
     """The edge points, with the colours and normals of the view that they were found in."""
     views = found.photographs
-    if views.points is None or not len(views.points) or not found.depth:
+    # Those of a stereo result are COLMAP's, and not of one photograph.
+    if views.points is None or found.point_error is None or not len(views.points):
         raise ValueError(
             f"{source} has no edge points; run mvedge depth, and export what it wrote."
         )

@@ -13,7 +13,7 @@ from mvedge_jax.lightfield import Camera, LightField
 from mvedge_jax.posed import Photographs
 from mvedge_jax.posed.cloud import photographs_of
 
-from ._paths import stem_of
+from ._paths import stems_of
 from ._source import read_json, scene_of
 from ._view_maps import view_maps
 
@@ -189,10 +189,10 @@ def _of_stereo(path: Path, report: dict[str, Any]) -> Gathered:
         Path(model), images=images, intrinsics=lens, scale=report["scale"]
     )
     shape = photographs.images.shape[1:3]
-    depth, error = {}, {}
+    depth, error, stems = {}, {}, stems_of(photographs.names)
     for name in report["photographs"]:
         index = photographs.index(name)
-        stem = stem_of(photographs.names[index])
+        stem = stems[photographs.names[index]]
         depth[index] = _map(path / f"{stem}_depth.pfm", shape).astype(np.float64)
         if report.get("method") != "points":
             error[index] = _map(path / f"{stem}_error.pfm", shape).astype(np.float64)

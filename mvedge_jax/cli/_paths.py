@@ -1,5 +1,7 @@
 """Several inputs and one output in a row of arguments; what files of a photograph are called."""
 
+import itertools
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -26,13 +28,30 @@ def scenes_and_out(paths: Sequence[Path]) -> tuple[list[Path], Path]:
     return scenes, out
 
 
-def stem_of(name: str) -> str:
-    """How the files of a photograph begin, which may lie in folders of its own.
+def stems_of(names: Sequence[str]) -> dict[str, str]:
+    """How the files of photographs begin, which may lie in folders of their own.
 
     Args:
-        name: of the photograph.
+        names: of all photographs, different ones.
 
     Returns:
-        Its folders and its name without the ending.
+        Of each its folders and its name without the ending; with it, and with a number if need be,
+        where others would begin the same.
     """
-    return "_".join(Path(name).with_suffix("").parts)
+    stems: dict[str, str] = {}
+    for whole in (False, True):
+        found = {name: _stem(name, whole=whole) for name in names if name not in stems}
+        count = Counter([*found.values(), *stems.values()])
+        stems |= {name: stem for name, stem in found.items() if count[stem] == 1}
+    taken = set(stems.values())
+    for name in names:
+        if name not in stems:
+            number = next(i for i in itertools.count(1) if f"{_stem(name)}_{i}" not in taken)
+            stems[name] = f"{_stem(name)}_{number}"
+            taken.add(stems[name])
+    return stems
+
+
+def _stem(name: str, *, whole: bool = True) -> str:
+    path = Path(name if whole else Path(name).with_suffix(""))
+    return "_".join(part for part in path.relative_to(path.anchor).parts if part != "..")

@@ -25,7 +25,7 @@ from mvedge_jax.posed.sparse import SparseStereoParams, SparseStereoSizes, spars
 
 from ._common import note, stage, warn
 from ._output import output_folder, write_json
-from ._paths import stem_of
+from ._paths import stems_of
 
 
 def stereo(
@@ -69,7 +69,7 @@ def stereo(
     source = open_photographs(model, images=images, intrinsics=intrinsics)
     names = [frame.name for frame in source.frames]
     wanted = names if reference == "all" else [reference]
-    inputs = [model] if images is None else [model, images]
+    inputs, stems = [model] if images is None else [model, images], stems_of(names)
     loaded: Photographs | None = None
     rows: dict[str, Any] = {}
     with output_folder(out, inputs=inputs, overwrite=overwrite) as folder:
@@ -85,7 +85,8 @@ def stereo(
                         scale=scale,
                         points=range is None or method == "points",
                     )
-            rows[name] = _METHODS[method](folder, loaded, name, range)
+            stem = stems[loaded.names[loaded.index(name)]]
+            rows[name] = _METHODS[method](folder / stem, loaded, name, range)
         report = {
             "model": str(model.resolve()),
             "method": method,
@@ -100,7 +101,7 @@ def stereo(
 
 
 def _dense(
-    folder: Path, photographs: Photographs, name: str, limits: tuple[float, float] | None
+    base: Path, photographs: Photographs, name: str, limits: tuple[float, float] | None
 ) -> dict[str, Any]:
     """Depth and its error by measurement: files, a line for the user, and what the report says."""
     chosen = reference_of(photographs, name, depth_range=limits)
@@ -111,12 +112,11 @@ def _dense(
             estimate(photographs.without_truth(), chosen, StereoParams(), sizes)
         )
     seconds = time.perf_counter() - start
-    stem = stem_of(photographs.names[int(chosen.index)])
-    write_pfm(folder / f"{stem}_error.pfm", np.asarray(result.error))
+    write_pfm(_file(base, "error.pfm"), np.asarray(result.error))
     doubt = np.asarray(result.disparity_error)
     figure = plotting.plot_error(doubt, np.zeros_like(doubt), label="standard error (px)")
-    figure.savefig(folder / f"{stem}_error.png")
-    row = _written(folder, photographs, chosen, result.depth, result.disparity)
+    figure.savefig(_file(base, "error.png"))
+    row = _written(base, photographs, chosen, result.depth, result.disparity)
     row |= {
         "seconds, compilation included": round(seconds, 3),
         "standard error, median": float(np.median(np.asarray(result.error))),
@@ -131,7 +131,7 @@ def _dense(
 
 
 def _points(
-    folder: Path, photographs: Photographs, name: str, limits: tuple[float, float] | None
+    base: Path, photographs: Photographs, name: str, limits: tuple[float, float] | None
 ) -> dict[str, Any]:
     """Depth by the method of the thesis, of its sparse points."""
     chosen = reference_of(photographs, name, depth_range=limits)
@@ -147,7 +147,7 @@ def _points(
         )
     seconds = time.perf_counter() - start
     loss = np.asarray(result.loss)
-    return _written(folder, photographs, chosen, result.depth, result.disparity) | {
+    return _written(base, photographs, chosen, result.depth, result.disparity) | {
         "seconds, compilation included": round(seconds, 3),
         "loss, before and after": [float(loss[0]), float(loss.min())] if loss.size else [],
         "points of the model": int(np.asarray(result.model.valid).sum()),
@@ -157,12 +157,17 @@ def _points(
 _METHODS = {"dense": _dense, "points": _points}
 
 
+def _file(base: Path, end: str) -> Path:
+    """A file of a photograph."""
+    return base.with_name(f"{base.name}_{end}")
+
+
 def _tell(now: Progress) -> None:
     note(f"  {now.iteration}/{now.iterations} loss {now.loss:.6f}")
 
 
 def _written(
-    folder: Path,
+    base: Path,
     photographs: Photographs,
     chosen: Reference,
     depth: jax.Array,
@@ -171,9 +176,8 @@ def _written(
     """Writes a map of depth; what the report says of it, by either method."""
     index = int(chosen.index)
     name = photographs.names[index]
-    stem = stem_of(name)
-    write_pfm(folder / f"{stem}_depth.pfm", np.asarray(depth))
-    plotting.plot_disparity(np.asarray(disparity)).savefig(folder / f"{stem}_depth.png")
+    write_pfm(_file(base, "depth.pfm"), np.asarray(depth))
+    plotting.plot_disparity(np.asarray(disparity)).savefig(_file(base, "depth.png"))
     row: dict[str, Any] = {
         "baseline": float(chosen.baseline),
         "disparity range": np.asarray(chosen.disparity_range).tolist(),

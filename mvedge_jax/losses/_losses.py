@@ -129,7 +129,8 @@ def self_supervised_loss(
     if similarity:
         warped = warp_views(disparity, views, visible & views.available[:, None, None])
         alike = jax.vmap(lambda image: jnp.mean(ssim(image, views.centre)))(warped)
-        dissimilarity = 1 - jnp.mean(alike)
+        shown = jnp.maximum(jnp.sum(views.available).astype(alike.dtype), 1)
+        dissimilarity = jnp.sum(jnp.where(views.available, 1 - alike, 0)) / shown
     smoothness = jnp.mean(edge_aware_smoothness(disparity, views.centre))
     terms = LossTerms(jnp.mean(error), smoothness, dissimilarity, reward, error)
     return terms.weighted(weights), terms
@@ -142,13 +143,10 @@ class SupervisedWeights(eqx.Module):
         absolute: of the mean absolute error.
         square: of the mean squared error. The thesis has none (0); with it, few large errors
             count.
-        smoothness: of the squared slope of the map where the image is flat (the authors' code
-            has 7.5e-4, as a sum).
     """
 
     absolute: Float[Array, ""] = number(1.0)
     square: Float[Array, ""] = number(3.0)
-    smoothness: Float[Array, ""] = number(0.0)
 
 
 def supervised_loss(
@@ -156,8 +154,6 @@ def supervised_loss(
     truth: Float[Array, "y x"],
     valid: Bool[Array, "y x"],
     weights: SupervisedWeights,
-    *,
-    centre: Float[Array, "c y x"] | None = None,
 ) -> Float[Array, ""]:
     """Distance from a known map, over the pixels where it is known.
 
@@ -166,7 +162,6 @@ def supervised_loss(
         truth: the known map.
         valid: where it is known.
         weights: of the terms.
-        centre: the image, for the smoothness term; without it the term is left out.
 
     Returns:
         The loss; zero if no pixel is known.
@@ -178,11 +173,4 @@ def supervised_loss(
     error = jnp.where(valid, disparity - jnp.where(valid, truth, 0), 0)
     count = jnp.maximum(jnp.sum(valid).astype(disparity.dtype), 1)
     total = weights.absolute * jnp.sum(jnp.abs(error)) / count
-    total = total + weights.square * jnp.sum(error**2) / count
-    if centre is not None:
-        gray = jnp.mean(centre, axis=0)
-        for axis in (0, 1):
-            slope = jnp.diff(disparity, axis=axis) ** 2
-            edge = jnp.exp(-100 * jnp.abs(jnp.diff(gray, axis=axis)))
-            total = total + weights.smoothness * jnp.sum(edge * slope) / count
-    return total
+    return total + weights.square * jnp.sum(error**2) / count

@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
+from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int
 
 from ._region import cropped
@@ -125,11 +126,17 @@ def view_consistency_map(
         that is not finite in its own map is infinite; in other maps it is a hole.
 
     Raises:
-        ValueError: if the shapes do not fit together.
+        ValueError: if the shapes do not fit together, or the view is not one of the grid; not seen
+            where `view` is traced.
 
     Source: Thesis 6.2.3, Eq. 6.9.
     """
     available = _check(disparities, available, 0)
+    if not isinstance(view, Tracer):
+        v, u = (int(index) for index in view)
+        rows, columns = disparities.shape[:2]
+        if not (0 <= v < rows and 0 <= u < columns):
+            raise ValueError(f"`view` must be one of the {rows}x{columns} views, got ({v}, {u}).")
     limit = jnp.asarray(tolerance, disparities.dtype)
     low, high = _ranges(disparities)
     own = jnp.asarray(view, jnp.int32)

@@ -133,12 +133,11 @@ class ModelSizes:
             The parameters of the rendering.
 
         Raises:
-            ValueError: the points that were asked for are wider than `splat.radius` lets them be.
+            ValueError: the points are wider than `splat.radius` lets them be.
         """
-        if asked is None:
-            return ModelParams.narrow(self.splat.scale)
-        self.splat.check(asked.splat)
-        return asked
+        rendering = ModelParams.narrow(self.splat.scale) if asked is None else asked
+        self.splat.check(rendering.splat)
+        return rendering
 
 
 class Rendered(eqx.Module):

@@ -121,6 +121,7 @@ def start_from_points(
     params = cast(params, dtype)
     at = nearest_pixels(xy, (first.shape[0], first.shape[1]))
     there = first[at.row, at.column]
+    valid = valid & at.inside
     agrees = jnp.abs(disparity - there) <= params.agreement
     label = jnp.where(agrees, disparity, there)
     error = jnp.where(agrees, error, 2 * params.reference_error)

@@ -1,7 +1,9 @@
 """A depth map as points and a compact smoothness map: encode, decode, save."""
 
+import zlib
 from dataclasses import replace
 from pathlib import Path
+from zipfile import BadZipFile
 
 import equinox as eqx
 import jax
@@ -89,18 +91,35 @@ class Encoding(eqx.Module):
         path = Path(path)
         if not path.is_file():
             raise FileNotFoundError(f"There is no encoding at {path}.")
-        names = {"gap", "high_bytes", "low_bytes", "cut", "shape", "range"}
-        # Given a name, NumPy leaves what is no archive open.
-        with open(path, "rb") as raw, np.load(raw, allow_pickle=False) as file:
-            if set(file) != names:
-                raise ValueError(f"{path} has the arrays {sorted(file)}, expected {sorted(names)}.")
-            index = np.cumsum(file["gap"].astype(np.int64)).astype(np.int32)
-            change = file["high_bytes"].astype(np.uint16) * 256 + file["low_bytes"]
-            label = np.cumsum(change, dtype=np.uint16).astype(np.int32)
-            shape = tuple(file["shape"])
-            cut = np.unpackbits(file["cut"])[: shape[0] * shape[1]].astype(bool).reshape(shape)
-            low, high = file["range"]
-        return Encoding(*(jnp.asarray(a) for a in (index, label, cut, low, high)))
+        try:
+            # Given a name, NumPy leaves what is no archive open.
+            with path.open("rb") as raw, np.load(raw, allow_pickle=False) as file:
+                parts = _unpacked({name: file[name] for name in file})
+        except (BadZipFile, zlib.error, EOFError, OSError, TypeError, ValueError) as error:
+            reason = str(error).strip().rstrip(".")
+            raise ValueError(f"{path} is not an encoding that was saved: {reason}.") from error
+        return Encoding(*(jnp.asarray(part) for part in parts))
+
+
+def _unpacked(arrays: dict[str, np.ndarray]) -> tuple[np.ndarray, ...]:
+    """Pixels, labels, cuts and both ends of the range; a ValueError where they do not agree."""
+    names = {"gap", "high_bytes", "low_bytes", "cut", "shape", "range"}
+    if set(arrays) != names:
+        raise ValueError(f"it has the arrays {sorted(arrays)}, expected {sorted(names)}")
+    index = np.cumsum(arrays["gap"].astype(np.int64))
+    change = arrays["high_bytes"].astype(np.uint16) * 256 + arrays["low_bytes"]
+    label = np.cumsum(change, dtype=np.uint16).astype(np.int32)
+    height, width = map(int, arrays["shape"])
+    if len(index) != len(label) or index.max(initial=0) >= height * width:
+        raise ValueError(
+            f"it claims {height}x{width} px, and has {len(index)} points, the last at pixel "
+            f"{index.max(initial=0)}, with {len(label)} labels"
+        )
+    cut = np.unpackbits(arrays["cut"])[: height * width].astype(bool).reshape(height, width)
+    low, high = arrays["range"]
+    if arrays["range"].dtype.kind != "f" or not -np.inf < low <= high < np.inf:
+        raise ValueError(f"its range is {low} to {high}, expected finite numbers in order")
+    return index.astype(np.int32), label, cut, np.asarray(low), np.asarray(high)
 
 
 def _params(dtype: np.dtype) -> ModelParams:

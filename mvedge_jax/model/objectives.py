@@ -144,6 +144,19 @@ class Supervised(eqx.Module):
         return self.trust.project(model)
 
 
+def check_subset(subset: int | None) -> None:
+    """Refuses to draw no view at all.
+
+    Args:
+        subset: how many views, or None for all.
+
+    Raises:
+        ValueError: naming it.
+    """
+    if subset is not None and subset < 1:
+        raise ValueError(f"`subset` must be at least 1, or None for all views, got {subset}.")
+
+
 class SelfSupervised(eqx.Module):
     """How badly the rendered map explains the views.
 
@@ -166,6 +179,9 @@ class SelfSupervised(eqx.Module):
     sizes: ModelSizes = eqx.field(static=True, default_factory=ModelSizes)
     subset: int | None = eqx.field(static=True, default=None)
     similarity: bool = eqx.field(static=True, default=False)
+
+    def __check_init__(self) -> None:
+        check_subset(self.subset)
 
     def __call__(
         self, model: DepthModel, start: Float[Array, "y x"], *, key: PRNGKeyArray

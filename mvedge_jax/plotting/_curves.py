@@ -140,16 +140,18 @@ def plot_calibration(
         dotted, the order that knows the truth.
 
     Raises:
-        ValueError: if the number of names is not that of the maps.
+        ValueError: if the number of names is not that of the maps, or no map has a pixel whose
+            standard error is finite.
     """
     names = check_names(names, len(found))
+    predicted = [np.asarray(each.predicted) for each in found]
+    drawn = np.concatenate([values[np.isfinite(values)] for values in predicted] or [[]])
+    if not drawn.size:
+        raise ValueError("`found` has no pixel of a finite standard error: nothing to draw.")
     with style():
         figure = new_figure(width, 0.45 * width)
         left, right = figure.subplots(1, 2)
-        ends = [
-            min(float(each.predicted.min()) for each in found),
-            max(float(each.predicted.max()) for each in found),
-        ]
+        ends = [float(end(drawn)) for end in (np.min, np.max)]
         left.plot(ends, ends, color="#cccccc", linewidth=0.8, zorder=0)
         for number, (each, name) in enumerate(zip(found, names, strict=True)):
             colour = COLOURS[number % len(COLOURS)]

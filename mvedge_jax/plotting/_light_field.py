@@ -103,14 +103,18 @@ def plot_epi(
         The figure. The EPI is stretched across views so that slopes can be seen.
 
     Raises:
-        ValueError: if both a row and a column are given, or a line lacks its position or
-            disparity.
+        ValueError: if both a row and a column are given, one of them or the span is outside the
+            image, or a line lacks its position or disparity.
     """
     if row is not None and column is not None:
         raise ValueError("`row` and `column` exclude each other, got both.")
     if (positions is None) != (disparities is None):
         raise ValueError("`positions` and `disparities` belong together, got one of them.")
     vc, uc = light_field.centre
+    sides = zip(("row", "column"), (row, column), light_field.views.shape[2:4], strict=True)
+    for name, value, size in sides:
+        if value is not None and not 0 <= value < size:
+            raise ValueError(f"`{name}` must be from 0 to {size - 1}, got {value}.")
     if column is None:
         index = light_field.views.shape[2] // 2 if row is None else row
         epi, centre = np.asarray(light_field.horizontal_arm[:, index]), uc
@@ -122,6 +126,8 @@ def plot_epi(
         labels = ("y (px)", "view v")
     views, length = epi.shape[:2]
     first, last = (0, length - 1) if span is None else span
+    if not 0 <= first < last < length:
+        raise ValueError(f"`span` must rise within 0 to {length - 1}, got {span}.")
     pixels = last - first + 1
     inches = width - (0.45 if positions is None else 1.15)
     band = max(8, round(pixels / 8))

@@ -14,6 +14,8 @@ from mvedge_jax.photometry.photographs import Projection
 
 # Rotations may be off by this much: files hold six digits.
 _RIGID = 1e-3
+# How much of the largest baseline may be lost to rounding.
+_ROUNDED = 1e-2
 
 
 class Photographs(eqx.Module):
@@ -34,8 +36,8 @@ class Photographs(eqx.Module):
 
     Raises:
         ValueError: on wrong shapes, fewer than two photographs, values that are not finite or lie
-            outside of [0, 1], poses that are not rigid, focal lengths that are not positive, skewed
-            pixels.
+            outside of [0, 1], poses that are not rigid, or so far from the origin that rounding
+            shows in their baselines, focal lengths that are not positive, skewed pixels.
 
     Example:
         >>> import jax.numpy as jnp
@@ -85,8 +87,8 @@ class Photographs(eqx.Module):
         images = self.images
         if images.ndim != 4 or images.shape[-1] != 3 or min(images.shape) < 1:
             raise ValueError(f"`images` must have the axes [n, y, x, 3], got shape {images.shape}.")
-        if not jnp.issubdtype(images.dtype, jnp.floating):
-            raise ValueError(f"`images` must be floating point in [0, 1], got {images.dtype}.")
+        if images.dtype not in (jnp.float32, jnp.float64):
+            raise ValueError(f"`images` must be float32 or float64 in [0, 1], got {images.dtype}.")
         n, height, width, _ = images.shape
         if n < 2:
             raise ValueError("`images` must hold at least two photographs, got one.")
@@ -115,6 +117,14 @@ class Photographs(eqx.Module):
             value = getattr(self, name)
             if value is not None and not bool(jnp.isfinite(value).all()):
                 raise ValueError(f"`{name}` must be finite, got NaN or infinity.")
+        centres = np.asarray(self.centres, np.float64)
+        apart = float(np.linalg.norm(centres - centres[0], axis=1).max())
+        away = float(np.abs(centres).max())
+        if float(jnp.finfo(self.poses.dtype).eps) * away > _ROUNDED * apart > 0:
+            raise ValueError(
+                f"`poses` lie up to {away:.6g} from the origin and {apart:.4g} from each other, "
+                f"which {self.poses.dtype} cannot tell; subtract the mean of the cameras' centres."
+            )
         low, high = float(self.images.min()), float(self.images.max())
         if low < -1e-3 or high > 1 + 1e-3:
             raise ValueError(f"`images` must be sRGB in [0, 1], got {low:.4g} to {high:.4g}.")

@@ -73,7 +73,6 @@ class StereoResult(NamedTuple):
         return map_problems(self.disparity, self.disparity_error, stats.converged, stats.searched)
 
 
-@lean_jit
 def stereo(
     photographs: Photographs, reference: Reference, params: StereoParams, sizes: StereoSizes
 ) -> StereoResult:
@@ -116,6 +115,16 @@ def stereo(
         >>> round(float(jnp.median(result.depth)), 1)
         1.0
     """
+    # Names are static, and the number of points is a shape: neither is read, and each would ask
+    # for a program of its own.
+    bare = Photographs(photographs.images, photographs.poses, photographs.intrinsics)
+    return _stereo(bare, reference, params, sizes)
+
+
+@lean_jit
+def _stereo(
+    photographs: Photographs, reference: Reference, params: StereoParams, sizes: StereoSizes
+) -> StereoResult:
     params = cast(params, photographs.images.dtype)
     given = _set_up(photographs, reference, sizes)
     scene = prepare_photographs(*given[:4], params.volume, window=sizes.window)

@@ -8,7 +8,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, Bool, Float, PRNGKeyArray
+from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
 from mvedge_jax._compiler import lean_jit
 from mvedge_jax._params import as_number, at_least
@@ -196,8 +196,10 @@ def sparse_stereo(
     routine = Routine(rates, jnp.zeros(sizes.smoothing, bool))
     smooth, _ = optimise(begin(model, first, key=key), routine, goal)
     between = render(smooth.best, goal.params, sizes.model, start=smooth.disparity).disparity
-    count = sizes.extra * int(jnp.sum(seen.valid))
-    model = _with_edges(smooth.best, image, between, count=count, key=key)
+    # As many places for every photograph, so that one program serves all.
+    count = sizes.extra * seen.valid.size
+    most = sizes.extra * jnp.sum(seen.valid)
+    model = _with_edges(smooth.best, image, between, most, count=count, key=key)
     goal = eqx.tree_at(lambda g: g.trust, goal, unlimited(model))
     routine = one_at_a_time(params.rates, iterations=sizes.iterations, passes=sizes.passes)
     final, history = optimise(begin(model, between, key=key), routine, goal, progress=progress)
@@ -246,12 +248,17 @@ def _with_edges(
     model: DepthModel,
     image: Float[Array, "y x c"],
     disparity: Float[Array, "y x"],
+    most: Int[Array, ""],
     *,
     count: int,
     key: PRNGKeyArray,
 ) -> DepthModel:
-    """The model with points that say what the map says at random edge pixels of the image."""
+    """The model with points that say what the map says at random edge pixels of the image.
+
+    At most `most` of them, in `count` places, or as many as there are pixels.
+    """
     edge = _edges(image).reshape(-1)
+    count = min(count, edge.size)
     lot, place = lax.top_k(jnp.where(edge, jax.random.uniform(key, edge.shape), -1), count)
     label, width = disparity.reshape(-1)[place], image.shape[1]
     xy = jnp.stack([place % width, place // width], axis=1).astype(label.dtype)
@@ -260,7 +267,7 @@ def _with_edges(
         jnp.concatenate([model.xy, xy]),
         jnp.concatenate([model.log_weight, jnp.zeros_like(label)]),
         model.roughness,
-        jnp.concatenate([model.valid, lot >= 0]),
+        jnp.concatenate([model.valid, (lot >= 0) & (jnp.arange(count) < most)]),
     )
 
 

@@ -14,6 +14,9 @@ from mvedge_jax._product import product
 from ._params import SplatSizes
 from ._profile import absorption
 
+# The exponential of minus this is 0 in float64, too.
+_GONE = 800.0
+
 
 class Physics(NamedTuple):
     """The three numbers that the splat depends on."""
@@ -103,7 +106,7 @@ def _forward(table: Array, physics: Physics, lists: Lists, sizes: SplatSizes) ->
             square = _geometry(point, origin, offsets)
             optical = _optical(square, point, physics)
             absorbed, _, passed, _ = absorption(optical, sizes.absorption)
-            flat = jnp.exp(-jax.lax.integer_pow(square * physics.inverse_weight, sizes.order))
+            flat = jnp.exp(-jax.lax.integer_pow(_clipped(square, physics, sizes), sizes.order))
             return Rays(
                 rays.label + rays.transmittance * absorbed * point[:, 2:3],
                 rays.weight + rays.transmittance * flat * point[:, 3:4],
@@ -116,6 +119,11 @@ def _forward(table: Array, physics: Physics, lists: Lists, sizes: SplatSizes) ->
 
     grouped = jax.lax.map(group, (lists.start, lists.length, lists.origin))
     return Rays(*(part.reshape(-1, pixels) for part in grouped))
+
+
+def _clipped(square: Array, physics: Physics, sizes: SplatSizes) -> Array:
+    """r²/2σ_λ², no farther than where the weight is 0 in every format: its powers stay finite."""
+    return jnp.minimum(square * physics.inverse_weight, _GONE ** (1 / sizes.order))
 
 
 class _At(NamedTuple):
@@ -181,7 +189,7 @@ def _pull(sizes: SplatSizes, at: _At, cotangent: Rays) -> tuple[Array, Physics]:
             relative = point[:, :2] - origin
             optical = _optical(square, point, physics)
             absorbed, slope, passed, constant = absorption(optical, sizes.absorption)
-            u = square * physics.inverse_weight
+            u = _clipped(square, physics, sizes)
             power = jax.lax.integer_pow(u, sizes.order - 1) if sizes.order > 1 else jnp.ones_like(u)
             flat = jnp.exp(-power * u)
             seen_label = transmittance * ct_label

@@ -81,17 +81,22 @@ class SplatSizes:
             raise ValueError(f"capacity must be None or at least 1, got {self.capacity}.")
 
     def check(self, params: SplatParams) -> None:
-        """Refuses widths that are not positive, or too large for `radius`; not where traced.
+        """Refuses widths too large for `radius`, and what is not positive; not where traced.
 
         Args:
             params: of the points.
 
         Raises:
-            ValueError: naming the width and the radius.
+            ValueError: naming the value, and for widths the radius.
         """
         if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(params)):
             return
         thickness = float(params.density) * float(params.sigma_depth) * math.sqrt(2 * math.pi)
+        if not thickness > 0:
+            raise ValueError(
+                "`density` and `sigma_depth` must be positive, got "
+                f"{float(params.density):g} and {float(params.sigma_depth):g}."
+            )
         parts = (("sigma_label", thickness, 1), ("sigma_weight", 1.0, self.order))
         for name, whole, order in parts:
             width = float(getattr(params, name))

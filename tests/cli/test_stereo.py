@@ -151,7 +151,7 @@ def test_a_light_field_in_nerfstudio(result, light_field, tmp_path):
     np.testing.assert_allclose(found.intrinsics, wanted.intrinsics, atol=1e-4)
     np.testing.assert_allclose(found.images, wanted.images, atol=0.51 / 255)
     np.testing.assert_allclose(found.depth[4], wanted.depth[4], rtol=1e-3)
-    assert (out / "masks" / "input_Cam004.png").exists()
+    assert (out / "masks" / "input_Cam004.png.png").exists()
 
 
 def test_points_land_where_the_disparity_map_says(result, light_field, tmp_path):

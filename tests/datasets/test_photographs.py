@@ -132,9 +132,9 @@ def test_nerfstudio_comes_back(tmp_path):
     found = load_photographs(tmp_path)
     same(found, photographs())
     np.testing.assert_allclose(given(found.points), CORNERS, atol=1e-6)
-    np.testing.assert_allclose(given(found.depth)[1], DEPTHS[1], atol=2e-5)
+    np.testing.assert_allclose(given(found.depth)[1], DEPTHS[1], rtol=1e-6)
     assert float(given(found.depth)[0].max()) == 0
-    mask = given(cv2.imread(str(tmp_path / "masks" / "b.png"), cv2.IMREAD_UNCHANGED))
+    mask = given(cv2.imread(str(tmp_path / "masks" / "b.png.png"), cv2.IMREAD_UNCHANGED))
     assert mask.min() == 255
     # OpenGL's camera looks along its negative z axis.
     frame = json.loads((tmp_path / "transforms.json").read_text())["frames"][2]
@@ -308,6 +308,15 @@ def test_empty_points_and_unknown_folders(model, tmp_path):
             lambda t: t | {"frames": [{**f, "fl_x": None} for f in t["frames"]]},
             "has no intrinsics; expected fl_x",
         ),
+        (lambda t: t | {"depth_unit_scale_factor": None}, "depth_unit_scale_factor = None"),
+        (lambda t: t | {"depth_unit_scale_factor": -1}, "depth_unit_scale_factor = -1"),
+        (
+            lambda t: {
+                "camera_angle_x": 0,
+                "frames": [{**f, "fl_x": None, "fl_y": None} for f in t["frames"]],
+            },
+            "camera_angle_x = 0; expected radians",
+        ),
         (
             lambda t: t | {"frames": [{**f, "transform_matrix": np.zeros((4, 4)).tolist()}
                                       for f in t["frames"]]},
@@ -351,8 +360,42 @@ def test_trimesh_reads_our_point_clouds(tmp_path):
 
 def test_names_do_not_lead_out_of_the_folder(tmp_path):
     bad = photographs(names=("../a.png", "b.png", "c.png", "d.png"))
-    with pytest.raises(ValueError, match="which leads out of"):
-        write_colmap(tmp_path / "model", bad)
+    for write in (write_colmap, write_nerfstudio):
+        with pytest.raises(ValueError, match="which leads out of"):
+            write(tmp_path / "model", bad)
+    assert not (tmp_path / "model").exists()
+
+
+def test_far_pixels_leave_the_others_their_depth_and_nerfstudio_its_unit(tmp_path):
+    depth = DEPTHS[1].copy()
+    depth[0, :3] = 2e6, np.inf, 0
+    write_nerfstudio(tmp_path, photographs(), depth={1: depth})
+    found = given(load_photographs(tmp_path).depth)[1]
+    np.testing.assert_allclose(found[1:], DEPTHS[1][1:], rtol=1e-6)
+    np.testing.assert_allclose(found[0, :3], [2e6, 0, 0])
+    # What nerfstudio makes of it with its defaults, whatever the file says.
+    frame = json.loads((tmp_path / "transforms.json").read_text())["frames"][1]
+    np.testing.assert_allclose(1e-3 * np.load(tmp_path / frame["depth_file_path"]), found)
+    mask = given(cv2.imread(str(tmp_path / frame["mask_path"]), cv2.IMREAD_UNCHANGED))
+    np.testing.assert_array_equal(mask > 0, found > 0)
+    np.save(tmp_path / frame["depth_file_path"], np.full(depth.shape, np.nan))
+    with pytest.raises(ValueError, match="must hold finite numbers"):
+        load_photographs(tmp_path)
+
+
+def test_photographs_of_one_name_keep_their_own_files(tmp_path):
+    names = ("left/0.png", "right/0.png", "right/0.jpg", "plain")
+    write_nerfstudio(tmp_path, photographs(names=names), depth=dict(enumerate(DEPTHS)))
+    found = load_photographs(tmp_path)
+    order = [list(found.names).index(name) for name in map("images/{}".format, names[:3])]
+    np.testing.assert_allclose(given(found.depth)[order], DEPTHS[:3], rtol=1e-6)
+    write_colmap(tmp_path / "model", photographs(names=names))
+    assert load_photographs(tmp_path / "model").names == (
+        "left/0.png", "plain.png", "right/0.jpg", "right/0.png",
+    )  # fmt: skip
+    with pytest.raises(ValueError, match="have the name 'a' besides 'a.png'"):
+        write_colmap(tmp_path / "none", photographs(names=("a", "a.png", "b.png", "c.png")))
+    assert not (tmp_path / "none").exists()
 
 
 def test_neighbours_share_points(model):
@@ -393,3 +436,105 @@ def test_living_room():
         low, high = np.quantile(given(found.depth)[i][given(found.depth)[i] > 0], (0, 1))
         assert np.mean((inside > 0.97 * low) & (inside < 1.03 * high)) > 0.97
     assert jnp.isfinite(found.images).all()
+
+
+def test_ngp_says_fisheye_and_angles_in_its_own_way(tmp_path):
+    write_nerfstudio(tmp_path, photographs())
+    file = tmp_path / "transforms.json"
+    known = json.loads(file.read_text())
+    del known["camera_model"]
+    bent = {"is_fisheye": True, "k1": 0.05, "k2": 0.01}
+    file.write_text(json.dumps(known | bent))
+    lens = open_photographs(tmp_path).frames[0].lens
+    assert lens.fisheye
+    assert lens.distortion == (0.05, 0.01, 0, 0)
+    angles = {"camera_angle_x": 1.0, "camera_angle_y": 0.8}
+    for frame in known["frames"]:
+        frame |= {"fl_x": None, "fl_y": None}
+    file.write_text(json.dumps(known | angles))
+    matrix = open_photographs(tmp_path).frames[0].lens.matrix
+    height, width = IMAGES.shape[1:3]
+    np.testing.assert_allclose(
+        matrix[[0, 1], [0, 1]], [0.5 * width / np.tan(0.5), 0.5 * height / np.tan(0.4)]
+    )
+
+
+def test_poses_belong_to_images_by_number(tmp_path):
+    many = 11
+    for i in range(many):
+        image = np.round(255 * BYTES[i % 4][..., ::-1]).astype(np.uint8)
+        cv2.imwrite(str(tmp_path / f"{i}.png"), image)
+    rows = "\n".join(f"{i} {i} {i + 1}\n1 0 0 {i}\n0 1 0 0\n0 0 1 0\n0 0 0 1" for i in range(many))
+    (tmp_path / "trajectory.log").write_text(rows + "\n")
+    source = open_photographs(tmp_path, intrinsics=(40.0, 40.0, 23.5, 17.5))
+    assert {f.name: f.pose[0, 3] for f in source.frames} == {f"{i}.png": i for i in range(many)}
+
+
+def test_points_that_nobody_is_known_to_see_are_kept(tmp_path):
+    write_colmap(tmp_path, photographs(observed=None))
+    source = open_photographs(tmp_path)
+    assert source.observed is None
+    # The nearest cameras, not the first names.
+    centres = POSES[:, :3, 3]
+    order = np.argsort(np.linalg.norm(centres - centres[3], axis=1))[:2]
+    assert nearby(source, "d.png", 2) == ["abcd"[i] + ".png" for i in sorted(order)]
+    assert given(load_photographs(tmp_path, around="d.png", most=2).points).shape == (4, 3)
+
+
+@pytest.mark.parametrize("insert", [None, 2])
+def test_lines_of_images_that_do_not_alternate_are_refused(model, insert):
+    file = model / "sparse" / "0" / "images.txt"
+    lines = file.read_text().splitlines()
+    lines = [line for line in lines if len(line.split()) > 9] if insert is None else lines
+    # The places of points are gone, or a line is in between.
+    heads = [line for line in lines if line.endswith(".png")]
+    lines = heads if insert is None else [*lines[:1], *heads[:1], "", "", *heads[1:]]
+    file.write_text("\n".join(lines) + "\n")
+    with pytest.raises(ValueError, match=r"images.txt, line \d"):
+        load_photographs(model)
+
+
+@pytest.mark.parametrize(
+    "numbers", ["330 330 510.5 365.5 -.02 .002 0 0", "300 300 500 375 0 0 0 0"]
+)
+def test_fisheyes_that_no_plane_can_show_are_refused(tmp_path, numbers):
+    write_colmap(tmp_path, photographs())
+    large = np.zeros((750, 1000, 3), np.uint8)
+    for file in (tmp_path / "images").iterdir():
+        cv2.imwrite(str(file), large)
+    cameras = [f"{i} OPENCV_FISHEYE 1000 750 {numbers}" for i in range(1, 5)]
+    (tmp_path / "sparse" / "0" / "cameras.txt").write_text("\n".join(cameras) + "\n")
+    with pytest.raises(ValueError, match=r"cannot be straightened|far outside of its"):
+        load_photographs(tmp_path)
+
+
+@pytest.mark.parametrize("scale", [0.5, 0.25])
+def test_shrunk_depth_is_that_of_the_middle_of_a_pixel(tmp_path, scale):
+    y, x = np.mgrid[: DEPTHS.shape[1], : DEPTHS.shape[2]].astype(float)
+    slanted = 2 + 0.02 * x + 0.01 * y
+    write_nerfstudio(tmp_path, photographs(), depth={0: slanted})
+    depth = given(load_photographs(tmp_path, scale=scale).depth)[0]
+    rows, columns = np.mgrid[: depth.shape[0], : depth.shape[1]]
+    middle = 2 + 0.02 * ((columns + 0.5) / scale - 0.5) + 0.01 * ((rows + 0.5) / scale - 0.5)
+    assert np.abs(depth - middle).max() < 0.016
+
+
+def test_features_lie_where_they_are():
+    from mvedge_jax.datasets.photographs._sift import _features
+
+    y, x = np.mgrid[:120, :140].astype(float)
+    wanted = np.asarray([[60.0, 60.0], [100.5, 30.25], [30.3, 90.7]])
+    image = sum(np.exp(-((x - a) ** 2 + (y - b) ** 2) / 32) for a, b in wanted)
+    found, _ = _features(np.repeat(np.clip(image, 0, 1)[..., None], 3, axis=2).astype(np.float32))
+    for place in wanted:
+        assert np.linalg.norm(found - place, axis=1).min() < 0.05
+
+
+def test_poses_that_single_precision_cannot_tell_apart_are_refused():
+    poses = POSES.copy()
+    poses[:, 0, 3] += 4.5e6
+    with pytest.raises(ValueError, match="subtract the mean of the cameras' centres"):
+        Photographs(BYTES.astype(np.float32), poses, MATRIX)
+    Photographs(BYTES.astype(np.float64), poses, MATRIX)
+    with pytest.raises(ValueError, match="must be float32 or float64"):
+        Photographs(BYTES.astype(np.float16), POSES, MATRIX)

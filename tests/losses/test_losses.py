@@ -101,6 +101,26 @@ def test_all_views_masked_is_defined():
     assert float(run(jnp.full((6, 7), 0.9))[0]) == pytest.approx(float(value), abs=1e-12)
 
 
+def test_missing_views_do_not_count_for_the_similarity():
+    light_field = smooth_light_field((12, 13))
+    both = [gather_views(light_field, choice=views) for views in ([(1, 0)], [(1, 0), (0, 1)])]
+    one, two = both[0], eqx.tree_at(lambda v: v.available, both[1], jnp.array([True, False]))
+
+    @jax.jit
+    def value(disparity, views):
+        weights = LossWeights(dissimilarity=jnp.asarray(0.3))
+        return self_supervised_loss(disparity, views, weights, similarity=True)[0]
+
+    disparity = jnp.full((12, 13), 0.2)
+    run = jax.jit(jax.value_and_grad(value))
+    (a, slope_a), (b, slope_b) = run(disparity, one), run(disparity, two)
+    assert float(a) == pytest.approx(float(b), rel=1e-12)
+    np.testing.assert_allclose(slope_a, slope_b, atol=1e-12)
+    assert bool(
+        jnp.isfinite(value(disparity, eqx.tree_at(lambda v: v.available, two, jnp.zeros(2, bool))))
+    )
+
+
 def test_missing_views_do_not_count():
     light_field = smooth_light_field((6, 7))
     views = gather_views(light_field, choice=[(1, 0), (1, 2), (0, 1)])

@@ -128,3 +128,9 @@ def test_single_precision_is_close():
 def test_bad_input_says_what_is_wrong(maps, options, message):
     with pytest.raises(ValueError, match=message):
         inspect.unwrap(view_consistency)(maps, **options)
+
+
+@pytest.mark.parametrize("view", [(-1, -1), (0, 3), (3, 0)])
+def test_a_view_outside_the_grid_is_refused(view):
+    with pytest.raises(ValueError, match="`view` must be one of the 3x3 views, got"):
+        view_consistency_map(_maps(), view)

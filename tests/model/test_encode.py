@@ -1,3 +1,5 @@
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -48,3 +50,29 @@ def test_flat_maps_and_bad_input(tmp_path):
     np.savez(tmp_path / "other.npz", a=np.zeros(2))
     with pytest.raises(ValueError, match=r"has the arrays \['a'\]"):
         Encoding.load(tmp_path / "other.npz")
+
+
+def test_files_that_are_no_encoding_are_refused(tmp_path):
+    good, bad = tmp_path / "good.npz", tmp_path / "bad.npz"
+    encode(depth_map(), 40, iterations=0).save(good)
+    whole = good.read_bytes()
+    np.save(tmp_path / "array.npy", np.zeros(3))
+    flipped = bytearray(whole)
+    flipped[len(whole) // 2] ^= 255
+    array = (tmp_path / "array.npy").read_bytes()
+    for content in (b"", b"text", array, whole[:-40], bytes(flipped)):
+        bad.write_bytes(content)
+        with pytest.raises(ValueError, match=r"bad.npz is not an encoding that was saved: "):
+            Encoding.load(bad)
+    with np.load(good) as file:
+        parts = dict(file)
+    for change, message in (
+        ({"shape": np.asarray([2, 3], np.int32)}, "claims 2x3 px"),
+        ({"high_bytes": parts["high_bytes"][:2], "low_bytes": parts["low_bytes"][:2]}, "2 labels"),
+        ({"range": np.asarray([0.0, np.nan])}, "its range is 0.0 to nan"),
+        ({"range": np.asarray([0, 1])}, "its range is 0 to 1"),
+    ):
+        changed: dict[str, Any] = parts | change
+        np.savez(bad, **changed)
+        with pytest.raises(ValueError, match=message):
+            Encoding.load(bad)

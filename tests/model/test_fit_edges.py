@@ -1,3 +1,4 @@
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -96,3 +97,38 @@ def test_unknown_pixels_have_no_say():
         for value in (0.0, 9.0)
     ]  # fmt: skip
     np.testing.assert_array_equal(maps[0], maps[1])
+
+
+@pytest.mark.parametrize("recycle", [False, True])
+def test_a_state_from_between_two_rounds_goes_on_the_same(recycle):
+    table, told = all_at_once(Rates.supervised(), iterations=10), []
+    growth = Growth(recycle=recycle, extra=40, rounds=3, threshold=jnp.asarray(0.0))
+    options = {"strategy": growth, "routine": table}
+    whole = fit_edges(KNOWN, noisy_start(), FitParams(), SIZES, progress=told.append, **options)
+    assert whole.model.valid.sum() == 70
+    # The first of three rounds is over.
+    resumed = fit_edges(KNOWN, noisy_start(), FitParams(), SIZES, state=told[0].state, **options)
+    same(whole.model, resumed.model)
+
+
+@pytest.mark.parametrize("iterations", [7, 12])
+def test_free_places_are_filled_in_time(iterations):
+    """Rounds are evenly spaced, so that there may be fewer than `rounds`."""
+    found = fit_edges(
+        KNOWN, noisy_start(), FitParams(), SIZES,
+        strategy=Growth(recycle=False, extra=90, threshold=jnp.asarray(0.0)),
+        routine=all_at_once(Rates.supervised(), iterations=iterations),
+    )  # fmt: skip
+    assert bool(found.model.valid.all())
+
+
+def test_rounds_without_a_new_point_forget_nothing():
+    start = noisy_start()
+    label = jnp.full(start.model.disparity.shape, 0.5)
+    exact = start._replace(model=eqx.tree_at(lambda m: m.disparity, start.model, label))
+    known = GroundTruth(jnp.full(SHAPE, 0.5), KNOWN.valid)
+    found = fit_edges(
+        known, exact, FitParams(), SIZES, strategy=Growth(),
+        routine=all_at_once(Rates.supervised(), iterations=12),
+    )  # fmt: skip
+    np.testing.assert_allclose(found.disparity, 0.5, atol=1e-6)

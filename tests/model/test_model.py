@@ -7,13 +7,15 @@ from helpers import check_modes, count_traces, lean
 
 from mvedge_jax.diffusion import AutoSolver, Elimination, Multigrid
 from mvedge_jax.losses import LossWeights, SupervisedWeights, Views, self_supervised_loss
-from mvedge_jax.model import DepthModel, ModelParams, ModelSizes, render_model
+from mvedge_jax.model import DepthModel, ModelParams, ModelSizes, StartParams, render_model
 from mvedge_jax.model._model import (
     downsample,
     image_roughness,
     map_roughness,
     upsample,
 )
+from mvedge_jax.model._start import start_from_points
+from mvedge_jax.model.approaches import ByReprojection
 from mvedge_jax.model.objectives import SelfSupervised, Supervised, unlimited
 from mvedge_jax.splatting import SplatParams, SplatSizes
 
@@ -244,3 +246,21 @@ def test_points_that_are_cut_off_are_refused():
     assert ModelSizes().rendering(thesis) is thesis
     with pytest.raises(ValueError, match=r"sigma_label` = 1\.3 px .*radius` = 2 px"):
         ModelSizes.on_raster(1).rendering(thesis)
+    cramped = ModelSizes(splat=SplatSizes(scale=2, radius=1))
+    with pytest.raises(ValueError, match=r"sigma_label` = 0\.7 px .*radius` = 1 px"):
+        cramped.rendering(None)
+
+
+def test_a_point_outside_of_the_image_takes_no_part():
+    xy = jnp.array([[3.0, 4.0], [-0.7, 2.0]])
+    start = start_from_points(
+        xy, jnp.ones(2), jnp.full(2, 0.01), jnp.ones(2, bool), jnp.full((*SHAPE, 3), 0.5),
+        jnp.zeros(SHAPE), StartParams(),
+    )  # fmt: skip
+    assert start.model.valid.tolist() == [True, False]
+
+
+def test_views_to_draw_are_at_least_one():
+    for subset in (0, -5):
+        with pytest.raises(ValueError, match=f"`subset` must be at least 1.* got {subset}"):
+            ByReprojection(subset=subset)

@@ -46,3 +46,16 @@ def test_gradient_of_bending_and_one_trace():
     assert single.dtype == jnp.float32
     traced(guide.astype(jnp.float32), PolishParams(weight=jnp.asarray(1.0)))
     assert traces() == 1
+
+
+def test_in_derivatives_the_change_is_a_constant():
+    rough = surfaces((7, 20)).at[2, 4].add(0.002)
+
+    def loss(disparity, params):
+        return jnp.sum(jnp.sin(40 * polish(disparity, params)))
+
+    of_map, of_params = jax.jit(jax.grad(loss, (0, 1)))(rough, PolishParams())
+    np.testing.assert_allclose(of_map, 40 * jnp.cos(40 * polish(rough, PolishParams())), rtol=1e-9)
+    assert all(float(leaf) == 0 for leaf in jax.tree.leaves(of_params))
+    _, forward = jax.jvp(polish, (rough, PolishParams()), (rough, PolishParams()))
+    np.testing.assert_array_equal(forward, rough)

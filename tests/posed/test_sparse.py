@@ -14,6 +14,7 @@ from mvedge_jax.posed.scores import depth_errors
 from mvedge_jax.posed.sparse import (
     SparseStereoParams,
     SparseStereoSizes,
+    _with_edges,
     posed_reprojection,
     seen_points,
     sparse_stereo,
@@ -131,3 +132,19 @@ def test_errors_say_what_is_missing():
         sparse_stereo(seen, WANTED, wide, SparseStereoSizes(), key=jax.random.key(0))
     with pytest.raises(ValueError, match="`iterations` must be at least 1, got 0"):
         SparseStereoSizes(iterations=0)
+
+
+def test_new_points_are_no_more_than_asked_for_and_fit_the_image():
+    image = jax.random.uniform(jax.random.key(0), (12, 16, 3))
+    model = DepthModel(
+        jnp.zeros(2), jnp.zeros((2, 2)), jnp.zeros(2), jnp.zeros((12, 16)), jnp.ones(2, bool)
+    )
+    disparity = jnp.arange(192.0).reshape(12, 16)
+    for count, kept in ((40, 40), (500, 192)):
+        found = _with_edges(
+            model, image, disparity, jnp.asarray(5), count=count, key=jax.random.key(1)
+        )
+        assert found.valid.shape == (2 + kept,)
+        assert int(found.valid.sum()) == 2 + 5
+        x, y = found.xy[2:7].astype(int).T
+        np.testing.assert_array_equal(found.disparity[2:7], disparity[y, x])

@@ -13,6 +13,7 @@ from mvedge_jax.posed import (
     Photographs,
     StereoParams,
     StereoSizes,
+    _stereo,
     posed_sweep,
     reference_of,
     stereo,
@@ -52,6 +53,23 @@ def test_finds_the_wall_from_every_photograph_with_one_program(small):
         assert bool(jnp.isfinite(found.error).all())
         np.testing.assert_allclose(found.stats.gain, 1, atol=0.02)
     assert traces() == 1
+
+
+def test_names_and_points_ask_for_no_other_program(monkeypatch):
+    given = []
+
+    def caught(photographs, *_):
+        given.append(photographs)
+        raise KeyError
+
+    monkeypatch.setattr(_stereo, "_stereo", caught)
+    for names, n in (("abcd", 3), ("efgh", 5)):
+        known = photographs(names=tuple(names), points=np.full((n, 3), [0.0, 0.0, 2.0]))
+        wanted = reference_of(known, 0, depth_range=RANGE)
+        with pytest.raises(KeyError):
+            stereo(known, wanted, StereoParams(), StereoSizes.of(wanted))
+    one, other = (jax.tree.map(jnp.shape, each) for each in given)
+    assert one == other
 
 
 @pytest.mark.parametrize("level", [0.0, 0.5, 1.0])

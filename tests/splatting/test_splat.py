@@ -273,3 +273,26 @@ def test_points_wider_than_their_radius_are_refused(name):
     for width in (0.0, float("nan")):
         with pytest.raises(ValueError, match=f"`{name}` must be positive, got {width}"):
             SplatSizes().check(with_values(SplatParams, **{name: width}))
+
+
+@pytest.mark.parametrize("order", [2, 6, 26])
+def test_steep_weights_have_finite_derivatives_in_float32(order):
+    """The place of no point is far away: powers of its distance must not overflow."""
+    xy, label, weight, _ = (part[:2] for part in cloud(dtype=np.float32))
+    params = jax.tree.map(lambda a: a.astype(jnp.float32), SplatParams())
+    sizes = replace(SplatSizes(), order=order)
+
+    def total(params):
+        there = jnp.array([True, False])
+        return splatting.splat(xy + 4, label, weight, there, params, SHAPE, sizes).weight.sum()
+
+    gradient = jax.jit(jax.grad(total))(params)
+    direction = jax.tree.map(jnp.ones_like, params)
+    slope = jax.jit(lambda p: jax.jvp(total, (p,), (direction,))[1])(params)
+    assert all(bool(jnp.isfinite(leaf).all()) for leaf in jax.tree.leaves(gradient))
+    assert float(slope) == pytest.approx(sum(float(g) for g in jax.tree.leaves(gradient)), rel=1e-4)
+
+
+def test_a_ray_without_density_is_refused():
+    with pytest.raises(ValueError, match="`density` and `sigma_depth` must be positive, got 0 and"):
+        SplatSizes().check(with_values(SplatParams, density=0.0))

@@ -11,14 +11,15 @@ from jaxtyping import Float
 
 from mvedge_jax.posed import Photographs
 
+from .._images import IMAGE_SUFFIXES
 from ._ply import write_ply
 
 # COLMAP and nerfstudio have their pixel centres at .5.
 _HALF = 0.5
 # OpenGL's camera looks along -z with y up, ours along z with y down.
 _TURN = np.diag([1.0, -1.0, -1.0, 1.0])
-# Depth is stored as 16 bit; nerfstudio reads this unit from the file.
-_LEVELS = 65000
+# Units per unit of stored depth: nerfstudio's own, which it does not read from the file.
+_UNIT = 1e-3
 
 
 def write_colmap(folder: str | os.PathLike, photographs: Photographs) -> None:
@@ -28,12 +29,16 @@ def write_colmap(folder: str | os.PathLike, photographs: Photographs) -> None:
         folder: gets `images/` and `sparse/0/` with `cameras.txt`, `images.txt` and
             `points3D.txt`. Cameras are PINHOLE; a light field's sensor shift is its principal
             point. Points come with the photographs that observed them.
-        photographs: see `Photographs`.
+        photographs: see `Photographs`. Names without the ending of an image get `.png`.
+
+    Raises:
+        ValueError: names lead out of the folder, or name one file twice; nothing is written then.
     """
     folder = Path(folder)
+    files = _files(folder / "images", photographs)
     model = folder / "sparse" / "0"
     model.mkdir(parents=True, exist_ok=True)
-    _write_images(folder / "images", photographs)
+    _write_images(folder / "images", files, photographs)
     poses = np.asarray(photographs.poses, np.float64)
     matrices = np.asarray(photographs.intrinsics, np.float64)
     height, width = photographs.images.shape[1:3]
@@ -46,9 +51,7 @@ def write_colmap(folder: str | os.PathLike, photographs: Photographs) -> None:
     cameras, images = ["# CAMERA_ID MODEL WIDTH HEIGHT fx fy cx cy"], []
     tracks: list[list[str]] = [[] for _ in points]
     colours, errors = _looked_up(photographs, points, observed)
-    for i, (name, pose, matrix) in enumerate(
-        zip(photographs.names, poses, matrices, strict=True), start=1
-    ):
+    for i, (name, pose, matrix) in enumerate(zip(files, poses, matrices, strict=True), start=1):
         fx, fy, cx, cy = matrix[0, 0], matrix[1, 1], matrix[0, 2] + _HALF, matrix[1, 2] + _HALF
         cameras.append(f"{i} PINHOLE {width} {height} {fx:.17g} {fy:.17g} {cx:.17g} {cy:.17g}")
         inverse = np.linalg.inv(pose)
@@ -82,27 +85,29 @@ def write_nerfstudio(
     """Writes photographs and cameras as nerfstudio's `transforms.json`.
 
     Args:
-        folder: gets `images/`, `transforms.json` and, where depth is given, `depths/` (16 bit, in
-            the unit that `depth_unit_scale_factor` says, 0 where unknown) and `masks/` (where depth
-            is known). Sparse points become `sparse_pc.ply`.
-        photographs: see `Photographs`.
+        folder: gets `images/`, `transforms.json` and, where depth is given, `depths/` (float32
+            `.npy` in thousandths of the unit, which is what nerfstudio expects by default; 0 where
+            unknown) and `masks/` (where depth is known). Sparse points become `sparse_pc.ply`.
+        photographs: see `Photographs`. Names without the ending of an image get `.png`.
         depth: of some photographs by their index; not finite or 0 where unknown. nerfstudio wants
             all frames to have depth or none: the masks and depths of the others are all 0.
+
+    Raises:
+        ValueError: names lead out of the folder, or name one file twice; nothing is written then.
     """
     folder = Path(folder)
+    files = _files(folder / "images", photographs)
     folder.mkdir(parents=True, exist_ok=True)
-    _write_images(folder / "images", photographs)
+    _write_images(folder / "images", files, photographs)
     height, width = photographs.images.shape[1:3]
     maps = {
         i: np.where(np.isfinite(values) & (values > 0), values, 0.0)
         for i, values in (depth or {}).items()
     }
-    largest = max((float(values.max()) for values in maps.values()), default=0.0)
-    unit = largest / _LEVELS if largest > 0 else 1e-3
     frames = []
     for i, (name, pose, matrix) in enumerate(
         zip(
-            photographs.names,
+            files,
             np.asarray(photographs.poses, np.float64),
             np.asarray(photographs.intrinsics, np.float64),
             strict=True,
@@ -119,15 +124,17 @@ def write_nerfstudio(
             "transform_matrix": (pose @ _TURN).tolist(),
         }
         if maps:
-            values = maps.get(i, np.zeros((height, width)))
-            stem = Path(name).stem
-            _image(folder / "depths" / f"{stem}.png", np.round(values / unit).astype(np.uint16))
-            _image(folder / "masks" / f"{stem}.png", np.where(values > 0, 255, 0).astype(np.uint8))
-            frame |= {"depth_file_path": f"depths/{stem}.png", "mask_path": f"masks/{stem}.png"}
+            values = (maps.get(i, np.zeros((height, width))) / _UNIT).astype(np.float32)
+            # With the image's own ending before it: names may differ in nothing else.
+            stored, mask = f"depths/{name}.npy", f"masks/{name}.png"
+            (folder / stored).parent.mkdir(parents=True, exist_ok=True)
+            np.save(folder / stored, values)
+            _image(folder / mask, np.where(values > 0, 255, 0).astype(np.uint8))
+            frame |= {"depth_file_path": stored, "mask_path": mask}
         frames.append(frame)
     top: dict = {"camera_model": "OPENCV", "frames": frames}
     if maps:
-        top["depth_unit_scale_factor"] = unit
+        top["depth_unit_scale_factor"] = _UNIT
     if photographs.points is not None and len(photographs.points):
         points = np.asarray(photographs.points)
         observed = photographs.observed
@@ -192,11 +199,23 @@ def _bytes(image: np.ndarray) -> np.ndarray:
     return np.round(255 * np.clip(image, 0, 1)).astype(np.uint8)
 
 
-def _write_images(folder: Path, photographs: Photographs) -> None:
-    for name, image in zip(photographs.names, np.asarray(photographs.images), strict=True):
+def _files(folder: Path, photographs: Photographs) -> list[str]:
+    """What the photographs' images are to be called; checked before anything is written."""
+    files = [
+        name if Path(name).suffix.lower() in IMAGE_SUFFIXES else f"{name}.png"
+        for name in photographs.names
+    ]
+    for name, file in zip(photographs.names, files, strict=True):
         # Names come from files of others.
-        if not (folder / name).resolve().is_relative_to(folder.resolve()):
+        if not (folder / file).resolve().is_relative_to(folder.resolve()):
             raise ValueError(f"`photographs` have the name {name!r}, which leads out of {folder}.")
+        if files.count(file) > 1:
+            raise ValueError(f"`photographs` have the name {name!r} besides {file!r}; rename one.")
+    return files
+
+
+def _write_images(folder: Path, files: list[str], photographs: Photographs) -> None:
+    for name, image in zip(files, np.asarray(photographs.images), strict=True):
         _image(folder / name, np.ascontiguousarray(_bytes(image)[..., ::-1]))
 
 

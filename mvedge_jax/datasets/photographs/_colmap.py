@@ -125,6 +125,8 @@ def open_colmap(folder: Path, images: Path | None) -> PosedSource:
             points = found.xyz
             numbers = np.asarray([image.number for image in stored])
             observed = np.stack([np.isin(numbers, track) for track in found.tracks], axis=1)
+            # Points without tracks: who saw them is not known.
+            observed = observed if observed.any() else None
     return PosedSource(f"COLMAP model ({end[1:]})", tuple(frames), points, observed)
 
 
@@ -289,10 +291,16 @@ def _images_text(path: Path) -> list[_Image]:
     while lines and not lines[0][1]:
         lines.pop(0)
     # Every second line lists the points of the image before it, and may be empty.
-    for line, text in lines[::2]:
+    for i, (line, text) in enumerate(lines[::2]):
         words = text.split(maxsplit=9)
-        if not words:
+        if not words and not any(rest for _, rest in lines[2 * i :]):
             break
+        for below, seen in lines[2 * i + 1 : 2 * i + 2]:
+            if len(seen.split()) % 3 or not _all_numbers(seen.split()):
+                raise ValueError(
+                    f"{path}, line {below}: {seen[:60]!r}; expected the points of the image of "
+                    f"line {line}, three numbers each, or an empty line."
+                )
         if len(words) < 10:
             wanted = "IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME"
             raise _short(path, line, len(words), wanted)
@@ -301,6 +309,13 @@ def _images_text(path: Path) -> list[_Image]:
         pose = _pose(values[1:8], where)
         result.append(_Image(int(values[0]), words[9], pose, int(values[8])))
     return result
+
+
+def _all_numbers(words: list[str]) -> bool:
+    try:
+        return bool(np.isfinite([float(word) for word in words]).all())
+    except ValueError:
+        return False
 
 
 def _points_text(path: Path) -> _Points:

@@ -54,8 +54,12 @@ def open_nerfstudio(path: Path) -> PosedSource:
         points = read_ply(path.parent / top["ply_file_path"])
         points = points if len(points) else None
     ordered = tuple(sorted(found, key=lambda frame: frame.name))
-    unit = float(top.get("depth_unit_scale_factor", 1e-3))
-    return PosedSource("nerfstudio transforms.json", ordered, points, depth_unit=unit)
+    unit = top.get("depth_unit_scale_factor", 1e-3)
+    if isinstance(unit, bool) or not isinstance(unit, int | float) or not 0 < unit < math.inf:
+        raise ValueError(
+            f"{path} has depth_unit_scale_factor = {unit!r}; expected a positive number."
+        )
+    return PosedSource("nerfstudio transforms.json", ordered, points, depth_unit=float(unit))
 
 
 def _frame(path: Path, index: int, own: dict[str, Any], known: dict[str, Any]) -> Frame:
@@ -92,7 +96,8 @@ def _lens(known: dict[str, Any], where: str) -> Lens:
         return float(value)
 
     model = known.get("camera_model", "OPENCV")
-    fisheye = model == "OPENCV_FISHEYE"
+    # instant-ngp's own scripts write the second form.
+    fisheye = model == "OPENCV_FISHEYE" or known.get("is_fisheye") is True
     if not fisheye and model not in _PERSPECTIVE:
         raise ValueError(
             f"{where} has the camera model {model!r}, which is not handled; expected one of "
@@ -101,9 +106,18 @@ def _lens(known: dict[str, Any], where: str) -> Lens:
     width, height = number("w"), number("h")
     size = None if width is None or height is None else (int(height), int(width))
     fx, fy = number("fl_x"), number("fl_y")
-    angle = number("camera_angle_x")
-    if fx is None and angle is not None and width is not None:
-        fx = 0.5 * width / math.tan(0.5 * angle)
+
+    def of_angle(name: str, side: float | None) -> float | None:
+        angle = number(name)
+        if angle is None or side is None:
+            return None
+        if not 0 < angle < math.pi:
+            raise ValueError(f"{where} has {name} = {angle:g}; expected radians from 0 to pi.")
+        return 0.5 * side / math.tan(0.5 * angle)
+
+    if fx is None:
+        fx = of_angle("camera_angle_x", width)
+        fy = of_angle("camera_angle_y", height) if fy is None else fy
     if fx is None:
         raise ValueError(
             f"{where} has no intrinsics; expected fl_x (and fl_y, cx, cy), or camera_angle_x and w."

@@ -18,8 +18,9 @@ from ._posed_source import Frame, Lens, PosedSource, pinhole
 from ._sift import triangulated
 from ._trajectory import find_trajectory, open_trajectory
 
-# Share of photographs' pixels that may be lost where lens distortion is taken out.
-_KEPT = 0.3
+# Share of a photograph that must be left where lens distortion is taken out, share of the frame
+# that it must fill, and the least focal length, as a share of the frame, 168 degrees wide.
+_KEPT, _FILLED, _SHORTEST = 0.3, 0.98, 0.05
 
 
 def open_photographs(
@@ -180,8 +181,8 @@ def nearby(source: PosedSource, around: str, most: int | None) -> list[str]:
         most: how many, itself included; None for all.
 
     Returns:
-        Names, in the order of the source: those that share most points with it, or, where points
-        are not known, those whose cameras are nearest among the ones that look the same way.
+        Names, in the order of the source: those that share most points with it, or, where it is
+        not known to see any, those whose cameras are nearest among the ones that look the same way.
 
     Raises:
         ValueError: there is no such photograph, or `most` is below 2.
@@ -193,7 +194,7 @@ def nearby(source: PosedSource, around: str, most: int | None) -> list[str]:
     if most < 2:
         raise ValueError(f"`most` must be at least 2, got {most}.")
     poses = np.stack([frame.pose for frame in source.frames])
-    if source.observed is not None:
+    if source.observed is not None and bool(source.observed[own].any()):
         rank = -(source.observed & source.observed[own]).sum(axis=1).astype(float)
     else:
         rank = np.linalg.norm(poses[:, :3, 3] - poses[own, :3, 3], axis=1)
@@ -249,7 +250,7 @@ def _read(
     picture = stored.astype(np.float32) / np.float32(np.iinfo(stored.dtype).max)
     depth = None
     if frame.depth is not None:
-        depth = read_raw(frame.depth).astype(np.float32) * np.float32(depth_unit)
+        depth = _stored_depth(frame.depth).astype(np.float32) * np.float32(depth_unit)
         if depth.shape != shape:
             raise ValueError(
                 f"{frame.depth} has the shape {depth.shape}; expected that of {frame.image}, "
@@ -261,12 +262,40 @@ def _read(
         height, width = (max(8, round(n * scale)) for n in shape)
         picture = cv2.resize(picture, (width, height), interpolation=cv2.INTER_AREA)
         if depth is not None:
-            depth = cv2.resize(depth, (width, height), interpolation=cv2.INTER_NEAREST)
+            # The pixel in the middle; OpenCV's nearest one is at the corner.
+            row, column = (
+                ((np.arange(few) + 0.5) * many / few).astype(int)
+                for few, many in zip((height, width), shape, strict=True)
+            )
+            depth = depth[row[:, None], column]
         matrix = matrix.copy()
         for axis, ratio in ((0, width / shape[1]), (1, height / shape[0])):
             matrix[axis, axis] *= ratio
             matrix[axis, 2] = (matrix[axis, 2] + 0.5) * ratio - 0.5
     return np.clip(picture, 0, 1), matrix, depth
+
+
+def _stored_depth(path: Path) -> np.ndarray:
+    """Depth as files hold it: an image, or an array."""
+    if path.suffix != ".npy":
+        return read_raw(path)
+    try:
+        found = np.load(path, allow_pickle=False)
+    except (OSError, EOFError, ValueError) as fault:
+        raise ValueError(f"{path} cannot be read: {fault}; expected an array of depths.") from fault
+    if found.dtype.kind not in "fui" or not np.isfinite(found).all():
+        raise ValueError(f"{path} must hold finite numbers, 0 where depth is not known.")
+    return found
+
+
+def _outlined(x: np.ndarray, y: np.ndarray) -> float:
+    """Area inside of where the border of an image comes from, px."""
+
+    def border(a: np.ndarray) -> np.ndarray:
+        return np.concatenate([a[0], a[1:, -1], a[-1, -2::-1], a[-2:0:-1, 0]]).astype(np.float64)
+
+    a, b = border(x), border(y)
+    return 0.5 * abs(float(np.sum(a * np.roll(b, -1) - np.roll(a, -1) * b)))
 
 
 def _straightened(
@@ -288,11 +317,18 @@ def _straightened(
         maps = cv2.initUndistortRectifyMap(lens.matrix, bent, still, matrix, size, cv2.CV_32FC1)
     x, y = maps
     inside = (x >= -0.5) & (x <= width - 0.5) & (y >= -0.5) & (y <= height - 0.5)
-    if not np.isfinite(matrix).all() or inside.mean() < _KEPT or matrix[0, 0] <= 0:
+    filled, kept = float(inside.mean()), _outlined(x, y) / (width * height)
+    narrow = np.isfinite(matrix).all() and min(matrix[0, 0], matrix[1, 1]) > _SHORTEST * width
+    if not narrow or filled < _FILLED or kept < _KEPT:
         raise ValueError(
-            f"{where} cannot be straightened: its distortion {bent.tolist()} leaves "
-            f"{100 * inside.mean():.0f} % of the frame; undistort it first."
+            f"{where} cannot be straightened: with its distortion {bent.tolist()}, a straight "
+            f"picture of focal length {matrix[0, 0]:.4g} px would show {100 * kept:.0f} % of it "
+            f"and be filled to {100 * filled:.0f} %; undistort it first."
         )
+    centre = matrix[0, 2], matrix[1, 2]
+    pinhole(
+        matrix[0, 0], matrix[1, 1], *centre, where=f"{where}, straightened,", size=(height, width)
+    )
     straight = cv2.remap(picture, x, y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
     if depth is not None:
         depth = cv2.remap(depth, x, y, cv2.INTER_NEAREST, borderMode=cv2.BORDER_CONSTANT)

@@ -55,7 +55,10 @@ def triangulated(
 
 def _features(image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     gray = cv2.cvtColor(np.round(255 * image).astype(np.uint8), cv2.COLOR_RGB2GRAY)
-    detector = cv2.SIFT.create(nfeatures=_FEATURES, contrastThreshold=0.02)
+    # Without the last option, enlarging the image moves all features by a quarter of a pixel.
+    detector = cv2.SIFT.create(
+        nfeatures=_FEATURES, contrastThreshold=0.02, enable_precise_upscale=True
+    )
     found, descriptors = detector.detectAndCompute(gray, None)
     if descriptors is None:
         return np.zeros((0, 2)), np.zeros((0, 128), np.float32)

@@ -1,6 +1,7 @@
 """Photographs beside a list of poses: Redwood's logs, and the TUM benchmark's."""
 
 import json
+import re
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -75,11 +76,18 @@ def _numbers(path: Path, line: int, words: list[str], count: int) -> np.ndarray:
 
 
 def _photographs(folder: Path) -> list[Path]:
-    return sorted(
+    """In the order of their numbers, whether or not these are filled up with zeros."""
+    files = (
         file
         for file in folder.iterdir()
         if file.suffix.lower() in IMAGE_SUFFIXES and not file.name.startswith("depth_")
     )
+
+    def order(file: Path) -> list[tuple[int, str]]:
+        parts = re.split(r"(\d+)", file.name)
+        return [(int(part), "") if part.isdigit() else (0, part) for part in parts]
+
+    return sorted(files, key=order)
 
 
 def _listed(

@@ -13,7 +13,7 @@ from mvedge_jax.losses.terms import Features
 from .._model import ModelParams, ModelSizes, compiled_render
 from .._result import Verdict
 from .._start import Start, StartParams, fit_to_map, trust_labels
-from ..objectives import SelfSupervised
+from ..objectives import SelfSupervised, check_subset
 from ..optimisation._routine import Rates
 from ..optimisation._state import State
 from ._approach import Approach, Prepared, crosshair_halves, explained
@@ -44,6 +44,9 @@ class ByReprojection(Approach):
         subset: views drawn anew for every iteration, or None for all.
         similarity: compute the SSIM term, which costs as much as the rest of the loss.
 
+    Raises:
+        ValueError: `subset` is below 1.
+
     Source:
         Thesis 7.1.4, Eq. 7.15-7.16.
 
@@ -64,6 +67,9 @@ class ByReprojection(Approach):
     iterations: int = eqx.field(static=True, default=40)
     subset: int | None = eqx.field(static=True, default=None)
     similarity: bool = eqx.field(static=True, default=False)
+
+    def __check_init__(self) -> None:
+        check_subset(self.subset)
 
     def prepare(self, light_field: LightField, start: Start, sizes: ModelSizes) -> Prepared:
         """Fits the model to the first map.
@@ -114,5 +120,6 @@ class ByReprojection(Approach):
         )
         after = before + changed - same
         error = explained(light_field, before, after, self.features)
-        kept = error[1] < (1 - self.margin.astype(error.dtype)) * error[0]
+        margin = self.margin.astype(error.dtype)
+        kept = jnp.isneginf(margin) | (error[1] < (1 - margin) * error[0])
         return polish(jnp.where(kept, after, before), self.polish), Verdict(error, kept)

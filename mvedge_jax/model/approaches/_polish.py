@@ -103,7 +103,8 @@ def polish(
         iterations: of Adam.
 
     Returns:
-        The polished map. Differentiable through the iterations.
+        The polished map. In derivatives, what polishing changes is a constant: those of so many
+        steps of a problem that is so stiff overflow.
     """
     params = cast(params, disparity.dtype)
 
@@ -124,4 +125,4 @@ def polish(
     phase = jnp.arange(iterations, dtype=disparity.dtype) / max(iterations, 1)
     fades = 0.5 * (1 + jnp.cos(jnp.pi * phase))
     (polished, _), _ = jax.lax.scan(step, (disparity, adam.init(disparity)), fades)
-    return polished
+    return disparity + jax.lax.stop_gradient(polished - disparity)

@@ -77,13 +77,13 @@ class Growth(Strategy):
                 "`Growth` needs a known map, as `Supervised` has it; the objective is "
                 f"{type(objective).__name__}."
             )
-        free = state.model.valid.size - int(jnp.sum(state.model.valid))
-        if not self.recycle and not free:
+        if not self.recycle and bool(jnp.all(state.model.valid)):
             return Plan(max(routine.length // 4, 1))
         # After the last iteration nothing would say whether new points are any good.
         last = min(round(float(self.until) * routine.length), routine.length - 1)
         piece = max(-(-last // self.rounds), 1) if last > 0 else max(routine.length, 1)
-        count = max(objective.truth.size // 50, -(-free // self.rounds), 1)
+        # Of the places that `prepare` made, not of those still free: a resumed run does the same.
+        count = max(objective.truth.size // 50, -(-self.extra // max(last // piece, 1)), 1)
         return Plan(piece, last, count if self.count is None else self.count)
 
     def after_piece(self, plan: Plan, state: State, objective: Objective) -> Grown | None:
@@ -220,7 +220,8 @@ def grow(
     state = eqx.tree_at(
         lambda s: (s.model, s.moments.mu, s.moments.nu, s.best_loss),
         state,
-        (model, *moments, jnp.full_like(state.best_loss, jnp.inf)),
+        # With other points the loss is another one.
+        (model, *moments, jnp.where(jnp.any(fits), jnp.inf, state.best_loss)),
     )
     return Grown(state, objective, jnp.sum(fits), recycled, jnp.sum(wanted & ~open_place))
 
