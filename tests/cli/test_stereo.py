@@ -8,6 +8,7 @@ from datasets.layouts import write_hci
 from posed.walls import MATRIX, POSES, places, wall
 
 from mvedge_jax.cli import _main
+from mvedge_jax.cli._paths import stems_of
 from mvedge_jax.datasets import read_pfm, synthetic, write_hci as write_scene, write_pfm
 from mvedge_jax.datasets.exchange import read_ply, write_colmap
 from mvedge_jax.datasets.photographs import load_photographs
@@ -197,3 +198,35 @@ def test_a_camera_may_be_given_for_any_light_field():
     field = LightField(np.zeros((3, 3, 8, 8, 3), np.float32))
     with pytest.raises(ValueError, match="does not know its camera"):
         photographs_of(field)
+
+
+@pytest.mark.parametrize(
+    ("names", "wanted"),
+    [
+        (["a.png", "b/c.jpg"], ["a", "b_c"]),
+        (["1.jpg", "1.png", "2.png"], ["1.jpg", "1.png", "2"]),
+        (["/left/0.png", "../0.png"], ["left_0", "0"]),
+        (["a/b.png", "a_b.png"], ["a_b.png_1", "a_b.png_2"]),
+        (["a/b.png", "a_b.png", "a_b.png_1"], ["a_b.png_2", "a_b.png_3", "a_b.png_1"]),
+    ],
+)
+def test_files_of_photographs_never_share_a_name(names, wanted):
+    assert list(map(stems_of(names).get, names)) == wanted
+
+
+def test_points_of_a_colmap_model_are_no_edge_points(model, tmp_path, capsys):
+    """They belong to no single photograph whose colours and normals could be looked up."""
+    report = {
+        "command": "stereo", "model": str(model), "scale": 1.0, "method": "dense",
+        "images": None, "intrinsics": None, "photographs": {"1": {}},
+    }  # fmt: skip
+    folder = tmp_path / "result"
+    folder.mkdir()
+    (folder / "report.json").write_text(json.dumps(report))
+    (folder / ".mvedge.json").write_text("{}")
+    for kind in ("depth", "error"):
+        write_pfm(folder / f"1_{kind}.pfm", DEPTHS[1].astype(np.float32))
+    words = ["export", str(folder), str(tmp_path / "out"), "--to", "ply"]
+    assert _main.main([*words, "--points", "edges"]) == 2
+    assert "has no edge points; run mvedge depth" in capsys.readouterr().err
+    assert _main.main(words) == 0
