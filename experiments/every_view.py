@@ -167,6 +167,8 @@ def _cost_plot(cost: list[dict[str, Any]]) -> Figure:
     for column in ("seconds", "per view"):
         axes.loglog(count, [row[column] for row in cost], "o-", label=column)
     axes.set(xlabel="views", ylabel="seconds")
+    axes.set_xticks(count, map(str, count))
+    axes.set_xticks([], minor=True)
     axes.legend()
     return figure
 

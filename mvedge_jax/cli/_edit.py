@@ -18,6 +18,10 @@ from ._output import output_folder, write_json
 
 # How far around what is removed pixels blend with it, px.
 _BLENDED = 2
+_NOTHING = (
+    "nothing was changed: in every view, it is hidden by what is nearer, or lies outside; look at "
+    "--at, --disparity or the mask."
+)
 
 
 def edit(
@@ -80,6 +84,8 @@ def edit(
                 edited = paint(light_field, depths, white.astype(jnp.float32), jnp.asarray(colour))
             else:
                 edited = remove(light_field, depths, white, radius=_BLENDED)
+            if bool(jnp.all(edited.views == light_field.views)):
+                doubts = [*doubts, _NOTHING]
         with stage("writing"):
             write_hci(edited, folder)
             plotting.plot_views(edited).savefig(folder / "views.png")

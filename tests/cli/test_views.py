@@ -75,6 +75,16 @@ def test_edit_puts_a_picture_before_the_plane(scene, tmp_path):
         np.testing.assert_allclose(edited.views[v, u][place], [1, 0, 0], atol=0.01)
 
 
+def test_a_picture_behind_everything_is_told(scene, tmp_path, capsys):
+    picture, out = tmp_path / "red.png", tmp_path / "out"
+    cv2.imwrite(str(picture), np.full((5, 5, 3), (0, 0, 255), np.uint8))
+    words = ["edit", str(scene), str(out), "--insert", str(picture), "--disparity", "-3"]
+    assert _main.main(words) == 0
+    warnings = json.loads((out / "report.json").read_text())["warnings"]
+    assert any("nothing was changed" in sentence for sentence in warnings)
+    assert "nothing was changed" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("command", ["views", "edit", "superpixels", "batch"])
 def test_what_speaks_against_the_depth_is_said(command, tmp_path, capsys):
     """Black views tell nothing: on the screen, and in report.json."""
