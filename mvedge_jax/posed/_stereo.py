@@ -117,14 +117,18 @@ def stereo(
     """
     # Names are static, and the number of points is a shape: neither is read, and each would ask
     # for a program of its own.
-    bare = Photographs(photographs.images, photographs.poses, photographs.intrinsics)
-    return _stereo(bare, reference, params, sizes)
+    read = photographs.images, photographs.poses, photographs.intrinsics
+    return _stereo(read, reference, params, sizes)
 
 
 @lean_jit
 def _stereo(
-    photographs: Photographs, reference: Reference, params: StereoParams, sizes: StereoSizes
+    read: tuple[Array, Array, Array],
+    reference: Reference,
+    params: StereoParams,
+    sizes: StereoSizes,
 ) -> StereoResult:
+    photographs = Photographs(*read)
     params = cast(params, photographs.images.dtype)
     given = _set_up(photographs, reference, sizes)
     scene = prepare_photographs(*given[:4], params.volume, window=sizes.window)

@@ -58,8 +58,8 @@ def test_finds_the_wall_from_every_photograph_with_one_program(small):
 def test_names_and_points_ask_for_no_other_program(monkeypatch):
     given = []
 
-    def caught(photographs, *_):
-        given.append(photographs)
+    def caught(read, *_):
+        given.append(read)
         raise KeyError
 
     monkeypatch.setattr(_stereo, "_stereo", caught)
