@@ -186,3 +186,23 @@ def _png_damage(data: bytes) -> str | None:
             return None
         position = end
     return f"it is truncated at byte {len(data)} (a PNG without its end)"
+
+
+def picked(values: np.ndarray, size: tuple[int, int], ratio: tuple[float, float]) -> np.ndarray:
+    """Shrinks what must not be mixed, depth or labels: every pixel is the one in its middle.
+
+    OpenCV's nearest pixel is the one in the corner.
+
+    Args:
+        values: `[y, x]`.
+        size: height and width of the result, px.
+        ratio: of new to old pixels along y and x, at most 1.
+
+    Returns:
+        Values of `values`, `[y, x]`.
+    """
+    y, x = (
+        ((np.arange(few) + 0.5) / share).astype(int).clip(max=many - 1)
+        for few, share, many in zip(size, ratio, values.shape, strict=True)
+    )
+    return values[np.ix_(y, x)]

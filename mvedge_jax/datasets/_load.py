@@ -14,6 +14,7 @@ from mvedge_jax.lightfield import Camera, GroundTruth, LightField
 from ._grid import is_grid, open_grid
 from ._hci import is_hci, open_hci
 from ._hdf5 import open_hdf5
+from ._images import picked
 from ._limits import memory_limit, some
 from ._lytro import open_mat
 from ._read import read_views, shrink
@@ -270,8 +271,7 @@ def _ground_truth(
         return shrink(values.astype(np.float32), *size, scale)
 
     def pick(values: np.ndarray) -> np.ndarray:
-        y, x = (((np.arange(n) + 0.5) / scale).astype(int) for n in size)
-        return values[np.ix_(y.clip(max=stored[0] - 1), x.clip(max=stored[1] - 1))]
+        return picked(values, size, (scale, scale))
 
     def every(values: np.ndarray | None, one) -> np.ndarray | None:
         if values is None:

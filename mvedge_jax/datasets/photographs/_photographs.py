@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from mvedge_jax.posed import Photographs
 
-from .._images import read_image, read_raw
+from .._images import picked, read_image, read_raw
 from ._colmap import find_colmap, open_colmap
 from ._nerfstudio import open_nerfstudio
 from ._posed_source import Frame, Lens, PosedSource, pinhole
@@ -262,12 +262,7 @@ def _read(
         height, width = (max(8, round(n * scale)) for n in shape)
         picture = cv2.resize(picture, (width, height), interpolation=cv2.INTER_AREA)
         if depth is not None:
-            # The pixel in the middle; OpenCV's nearest one is at the corner.
-            row, column = (
-                ((np.arange(few) + 0.5) * many / few).astype(int)
-                for few, many in zip((height, width), shape, strict=True)
-            )
-            depth = depth[row[:, None], column]
+            depth = picked(depth, (height, width), (height / shape[0], width / shape[1]))
         matrix = matrix.copy()
         for axis, ratio in ((0, width / shape[1]), (1, height / shape[0])):
             matrix[axis, axis] *= ratio
