@@ -79,10 +79,27 @@ class CheckedJit:
             # Where JAX was told to forget, the program was compiled as it was called.
             release_memory()
 
-    def lower(self, *arguments: Any, **options: Any) -> Any:
-        """See `lean_jit`."""
+    def lower(self, *arguments: Any, **options: Any) -> "_Ahead":
+        """See `lean_jit`; what is compiled from it looks at its arguments, too."""
         arguments, options = self.check(*arguments, **options)
-        return self.compiled.lower(*arguments, **options)
+        return _Ahead(self.check, self.compiled.lower(*arguments, **options))
+
+
+class _Ahead:
+    """What JAX makes ahead of a call, lowered or compiled, behind the check of its arguments."""
+
+    def __init__(self, check: Callable[..., tuple[Any, ...]], stage: Any):
+        self._check, self._stage = check, stage
+
+    def compile(self, **options: Any) -> "_Ahead":
+        return _Ahead(self._check, self._stage.compile(**options))
+
+    def __call__(self, *arguments: Any, **options: Any) -> Any:
+        arguments, options = self._check(*arguments, **options)
+        return self._stage(*arguments, **options)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stage, name)
 
 
 def checked_jit(check: Callable[..., tuple[Any, ...]]) -> Callable[[Callable[..., Any]], Any]:

@@ -6,6 +6,7 @@ JAX can differentiate forwards with respect to what they are not linear in.
 """
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 import jax
@@ -53,21 +54,20 @@ def linear_map(
     moving_leaves, moving_tree = jax.tree.flatten(moving)
     out_tree = jax.tree.structure(jax.eval_shape(forward, fixed, moving))
 
-    def flat(function: Callable, tree: Any) -> _Flat:
-        def call(fixed: Sequence[Any], leaves: Sequence[Any]) -> Sequence[Any]:
-            return jax.tree.leaves(
-                function(fixed_tree.unflatten(fixed), tree.unflatten(list(leaves)))
-            )
-
-        return call
-
     out = _linear_map.bind(
         *map(jnp.asarray, (*fixed_leaves, *moving_leaves)),
-        forward=flat(forward, moving_tree),
-        transpose=flat(transpose, out_tree),
+        forward=partial(_of_leaves, forward, fixed_tree, moving_tree),
+        transpose=partial(_of_leaves, transpose, fixed_tree, out_tree),
         split=len(fixed_leaves),
     )
     return out_tree.unflatten(out)
+
+
+def _of_leaves(
+    function: Callable, fixed_tree: Any, tree: Any, fixed: Sequence[Any], leaves: Sequence[Any]
+) -> Sequence[Any]:
+    """The leaves of what a function gives for trees of these leaves."""
+    return jax.tree.leaves(function(fixed_tree.unflatten(fixed), tree.unflatten(list(leaves))))
 
 
 def _call(*arrays: Any, forward: _Flat, transpose: _Flat, split: int) -> Sequence[Any]:

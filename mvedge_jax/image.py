@@ -1,5 +1,6 @@
 """One of each of what is done to images: sums, blurs, slopes, points on pixels, components."""
 
+from functools import partial
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -25,18 +26,19 @@ def window_sum(image: Array, radius: int, axis: int, *, border: str = "edge") ->
     margin = [(0, 0)] * image.ndim
     margin[axis] = (radius, radius)
 
-    def whole(_: None, padded: Array) -> Array:
-        return _whole_windows(padded, radius, axis)
-
-    def spread(_: None, sums: Array) -> Array:
-        # JAX would turn slices into pads, which XLA on CPU does not vectorise.
-        around = [(2 * before, 2 * after) for before, after in margin]
-        return _whole_windows(jnp.pad(sums, around), radius, axis)
-
+    whole, spread = partial(_whole_windows, radius, axis), partial(_spread_windows, radius, axis)
     return linear_map(whole, spread, None, jnp.pad(image, margin, mode=border))
 
 
-def _whole_windows(image: Array, radius: int, axis: int) -> Array:
+def _spread_windows(radius: int, axis: int, _: None, sums: Array) -> Array:
+    """The transpose of `_whole_windows`."""
+    # JAX would turn slices into pads, which XLA on CPU does not vectorise.
+    around = [(0, 0)] * sums.ndim
+    around[axis] = (2 * radius, 2 * radius)
+    return _whole_windows(radius, axis, None, jnp.pad(sums, around))
+
+
+def _whole_windows(radius: int, axis: int, _: None, image: Array) -> Array:
     """Sums over the windows that lie within an image."""
     # By hand: XLA on CPU vectorises sums of slices, but no window reduction.
     width = 2 * radius + 1

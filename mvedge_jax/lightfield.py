@@ -245,6 +245,36 @@ class LightField(eqx.Module):
         """The same light field with nothing to cheat with."""
         return eqx.tree_at(lambda s: s.truth, self, None, is_leaf=lambda leaf: leaf is None)
 
+    def renamed(self, name: str) -> "LightField":
+        """The same light field by another name."""
+        # Values are not checked again: those on a device would have to be read back.
+        like = jax.eval_shape(
+            lambda s: LightField(
+                s.views,
+                available=s.available,
+                disparity_range=s.disparity_range,
+                truth=s.truth,
+                camera=s.camera,
+                name=name,
+            ),
+            self,
+        )
+        return jax.tree.unflatten(jax.tree.structure(like), jax.tree.leaves(self))
+
+    def bare(self) -> "LightField":
+        """The views and which of them are there, without a name: all that depth is computed from.
+
+        `edge_to_depth` and its like are compiled for it, so that what else is known about a scene,
+        or whether it is, compiles nothing anew.
+        """
+        plain = eqx.tree_at(
+            lambda s: (s.disparity_range, s.truth, s.camera),
+            self,
+            (None, None, None),
+            is_leaf=lambda leaf: leaf is None,
+        )
+        return plain.renamed("")
+
     def crop_views(self, rows: int, columns: int | None = None) -> "LightField":
         """Keeps the central `rows` x `columns` views (`columns` defaults to `rows`).
 

@@ -42,6 +42,17 @@ def test_a_python_number_compiles_once():
     assert _product.traces == before + 1
 
 
+def test_a_program_made_ahead_looks_at_its_arguments():
+    lowered = _product.lower(_Outer(), jnp.asarray(2.0))
+    assert "stablehlo" in lowered.as_text()
+    program = lowered.compile()
+    params = eqx.tree_at(lambda p: p.inner.sigma, _Outer(), 3)
+    assert float(program(params, jnp.asarray(2.0))) == 6
+    bad = eqx.tree_at(lambda p: p.inner.sigma, _Outer(), -3.0)
+    with pytest.raises(ValueError, match="sigma"):
+        program(bad, jnp.asarray(2.0))
+
+
 def test_memory_of_the_compiler_is_given_back_before_the_program_runs(monkeypatch):
     order = []
     for module in (_checks, _compiler):

@@ -93,6 +93,28 @@ def test_ground_truth_is_apart():
     assert field.without_truth().without_truth().truth is None
 
 
+def test_what_else_is_known_compiles_nothing_anew():
+    truth = GroundTruth(jnp.zeros((6, 8)), jnp.ones((6, 8), bool))
+    camera = Camera(100.0, 0.1, 2.0)
+    known = _random(truth=truth, camera=camera, disparity_range=(-1.0, 1.0), name="known")
+    named = known.renamed("other")
+    assert named.name == "other"
+    for a, b in zip(jax.tree.leaves(named), jax.tree.leaves(known), strict=True):
+        assert a is b
+    traces = []
+    run = jax.jit(lambda f: traces.append(f) or f.centre_view.sum())
+    for field in (known, named, known.without_truth(), _random(name="a")):
+        bare = field.bare()
+        assert (bare.truth, bare.camera, bare.disparity_range) == (None, None, None)
+        assert bare.views is field.views
+        assert bare.available is field.available
+        run(bare)
+    assert len(traces) == 1
+    # Under a transform, too, and its derivative reaches the views.
+    gradient = jax.grad(lambda v: LightField(v, name="x").bare().views.sum())(known.views)
+    np.testing.assert_array_equal(gradient, 1)
+
+
 def test_passes_through_jit_and_vmap():
     field = _random(disparity_range=(-1.0, 1.0))
     shifted = jax.jit(lambda f: f.centre_view.sum())(field)

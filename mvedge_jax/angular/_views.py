@@ -45,7 +45,7 @@ def _look(light_field: Any, result: Any, params: Any, sizes: Any) -> tuple[Any, 
     expect("params", params, ViewParams, "`ViewParams()` has the defaults, and " + order)
     chosen = "`ViewSizes.for_light_field(light_field)` chooses them, and " + order
     expect("sizes", sizes, ViewSizes, chosen)
-    return (light_field, result, with_numbers(params), sizes), {}
+    return (light_field.bare(), result, with_numbers(params), sizes), {}
 
 
 @checked_jit(_look)
@@ -96,7 +96,7 @@ def depth_of_views(
             f"`result.disparity` must have the size of the views, {height}x{width}, got "
             f"{result.disparity.shape}."
         )
-    light_field, params = light_field.without_truth(), cast(params, light_field.views.dtype)
+    params = cast(params, light_field.views.dtype)
     # Where nothing is known, infinities would make derivatives that are no numbers.
     error = jnp.where(jnp.isfinite(result.error), result.error, root(jnp.var(result.disparity)))
     samples = samples_of(result.disparity, error, capacity=sizes.capacity)

@@ -96,7 +96,7 @@ def plane_sweep(
     dtype = light_field.views.dtype
     params = cast(VolumeParams() if params is None else params, dtype)
     sizes = SweepSizes() if sizes is None else sizes
-    return _sweep(light_field.without_truth(), jnp.asarray(wish, dtype), params, sizes)
+    return _sweep(light_field.bare(), jnp.asarray(wish, dtype), params, sizes)
 
 
 @lean_jit

@@ -109,7 +109,7 @@ def _look(light_field: Any, params: Any, sizes: Any) -> tuple[Any, ...]:
     chosen = "`Sizes.for_light_field(light_field)` chooses them, and " + order
     expect("sizes", sizes, Sizes, chosen)
     check_covers(light_field, sizes)
-    return (light_field, with_numbers(params), sizes), {}
+    return (light_field.bare(), with_numbers(params), sizes), {}
 
 
 @checked_jit(_look)
@@ -174,8 +174,8 @@ def edge_to_depth(light_field: LightField, params: Parameters, sizes: Sizes) -> 
             "`light_field` must have at least three views in a row or in a column, got a grid of "
             f"{light_field.views.shape[0]}x{light_field.views.shape[1]}."
         )
-    dtype, blind = light_field.views.dtype, light_field.without_truth()
-    every = blind if sizes.views == "all" else None
+    dtype = light_field.views.dtype
+    every = light_field if sizes.views == "all" else None
     params = cast(params, dtype)
     fine = sound(params)
     turned = cast(params.bidirectional or BidirectionalParams(), dtype)
@@ -183,7 +183,9 @@ def edge_to_depth(light_field: LightField, params: Parameters, sizes: Sizes) -> 
 
     # 1 and 2: brightness, noise, and what every pixel's own measurement says.
     disparities = sizes.edges.hypotheses(sizes.hypotheses, dtype)
-    scene = prepare(blind, disparities, params.volume, window=sizes.window, every=every is not None)
+    scene = prepare(
+        light_field, disparities, params.volume, window=sizes.window, every=every is not None
+    )
     ready = staged(lambda scene, params, every: sight(scene, params, every=every))
     views = ready(scene, params.photometric, every)
     measure = partial(first_labels, radius=sizes.radius, passes=sizes.passes)

@@ -137,7 +137,7 @@ def _camera(camera: Camera | None, limits) -> str:
 
 
 def _photometry(light_field: LightField) -> list[tuple[str, str]]:
-    exposure, noise = rough_brightness(light_field.without_truth())
+    exposure, noise = rough_brightness(light_field.bare())
     scale, gain = float(exposure.scale), np.asarray(exposure.gain)
     vc, uc = light_field.centre
     cross = np.concatenate([gain[vc], gain[:, uc]])

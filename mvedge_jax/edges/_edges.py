@@ -82,7 +82,7 @@ def _look(light_field: Any, params: Any, sizes: Any, **options: Any) -> tuple[An
     chosen = "`EdgeSizes.for_light_field(light_field)` chooses them, and " + order
     expect("sizes", sizes, EdgeSizes, chosen)
     given = {name: None if part is None else with_numbers(part) for name, part in options.items()}
-    return (light_field, with_numbers(params), sizes), given
+    return (light_field.bare(), with_numbers(params), sizes), given
 
 
 @checked_jit(_look)
@@ -132,7 +132,6 @@ def multiview_edges(
         0
     """
     dtype = light_field.views.dtype
-    light_field = light_field.without_truth()
     steps = max(light_field.centre)
     low, high = sizes.ends
     span = high - low - 2 * sizes.spacing

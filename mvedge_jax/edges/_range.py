@@ -66,7 +66,7 @@ def disparity_range(light_field: LightField, *, start: float = 4.0) -> tuple[flo
     side = min(light_field.views.shape[2:4])
     # 128 px keep fine structure measurable; smaller views are searched as they are.
     factor = max(1, side // 128)
-    light_field = light_field.without_truth()
+    light_field = light_field.bare()
     exposure, noise = rough_brightness(light_field)
     coarse = expose(light_field.downsample(factor), exposure)
     # Grey levels of 100 in the shrunk views; a fifth to a half of what colours in Lab show of it.

@@ -72,7 +72,7 @@ def optimize_edges(
         raise ValueError(
             f"The map of `start` has the shape {start.disparity.shape}; the views have {shape}."
         )
-    blind = light_field.without_truth()
+    blind = light_field.bare()
     prepared = params.prepare(blind, start, sizes)
     if routine is None:
         routine = all_at_once(params.rates, iterations=params.iterations)

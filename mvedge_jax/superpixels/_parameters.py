@@ -144,4 +144,4 @@ def look(light_field: Any, depths: Any, params: Any, sizes: Any) -> tuple[Any, .
         value = getattr(params, name)
         if not isinstance(value, Tracer) and not (np.asarray(value) > 0).all():
             raise ValueError(f"`params.{name}` must be positive, got {np.min(value):g}.")
-    return (light_field, depths, params, sizes), {}
+    return (light_field.bare(), depths, params, sizes), {}

@@ -33,10 +33,7 @@ def _score(objective: Objective, result: DepthResult, light_field: LightField) -
     if not isinstance(objective, str):
         return objective(result, light_field)
     truth = light_field.truth
-    if truth is None:
-        raise ValueError(
-            f"scene {light_field.name} has no ground truth; give a function as `objective`."
-        )
+    assert truth is not None, "`evaluate` asks for it"
     return getattr(
         depth_scores(result.disparity, truth.disparity, mask=truth.valid), objective
     ).astype(result.disparity.dtype)
@@ -101,7 +98,12 @@ def evaluate(
         light_field = scene
     else:
         light_field, sizes = _read(Path(scene), tuple(sorted(choices.items())))
-    dtype = light_field.views.dtype
+    if isinstance(objective, str) and light_field.truth is None:
+        raise ValueError(
+            f"scene {light_field.name} has no ground truth; give a function as `objective`."
+        )
+    # Scenes of one kind share a program.
+    dtype, light_field = light_field.views.dtype, light_field.renamed("")
     scores = []
     for start in range(0, len(rows), batch):
         part = rows[start : start + batch]

@@ -45,9 +45,11 @@ def test_a_scene_with_depth_edges(edges_scene):
     # What is said about the error is true: more than the share of a normal distribution within one.
     assert float(result.error.min()) > 0
     assert (error <= result.error).mean() > 0.68
-    # The truth is never read, and the same input gives the same output.
-    again = edge_to_depth(edges_scene.without_truth(), Parameters(), sizes)
+    # The truth is never read, nor is the name; the same input gives the same output.
+    before = edge_to_depth.traces
+    again = edge_to_depth(edges_scene.without_truth().renamed("again"), Parameters(), sizes)
     np.testing.assert_array_equal(again.disparity, result.disparity)
+    assert edge_to_depth.traces == before
 
 
 def test_all_views_know_more_than_those_of_the_crosshair(edges_scene):

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from edges.scenes import fence, flat_rectangle, plane, two_planes
-from helpers import check_gradient, count_traces, shared_data
+from helpers import check_gradient, shared_data
 from scipy import ndimage
 
 from experiments._crossings import crossing_table, crossings, survive
@@ -17,12 +17,13 @@ from mvedge_jax.edges._range import disparity_range
 from mvedge_jax.epi import prewitt_bank
 from mvedge_jax.lightfield import LightField
 
-_SIZES = EdgeSizes(first=0, filters=8, capacity=320)
+# Of `flat_plane`: one program for most tests.
+_SIZES = EdgeSizes(first=0, filters=8, capacity=700)
 
 
 @pytest.fixture(scope="module")
 def flat_plane():
-    return plane(0.37, size=(20, 28))
+    return plane(0.37, size=(32, 40))
 
 
 @pytest.fixture(scope="module")
@@ -30,11 +31,8 @@ def found(flat_plane):
     return multiview_edges(flat_plane, EdgeParams(), _SIZES)
 
 
-def test_points_of_a_plane_are_precise():
-    light_field = plane(0.37, size=(32, 40))
-    points = multiview_edges(
-        light_field, EdgeParams(), EdgeSizes(first=0, filters=8, capacity=700)
-    ).points
+def test_points_of_a_plane_are_precise(found):
+    points = found.points
     keep, xy = np.asarray(points.valid), np.asarray(points.xy)
     error = np.abs(np.asarray(points.disparity) - 0.37)
     assert keep.sum() > 400
@@ -71,7 +69,7 @@ def test_confidence_and_normals_are_in_range(found):
 
 def test_float32_stays_float32_and_is_close_to_float64(flat_plane, found):
     assert found.points.disparity.dtype == jnp.float32
-    exact = multiview_edges(plane(0.37, size=(20, 28), dtype=jnp.float64), EdgeParams(), _SIZES)
+    exact = multiview_edges(plane(0.37, size=(32, 40), dtype=jnp.float64), EdgeParams(), _SIZES)
     assert exact.points.disparity.dtype == jnp.float64
     both = np.asarray(exact.points.valid & found.points.valid)
     same = both & np.all(
@@ -174,10 +172,9 @@ def test_depth_edges_have_points(name):
     assert np.mean((d > low - 0.5) & (d < high + 0.5)) > 0.97
 
 
-def test_a_view_that_does_not_show_a_point_is_told():
-    light_field = plane(0.37, size=(20, 28))
-    painted = light_field.views.at[2, 0].set(0.5)
-    edges = multiview_edges(LightField(painted, disparity_range=(0, 0.7)), EdgeParams(), _SIZES)
+def test_a_view_that_does_not_show_a_point_is_told(flat_plane):
+    painted = flat_plane.views.at[2, 0].set(0.5)
+    edges = multiview_edges(LightField(painted), EdgeParams(), _SIZES)
     keep = np.asarray(edges.points.valid)
     seen = np.asarray(edges.points.visible)[keep]
     assert keep.sum() > 40
@@ -219,17 +216,17 @@ def test_gradient_with_respect_to_views_taps_and_every_parameter(tiny):
     check_gradient(loss, tree, rtol=1e-4, step=1e-7, directions=3, key=jax.random.key(0))
 
 
+@pytest.mark.usefixtures("found")
 def test_one_trace_for_many_values_and_vmap_is_a_loop(flat_plane):
-    sizes = _SIZES
-    run, traces = count_traces(multiview_edges)
-    limits = [0.001, 0.003, 0.03]
+    before, limits = multiview_edges.traces, [0.001, 0.003, 0.03]
     loop = [
-        run(flat_plane, EdgeParams(error_limit=jnp.asarray(value)), sizes).points.valid
+        multiview_edges(flat_plane, EdgeParams(error_limit=jnp.asarray(value)), _SIZES).points.valid
         for value in limits
     ]
-    assert traces() == 1
+    # That of the fixture, or of another test, serves all of them.
+    assert multiview_edges.traces == before
     together = jax.vmap(
-        lambda value: multiview_edges(flat_plane, EdgeParams(error_limit=value), sizes)
+        lambda value: multiview_edges(flat_plane, EdgeParams(error_limit=value), _SIZES)
     )(jnp.asarray(limits))
     np.testing.assert_array_equal(together.points.valid, jnp.stack(loop))
 
@@ -246,14 +243,11 @@ def test_filters_that_respond_beside_an_edge_do_not_widen_the_range():
     assert 0.0 < low < 0.5 < high < 1.0
 
 
-def test_noise_makes_points_less_precise_but_does_not_remove_them():
-    clean = plane(0.37, size=(32, 40))
-    grain = 0.03 * jax.random.normal(jax.random.key(0), clean.views.shape, clean.views.dtype)
-    noisy = eqx.tree_at(lambda field: field.views, clean, jnp.clip(clean.views + grain, 0, 1))
-    exact, rough = (
-        multiview_edges(field, EdgeParams(), EdgeSizes.for_light_field(field)).points
-        for field in (clean, noisy)
-    )
+def test_noise_makes_points_less_precise_but_does_not_remove_them(flat_plane, found):
+    views = flat_plane.views
+    grain = 0.03 * jax.random.normal(jax.random.key(0), views.shape, views.dtype)
+    noisy = LightField(jnp.clip(views + grain, 0, 1))
+    exact, rough = found.points, multiview_edges(noisy, EdgeParams(), _SIZES).points
     keep = np.asarray(rough.valid)
     assert keep.sum() > 0.5 * np.asarray(exact.valid).sum()
     error = np.asarray(rough.error)[keep]

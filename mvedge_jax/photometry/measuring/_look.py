@@ -257,14 +257,15 @@ def _moments(
 
 def _over_views(images: Float[Array, "s y x"]) -> Float[Array, "y x"]:
     """Sum over the views, plane by plane: XLA on CPU vectorises no sum over a leading axis."""
-
-    def total(_: None, images: Array) -> Array:
-        planes = unstack(images)
-        # An arm may have a single view.
-        return sum(planes[1:], planes[0]) if planes else jnp.zeros(images.shape[1:], images.dtype)
-
     # By itself, JAX would put the planes' cotangents together again, one by one.
-    return linear_map(total, lambda _, ct: jnp.broadcast_to(ct, images.shape), None, images)
+    return linear_map(_planes, lambda _, ct: jnp.broadcast_to(ct, images.shape), None, images)
+
+
+def _planes(_: None, images: Array) -> Array:
+    """Their sum."""
+    planes = unstack(images)
+    # An arm may have a single view.
+    return sum(planes[1:], planes[0]) if planes else jnp.zeros(images.shape[1:], images.dtype)
 
 
 def _square(colour: Sequence[Array]) -> Array:
