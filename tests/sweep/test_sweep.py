@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -16,10 +17,11 @@ import numpy as np
 import optuna
 import pytest
 
-from mvedge_jax.centre import Parameters, Sizes, edge_to_depth
+from mvedge_jax.centre import DepthResult, Parameters, Sizes, edge_to_depth
 from mvedge_jax.datasets import synthetic, write_hci
+from mvedge_jax.lightfield import LightField
 from mvedge_jax.metrics import depth_scores
-from mvedge_jax.sweep import Interval, Space, evaluate, plot_sweep, sweep
+from mvedge_jax.sweep import Interval, Space, _evaluate, evaluate, plot_sweep, sweep
 from mvedge_jax.sweep._space import leaf, number_names, with_numbers
 
 optuna.logging.set_verbosity(optuna.logging.WARNING)
@@ -212,6 +214,29 @@ def test_scores_of_a_batch_are_those_of_single_calls():
         depth = edge_to_depth(blind, params, sizes).disparity
         expected = depth_scores(depth, truth.disparity, mask=truth.valid).mae
         np.testing.assert_allclose(score, expected, rtol=1e-3)
+
+
+def test_scenes_of_one_kind_share_a_program_whatever_their_names(monkeypatch):
+    traces = []
+
+    def width(result, light_field):
+        traces.append(light_field.name)
+        return result.disparity
+
+    def mean(field, *_):
+        unread: Any = [None] * 5
+        return DepthResult(field.views.mean(), *unread)
+
+    monkeypatch.setattr(_evaluate, "edge_to_depth", mean)
+    views = jnp.full((3, 3, 8, 8, 3), 0.5)
+    options: Any = {"names": ("centre.trust",), "choices": {}, "objective": width, "batch": 2}
+    for name, value in (("one", 0.5), ("two", 0.25)):
+        field = LightField(value * views, disparity_range=(-1.0, 1.0), name=name)
+        found = evaluate(field, np.array([[1.0]]), Parameters(), **options)
+        np.testing.assert_allclose(found, [0.5 * value])
+    assert traces == [""]
+    with pytest.raises(ValueError, match="scene two has no ground truth"):
+        evaluate(field, np.array([[1.0]]), Parameters(), **{**options, "objective": "mae"})
 
 
 @contextlib.contextmanager
