@@ -1,7 +1,10 @@
 """Taking stacked planes apart without paying for it in reverse mode."""
 
+import jax.numpy as jnp
 from jax import Array, lax
-from jaxtyping import Shaped
+from jaxtyping import Float, Shaped
+
+from mvedge_jax._linear_map import linear_map
 
 
 def unstack(planes: Shaped[Array, "n *s"]) -> list[Array]:
@@ -20,3 +23,20 @@ def unstack(planes: Shaped[Array, "n *s"]) -> list[Array]:
     if count == 0:
         return []
     return [lax.squeeze(part, (0,)) for part in lax.split(planes, (1,) * count)]
+
+
+def plane_sum(planes: Float[Array, "n *s"]) -> Float[Array, "*s"]:
+    """The sum of a stack, plane by plane: XLA on CPU vectorises none over a leading axis.
+
+    Args:
+        planes: stacked along the first axis; may be none.
+
+    Returns:
+        Their sum. By itself, JAX would put the planes' cotangents together again, one by one.
+    """
+    return linear_map(_added, lambda _, ct: jnp.broadcast_to(ct, planes.shape), None, planes)
+
+
+def _added(_: None, planes: Array) -> Array:
+    parts = unstack(planes)
+    return sum(parts[1:], parts[0]) if parts else jnp.zeros(planes.shape[1:], planes.dtype)

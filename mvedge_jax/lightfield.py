@@ -7,64 +7,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float
 
+from mvedge_jax._known import Camera as Camera, GroundTruth as GroundTruth, areas
 from mvedge_jax._params import as_number
-
-
-class Camera(eqx.Module):
-    """A regular grid of parallel pinhole cameras, sheared so that one distance has disparity 0.
-
-    A point at distance `z` has the disparity
-    `d = focal_px * baseline * (1 / z - 1 / focus_distance)` px per view step.
-
-    Attributes:
-        focal_px: focal length in pixels of the full-resolution view.
-        baseline: distance between neighbouring views, metres.
-        focus_distance: distance of zero disparity, metres; infinite for unsheared cameras.
-    """
-
-    focal_px: Float[Array, ""] = eqx.field(converter=as_number)
-    baseline: Float[Array, ""] = eqx.field(converter=as_number)
-    focus_distance: Float[Array, ""] = eqx.field(converter=as_number)
-
-    def depth(self, disparity: Float[Array, "*s"]) -> Float[Array, "*s"]:
-        """Distance along the optical axis, metres, of a disparity in px per view step.
-
-        Disparities at or beyond that of infinity give `inf`.
-        """
-        dtype = disparity.dtype
-        scale = (self.focal_px * self.baseline).astype(dtype)
-        inverse = disparity / scale + (1.0 / self.focus_distance).astype(dtype)
-        return jnp.where(inverse > 0, 1.0 / jnp.where(inverse > 0, inverse, 1.0), jnp.inf)
-
-    def disparity(self, depth: Float[Array, "*s"]) -> Float[Array, "*s"]:
-        """Disparity, px per view step, of a distance in metres."""
-        dtype = depth.dtype
-        scale = (self.focal_px * self.baseline).astype(dtype)
-        return scale * (1.0 / depth - (1.0 / self.focus_distance).astype(dtype))
-
-    def downsample(self, factor: int) -> "Camera":
-        """The camera of views whose sides are `factor` times smaller."""
-        return Camera(self.focal_px / factor, self.baseline, self.focus_distance)
-
-
-class GroundTruth(eqx.Module):
-    """What is known to be true of a scene; never read by the method, only by evaluation.
-
-    Attributes:
-        disparity: px per view step, of the centre view's pixel centres; 0 where not `valid`.
-        valid: where `disparity` is known.
-        object_ids: an integer per object of the centre view.
-        view_disparity: `disparity` of every view.
-        view_ids: `object_ids` of every view.
-    """
-
-    disparity: Float[Array, "y x"]
-    valid: Bool[Array, "y x"]
-    object_ids: Int[Array, "y x"] | None = None
-    view_disparity: Float[Array, "v u y x"] | None = None
-    view_ids: Int[Array, "v u y x"] | None = None
 
 
 class LightField(eqx.Module):
@@ -295,20 +241,11 @@ class LightField(eqx.Module):
             slice(vc - rows // 2, vc + rows // 2 + 1),
             slice(uc - columns // 2, uc + columns // 2 + 1),
         )
-        truth = self.truth
-        if truth is not None:
-            truth = GroundTruth(
-                truth.disparity,
-                truth.valid,
-                truth.object_ids,
-                None if truth.view_disparity is None else truth.view_disparity[window],
-                None if truth.view_ids is None else truth.view_ids[window],
-            )
         return LightField(
             self.views[window],
             available=self.available[window],
             disparity_range=self.disparity_range,
-            truth=truth,
+            truth=None if self.truth is None else self.truth.crop_views(window),
             camera=self.camera,
             name=self.name,
         )
@@ -331,36 +268,11 @@ class LightField(eqx.Module):
             )
         if factor == 1:
             return self
-        rows, columns = height // factor, width // factor
-
-        def areas(image: Array, axis: int) -> Array:
-            shape = image.shape[:axis] + (rows, factor, columns, factor) + image.shape[axis + 2 :]
-            index = (slice(None),) * axis + (slice(rows * factor), slice(columns * factor))
-            return image[index].reshape(shape)
-
-        def mean(image: Array, axis: int) -> Array:
-            return areas(image, axis).mean((axis + 1, axis + 3))
-
-        def pick(image: Array | None, axis: int) -> Array | None:
-            if image is None:
-                return None
-            index = (slice(None),) * axis + (slice(None), factor // 2, slice(None), factor // 2)
-            return areas(image, axis)[index]
-
-        truth = self.truth
-        if truth is not None:
-            truth = GroundTruth(
-                mean(truth.disparity, 0) / factor,
-                areas(truth.valid, 0).all((1, 3)),
-                pick(truth.object_ids, 0),
-                None if truth.view_disparity is None else mean(truth.view_disparity, 2) / factor,
-                pick(truth.view_ids, 2),
-            )
         return LightField(
-            mean(self.views, 2),
+            areas(self.views, factor, 2).mean((3, 5)),
             available=self.available,
             disparity_range=None if self.disparity_range is None else self.disparity_range / factor,
-            truth=truth,
+            truth=None if self.truth is None else self.truth.downsample(factor),
             camera=None if self.camera is None else self.camera.downsample(factor),
             name=self.name,
         )

@@ -6,7 +6,7 @@ import numpy as np
 from helpers import check_modes
 
 from mvedge_jax._fence import fenced, staged
-from mvedge_jax._unstack import unstack
+from mvedge_jax._unstack import plane_sum, unstack
 
 
 def _stage(tree, shift):
@@ -60,4 +60,16 @@ def test_unstacking_is_a_list_whose_transpose_is_one_concatenation():
     pulled = str(jax.make_jaxpr(jax.vjp(loss, stack)[1])(1.0))
     assert pulled.count("concatenate") == 1
     assert "pad" not in pulled
+    check_modes(loss, stack, rtol=1e-6, key=jax.random.key(1))
+
+
+def test_the_sum_of_planes_is_that_of_the_axis_and_its_transpose_a_broadcast():
+    stack = jax.random.normal(jax.random.key(0), (5, 3, 2))
+    np.testing.assert_allclose(plane_sum(stack), stack.sum(0), rtol=1e-14, atol=1e-15)
+    np.testing.assert_array_equal(plane_sum(stack[:0]), jnp.zeros((3, 2)))
+
+    def loss(stack):
+        return jnp.sum(jnp.sin(plane_sum(stack**2)))
+
+    assert "concatenate" not in str(jax.make_jaxpr(jax.vjp(loss, stack)[1])(1.0))
     check_modes(loss, stack, rtol=1e-6, key=jax.random.key(1))

@@ -19,19 +19,21 @@ class Exports(griffe.Extension):
     """Takes `from ._x import y as y` for an export, and writes sections in one way."""
 
     def on_module_members(self, *, mod: griffe.Module, **kwargs: Any) -> None:
-        """Lists the names that an `__init__` gives away."""
+        """Lists the names that a module gives away: those of others, and its own."""
         path = mod.filepath
-        if not isinstance(path, Path) or path.name != "__init__.py":
+        if not isinstance(path, Path):
             return
+        body = ast.parse(path.read_text(encoding="utf-8")).body
         names = [
             name.asname
-            for node in ast.parse(path.read_text(encoding="utf-8")).body
+            for node in body
             if isinstance(node, ast.ImportFrom)
             for name in node.names
             if name.asname is not None and name.asname == name.name
         ]
+        own = (node.name for node in body if isinstance(node, ast.ClassDef | ast.FunctionDef))
         if mod.exports is None and names:
-            mod.exports = list(names)
+            mod.exports = [*names, *(name for name in own if not name.startswith("_"))]
 
     def on_object(self, *, obj: griffe.Object, **kwargs: Any) -> None:
         """Sections by the names that griffe knows."""

@@ -11,9 +11,8 @@ from jaxtyping import Array, Bool, Float
 
 from mvedge_jax._crosshair import Arm
 from mvedge_jax._fence import fenced
-from mvedge_jax._linear_map import linear_map
 from mvedge_jax._params import cast
-from mvedge_jax._unstack import unstack
+from mvedge_jax._unstack import plane_sum
 from mvedge_jax.image import box_mean
 from mvedge_jax.interpolation import cubic_taps, spline_coefficients
 
@@ -245,27 +244,14 @@ def _moments(
     step = steps[:, None, None]
     first = weight * step
     return _Moments(
-        own + _over_views(weight),
-        _over_views(first),
-        _over_views(first * step),
-        [_over_views(weight * colour) for colour in values],
-        [_over_views(first * colour) for colour in values],
-        _over_views(weight * _square(values)),
-        [own * s + _over_views(weight * g) for s, g in zip(slopes, gradients, strict=True)],
+        own + plane_sum(weight),
+        plane_sum(first),
+        plane_sum(first * step),
+        [plane_sum(weight * colour) for colour in values],
+        [plane_sum(first * colour) for colour in values],
+        plane_sum(weight * _square(values)),
+        [own * s + plane_sum(weight * g) for s, g in zip(slopes, gradients, strict=True)],
     )
-
-
-def _over_views(images: Float[Array, "s y x"]) -> Float[Array, "y x"]:
-    """Sum over the views, plane by plane: XLA on CPU vectorises no sum over a leading axis."""
-    # By itself, JAX would put the planes' cotangents together again, one by one.
-    return linear_map(_planes, lambda _, ct: jnp.broadcast_to(ct, images.shape), None, images)
-
-
-def _planes(_: None, images: Array) -> Array:
-    """Their sum."""
-    planes = unstack(images)
-    # An arm may have a single view.
-    return sum(planes[1:], planes[0]) if planes else jnp.zeros(images.shape[1:], images.dtype)
 
 
 def _square(colour: Sequence[Array]) -> Array:
