@@ -1,4 +1,4 @@
-"""Pictures of the gallery, of the viewer's page and of the README, from a generated scene.
+"""Pictures of the gallery and the viewer's page, and the moving one of the README, all generated.
 
 Those of the viewer need Chromium and playwright (`pip install mvedge_jax[test]`).
 

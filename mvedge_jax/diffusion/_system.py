@@ -34,7 +34,7 @@ class System(eqx.Module):
         rise_x: what `D[y, x + 1] - D[y, x]` should be, unit of the labels; None for 0.
         rise_y: what `D[y + 1, x] - D[y, x]` should be; None for 0, as is `rise_x`.
 
-    Source: Thesis 4.2.2 and 6.1, Eq. 4.8 and 6.1; 7.1.1, Eq. 7.2 (with squares, each edge once).
+    Source: Thesis 4.2.2 and 6.1, Eq. 4.8, 6.1, 6.2; 7.1.1, Eq. 7.2 (with squares, each edge once).
 
     Example:
         >>> import jax.numpy as jnp

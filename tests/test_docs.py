@@ -1,0 +1,37 @@
+"""The table from equations to functions names things and files that are there."""
+
+import importlib
+import inspect
+import re
+from pathlib import Path
+
+import pytest
+
+import mvedge_jax
+
+_PACKAGE = Path(mvedge_jax.__file__).parent
+_PAGE = Path(__file__).parents[1] / "docs" / "equations.md"
+
+
+def _rows():
+    lines = _PAGE.read_text(encoding="utf-8").splitlines()
+    cells = [[cell.strip() for cell in line.split("|")[1:-1]] for line in lines if line[:1] == "|"]
+    return [row for row in cells if row[0] != "number" and set(row[0]) != {"-"}]
+
+
+def _file_of(target):
+    module, name = target.rsplit(".", 1)
+    function = inspect.unwrap(getattr(importlib.import_module(module), name))
+    return Path(inspect.getsourcefile(function)).relative_to(_PACKAGE).as_posix()
+
+
+@pytest.mark.parametrize("row", _rows(), ids=lambda row: row[0])
+def test_a_row_of_the_equations_names_what_is_there(row):
+    number, what, functions, files, _ = row
+    assert number and what
+    named = re.findall(r"`([^`]+\.py)`", files)
+    sources = {file: (_PACKAGE / file).read_text(encoding="utf-8") for file in named}
+    for target in re.findall(r"\]\[([^\]]+)\]", functions):
+        assert _file_of(target) in sources, target
+    for step in re.findall(r"`(\w+)`, run by", functions):
+        assert any(f"def {step}(" in source for source in sources.values()), step
