@@ -22,13 +22,12 @@ def _rows():
 def _file_of(target):
     module, name = target.rsplit(".", 1)
     function = inspect.unwrap(getattr(importlib.import_module(module), name))
-    return Path(inspect.getsourcefile(function)).relative_to(_PACKAGE).as_posix()
+    return Path(inspect.getfile(function)).relative_to(_PACKAGE).as_posix()
 
 
 @pytest.mark.parametrize("row", _rows(), ids=lambda row: row[0])
 def test_a_row_of_the_equations_names_what_is_there(row):
-    number, what, functions, files, _ = row
-    assert number and what
+    _, _, functions, files, _ = row
     named = re.findall(r"`([^`]+\.py)`", files)
     sources = {file: (_PACKAGE / file).read_text(encoding="utf-8") for file in named}
     for target in re.findall(r"\]\[([^\]]+)\]", functions):
