@@ -57,7 +57,7 @@ def joined(
     for along, below, limit in ((right, down, least), (every, every, params.speck)):
 
         def join(pieces: Pieces, along=along, below=below, limit=limit) -> tuple[Pieces, Array]:
-            return _join(pieces, along, below, limit)
+            return _join(pieces, along, below, pieces.sums[:, 0] < limit)
 
         pieces = _repeated(join, pieces)
     return pieces
@@ -66,7 +66,7 @@ def joined(
 def fewer(
     pieces: Pieces, surface: Surface, wanted: Float[Array, ""], most: Float[Array, ""]
 ) -> Pieces:
-    """Joins the smallest pieces to neighbours on their surface until about so many are left.
+    """Joins the smallest pieces to neighbours on their surface until so many are left.
 
     Pieces of `most` pixels and more stay, however many are wanted.
     """
@@ -81,10 +81,11 @@ def fewer(
             for end in (root, other):
                 beside = beside.at[jnp.where(apart, end.ravel(), area.size)].set(True, mode="drop")
         excess = jnp.sum(area > 0, dtype=jnp.int32) - jnp.round(wanted).astype(jnp.int32)
-        order = jnp.sort(jnp.where(beside, area, jnp.inf))
-        least = jnp.where(excess > 0, order[jnp.maximum(excess - 1, 0)] + 0.5, 0)
-        least = jnp.minimum(least, most)
-        return _join(pieces, right, down, least)
+        # By rank, not by area: of many pieces of one area only as many join as are too many.
+        order = jnp.argsort(jnp.where(beside, area, jnp.inf))
+        first = jnp.arange(area.size, dtype=jnp.int32) < excess
+        chosen = jnp.zeros(area.size, bool).at[order].set(first, unique_indices=True)
+        return _join(pieces, right, down, chosen & beside & (area < most))
 
     return _repeated(join, pieces)
 
@@ -106,9 +107,9 @@ def _join(
     pieces: Pieces,
     right: Bool[Array, "y x"],
     down: Bool[Array, "y x"],
-    least: Float[Array, ""],
+    chosen: Bool[Array, " n"],
 ) -> tuple[Pieces, Array]:
-    """Joins each piece of less than some pixels to the most similar larger neighbour; if any."""
+    """Joins each chosen piece to the most similar larger neighbour; whether there was one."""
     sums, root = pieces
     count, area = sums.shape[0], sums[:, 0]
     mean = sums[:, 1:] / jnp.maximum(area, 1)[:, None]
@@ -121,13 +122,13 @@ def _join(
     small, large, apart = (jnp.concatenate(parts) for parts in zip(*pairs, strict=True))
     # Into larger ones only, equals by their number: no circles.
     grows = (area[large] > area[small]) | ((area[large] == area[small]) & (large < small))
-    allowed = apart & (area[small] < least) & grows
+    allowed = apart & chosen[small] & grows
     cost = jnp.where(allowed, jnp.sum((mean[small] - mean[large]) ** 2, axis=1), jnp.inf)
     place = jnp.where(allowed, small, count)
     best = jnp.full(count + 1, jnp.inf, cost.dtype).at[place].min(cost)
-    chosen = jnp.where(allowed & (cost == best[place]), large, count)
+    nearest = jnp.where(allowed & (cost == best[place]), large, count)
     own = jnp.arange(count, dtype=jnp.int32)
-    target = jnp.full(count + 1, count, jnp.int32).at[place].min(chosen)[:-1]
+    target = jnp.full(count + 1, count, jnp.int32).at[place].min(nearest)[:-1]
     target = jnp.where(target < count, target, own)
     # Chains end after doublings: a chain is shorter than 2**16 as areas grow along it.
     target = lax.fori_loop(0, 16, lambda _, t: t[t], target)
