@@ -78,11 +78,12 @@ def main() -> None:
                 _draw(arguments.out, f"{name}-{stride}-{label}-{size:g}", labels, case)
             print_table(_shown(rows, name, arguments.pixels), title=name)
             jax.clear_caches()
+        # After every scene: a run that is stopped leaves what it has.
+        write_csv(arguments.out / "figure_5_4.csv", rows)
+        write_json(arguments.out / "figure_5_4.json", {"rows": rows, "peak memory": peak_memory()})
+        plot_sizes(rows).savefig(arguments.out / "figure_5_4.png")
         if arguments.noise:
             print_table(_disturbed(arguments, name), title=f"{name}, one view with noise")
-    write_csv(arguments.out / "figure_5_4.csv", rows)
-    write_json(arguments.out / "figure_5_4.json", {"rows": rows, "peak memory": peak_memory()})
-    plot_sizes(rows).savefig(arguments.out / "figure_5_4.png")
 
 
 _SHOWN = (
