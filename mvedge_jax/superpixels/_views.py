@@ -189,7 +189,11 @@ def _filled(labels: Int[Array, "y x"], disparity: Float[Array, "y x"]) -> Int[Ar
     """Gives pixels without a label that of the neighbour with the most similar disparity."""
     finite = jnp.isfinite(disparity)
 
-    def fill(_, labels: Array) -> Array:
+    def lacking(labels: Array) -> Array:
+        return (labels == 0) & finite
+
+    def fill(state: tuple[Array, Array]) -> tuple[Array, Array]:
+        rounds, labels = state
         found, gap = jnp.zeros_like(labels), jnp.full_like(disparity, jnp.inf)
         for offset in _AROUND:
             difference = jnp.abs(shifted(disparity, *offset, jnp.nan) - disparity)
@@ -197,11 +201,18 @@ def _filled(labels: Int[Array, "y x"], disparity: Float[Array, "y x"]) -> Int[Ar
             take = (label > 0) & (difference < gap)
             gap = jnp.where(take, difference, gap)
             found = jnp.where(take, label, found)
-        return jnp.where((labels == 0) & finite, found, labels)
+        return rounds + 1, jnp.where(lacking(labels), found, labels)
 
-    labels = lax.fori_loop(0, _FILLS, fill, labels)
-    behind = holes(disparity, labels > 0).behind
-    return jnp.where(finite, labels.ravel()[behind], 0)
+    def going(state: tuple[Array, Array]) -> Array:
+        return (state[0] < _FILLS) & jnp.any(lacking(state[1]))
+
+    def from_behind(labels: Array) -> Array:
+        return labels.ravel()[holes(disparity, labels > 0).behind]
+
+    _, labels = lax.while_loop(going, fill, (jnp.asarray(0, jnp.int32), labels))
+    # Rarely is anything left, and looking behind holes costs more than all the rest.
+    labels = lax.cond(jnp.any(lacking(labels)), from_behind, lambda kept: kept, labels)
+    return jnp.where(finite, labels, 0)
 
 
 def whole(

@@ -20,7 +20,7 @@ from mvedge_jax.superpixels import (
     soft_superpixels,
     superpixels,
 )
-from mvedge_jax.superpixels._views import whole
+from mvedge_jax.superpixels._views import _filled, whole
 
 _NEAR, _FAR = 1.0, -1.0
 _LABEL: Any = measure.label
@@ -140,6 +140,17 @@ def test_of_many_pieces_of_one_area_only_as_many_join_as_are_too_many(size):
     field = LightField(jnp.asarray(views, jnp.float32))
     found = _found(field, depths, size, rounds=6, attempts=4, capacity=512)
     assert abs(int(found.number) - 96**2 / size**2) <= 1
+
+
+def test_wide_gaps_are_filled_from_the_surface_behind():
+    labels = jnp.asarray([[1] + 10 * [0] + [2], 12 * [0]], jnp.int32)
+    disparity = jnp.asarray([6 * [2.0] + 6 * [1.0], 12 * [jnp.nan]], jnp.float32)
+    # Three pixels from either side by what is similar; the middle from what lies behind.
+    expected = [4 * [1] + 8 * [2], 12 * [0]]
+    assert _filled(labels, disparity).tolist() == expected
+    assert jax.jit(_filled)(labels, disparity).tolist() == expected
+    narrow = labels.at[0, 1:5].set(1).at[0, 7:].set(2)
+    assert _filled(narrow, disparity).tolist() == [6 * [1] + 6 * [2], 12 * [0]]
 
 
 def test_many_small_surfaces_do_not_make_the_others_large():
