@@ -1,5 +1,6 @@
 """From the centre view into all others: where a surface is labelled once, views agree."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -115,14 +116,8 @@ def continued(
 
     def grow(state: tuple[Array, Array]) -> tuple[Array, Array]:
         labels, _ = state
-        found, gap = jnp.zeros_like(labels), jnp.full_like(back, jnp.inf)
-        for depth, known in ((canvas.front, canvas.front_labels), (back, labels)):
-            for offset in _AROUND:
-                difference = jnp.abs(shifted(depth, *offset, jnp.nan) - back)
-                label = shifted(known, *offset, 0)
-                take = (label > 0) & (difference <= step) & (difference < gap)
-                gap = jnp.where(take, difference, gap)
-                found = jnp.where(take, label, found)
+        known = (canvas.front, canvas.front_labels), (back, labels)
+        found = _of_neighbours(back, known, step)
         found = jnp.where((labels == 0) & there, found, labels)
         return found, jnp.any(found != labels)
 
@@ -140,6 +135,29 @@ def continued(
     new = jnp.where(left & first[root], rank[root], 0)
     new = jnp.where(new <= capacity, new, 0)
     return canvas._replace(back_labels=jnp.where(left, new, labels)), rank[-1]
+
+
+def _of_neighbours(
+    disparity: Float[Array, "y x"],
+    known: Sequence[tuple[Float[Array, "y x"], Int[Array, "y x"]]],
+    limit: Float[Array, ""],
+) -> Int[Array, "y x"]:
+    """Label of the neighbour with the most similar disparity; 0 where none is within a limit.
+
+    Args:
+        disparity: of the pixels that ask, px per view step.
+        known: maps of disparities and their labels; the first among equals decides.
+        limit: of the difference, px per view step.
+    """
+    found, gap = jnp.zeros_like(known[0][1]), jnp.full_like(disparity, jnp.inf)
+    for depth, labels in known:
+        for offset in _AROUND:
+            difference = jnp.abs(shifted(depth, *offset, jnp.nan) - disparity)
+            label = shifted(labels, *offset, 0)
+            take = (label > 0) & (difference <= limit) & (difference < gap)
+            gap = jnp.where(take, difference, gap)
+            found = jnp.where(take, label, found)
+    return found
 
 
 def labelled(
@@ -187,20 +205,14 @@ def labelled(
 
 def _filled(labels: Int[Array, "y x"], disparity: Float[Array, "y x"]) -> Int[Array, "y x"]:
     """Gives pixels without a label that of the neighbour with the most similar disparity."""
-    finite = jnp.isfinite(disparity)
+    finite, endless = jnp.isfinite(disparity), jnp.asarray(jnp.inf, disparity.dtype)
 
     def lacking(labels: Array) -> Array:
         return (labels == 0) & finite
 
     def fill(state: tuple[Array, Array]) -> tuple[Array, Array]:
         rounds, labels = state
-        found, gap = jnp.zeros_like(labels), jnp.full_like(disparity, jnp.inf)
-        for offset in _AROUND:
-            difference = jnp.abs(shifted(disparity, *offset, jnp.nan) - disparity)
-            label = shifted(labels, *offset, 0)
-            take = (label > 0) & (difference < gap)
-            gap = jnp.where(take, difference, gap)
-            found = jnp.where(take, label, found)
+        found = _of_neighbours(disparity, ((disparity, labels),), endless)
         return rounds + 1, jnp.where(lacking(labels), found, labels)
 
     def going(state: tuple[Array, Array]) -> Array:
