@@ -7,6 +7,8 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
+from mvedge_jax._fence import fenced
+
 from ._parameters import SuperpixelParams, grid_of
 
 # A cluster reaches into its own cell of the grid and the eight around it.
@@ -136,12 +138,14 @@ def distance(
     params: SuperpixelParams,
 ) -> Float[Array, "y x"]:  # fmt: skip
     """Squared distance of each pixel to a cluster, in units of the size."""
-    away = surface.xy - clusters.xy[which]
-    plane = clusters.plane[which]
-    predicted = plane[..., 0] + jnp.sum(plane[..., 1:] * away, axis=-1)
-    colour = jnp.sum((surface.lab - clusters.lab[which]) ** 2, axis=-1) / params.colour**2
+    # Column by column: gathering a row for every pixel takes twice as long.
+    x, y = (surface.xy[..., k] - clusters.xy[:, k][which] for k in range(2))
+    level, slope_x, slope_y = (clusters.plane[:, k][which] for k in range(3))
+    predicted = level + (slope_x * x + slope_y * y)
+    colour = sum((surface.lab[..., k] - clusters.lab[:, k][which]) ** 2 for k in range(3))
+    colour = colour / params.colour**2
     depth = ((surface.disparity - predicted) / params.depth) ** 2
-    near = jnp.sum(away**2, axis=-1) / size**2
+    near = (x**2 + y**2) / size**2
     return near + _bounded(colour, params.limit)[0] + _bounded(depth, params.limit)[0]
 
 
@@ -221,7 +225,8 @@ def clustered(
     offsets = cell_offsets()
     height, width = surface.disparity.shape
     odd = (jnp.indices((height, width)).sum(0) % 2).astype(bool)
-    neighbours = list(zip(_HALF, surface.links, strict=True))
+    # Half of the pixels at a time: neighbours that change at once swap for ever.
+    halves = jnp.stack([odd, ~odd])
 
     def one(_, state: tuple[Array, Clusters]) -> tuple[Array, Clusters]:
         labels, clusters = state
@@ -232,10 +237,13 @@ def clustered(
             return jnp.where(inside, found, jnp.inf), jnp.where(inside, which, -1)
 
         costs, names = lax.map(cost, offsets)
-        # Half of the pixels at a time: neighbours that change at once swap for ever.
-        for now in (odd, ~odd):
-            around = _around(labels, neighbours, params.contour)
-            labels = jnp.where(now, _best(costs, names, around), labels)
+
+        def change(labels: Array, now: Array) -> tuple[Array, None]:
+            around = fenced(_around, labels, surface.links, params.contour)
+            return jnp.where(now, _best(costs, names, around), labels), None
+
+        # A scan: unrolled, the first half would be found anew for each neighbour in the second.
+        labels, _ = lax.scan(change, labels, halves)
         sums = updated(surface, clusters, jnp.ones_like(surface.disparity), labels, params)
         return labels, means(clusters, sums, params)
 
@@ -244,28 +252,29 @@ def clustered(
     return lax.fori_loop(0, rounds, one, start)
 
 
-def _best(costs: Array, names: Array, around: list[tuple[Array, Array]]) -> Array:
+def _best(costs: Array, names: Array, around: tuple[Array, Array]) -> Array:
     """The cluster of least cost, contours included, of every pixel; the first among equals."""
+    weights, others = around
 
     def better(best: tuple[Array, Array], item: tuple[Array, Array]):
         value, name = item
-        for weight, label in around:
+        for weight, label in zip(weights, others, strict=True):
             value = value + jnp.where(label == name, 0, weight)
         take = value < best[0]
         return (jnp.where(take, value, best[0]), jnp.where(take, name, best[1])), None
 
     start = jnp.full(costs.shape[1:], jnp.inf, costs.dtype), names[0]
-    return lax.scan(better, start, (costs, names))[0][1]
+    return lax.scan(better, start, (costs, names), unroll=True)[0][1]
 
 
-def _around(labels: Array, neighbours: list, contour: Array) -> list[tuple[Array, Array]]:
+def _around(labels: Array, links: Array, contour: Array) -> tuple[Array, Array]:
     """What a contour towards each of eight neighbours costs, and their labels."""
-    found = []
-    for (dy, dx), link in neighbours:
+    weights, others = [], []
+    for (dy, dx), link in zip(_HALF, links, strict=True):
         # Lengths of contours along all directions are about right with these shares.
         share = contour * (0.4 if dy and dx else 0.6)
         for sign in (1, -1):
             here = link if sign == 1 else shifted(link, -dy, -dx, False)
-            weight = jnp.where(here, share, 0)
-            found.append((weight, shifted(labels, sign * dy, sign * dx, -1)))
-    return found
+            weights.append(jnp.where(here, share, 0))
+            others.append(shifted(labels, sign * dy, sign * dx, -1))
+    return jnp.stack(weights), jnp.stack(others)

@@ -274,10 +274,12 @@ def _small_pieces(labels: Int[Array, "y x"], fragment: Float[Array, ""]) -> tupl
     links = [(offset, labels == shifted(labels, *offset, -1)) for offset in _BESIDE]
 
     def spread(_, least: Array) -> Array:
+        found = least
         for offset, link in links:
+            # Of the last step, not of this one: four shifts are read then, not all chains of them.
             other = shifted(least, *offset, fill)
-            least = jnp.where(link, jnp.minimum(least, other), least)
-        return least
+            found = jnp.where(link, jnp.minimum(found, other), found)
+        return found
 
     steps = jnp.clip(jnp.ceil(fragment), 1, size).astype(jnp.int32)
     start = jnp.arange(size, dtype=jnp.int32).reshape(labels.shape)

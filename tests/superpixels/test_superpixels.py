@@ -20,6 +20,7 @@ from mvedge_jax.superpixels import (
     soft_superpixels,
     superpixels,
 )
+from mvedge_jax.superpixels._clusters import Clusters, distance, surface_of
 from mvedge_jax.superpixels._views import _filled, whole
 
 _NEAR, _FAR = 1.0, -1.0
@@ -207,6 +208,27 @@ def test_missing_views_do_not_darken_what_the_centre_view_hides():
     labels, colours = np.asarray(found.labels)[there], np.asarray(field.views)[there]
     for k in hidden:
         np.testing.assert_allclose(found.colour[k], colours[labels == k + 1].mean(0), rtol=1e-5)
+
+
+def test_distances_are_those_of_place_colour_and_plane():
+    rng = np.random.default_rng(7)
+    lab, disparity = rng.normal(0, 20, (5, 6, 3)), rng.normal(0, 0.2, (5, 6))
+    xy, colours = rng.uniform(0, 5, (4, 2)), rng.normal(0, 20, (4, 3))
+    planes = rng.normal(0, 0.1, (4, 3))
+    which, size, params = rng.integers(0, 4, (5, 6)), 3.0, SuperpixelParams()
+    surface = surface_of(jnp.asarray(lab), jnp.asarray(disparity), jnp.asarray(0.1))
+    clusters = Clusters(*(jnp.asarray(table) for table in (xy, colours, planes)))
+    found = distance(surface, clusters, jnp.asarray(which), jnp.asarray(size), params)
+    wanted = np.zeros((5, 6))
+    for y, x in np.ndindex(5, 6):
+        k = which[y, x]
+        dx, dy = x - xy[k, 0], y - xy[k, 1]
+        off = disparity[y, x] - (planes[k, 0] + planes[k, 1] * dx + planes[k, 2] * dy)
+        colour = np.sum((lab[y, x] - colours[k]) ** 2) / float(params.colour) ** 2
+        depth, limit = (off / float(params.depth)) ** 2, float(params.limit)
+        bounded = sum(square * limit / (limit + square) for square in (colour, depth))
+        wanted[y, x] = (dx**2 + dy**2) / size**2 + bounded
+    np.testing.assert_allclose(found, wanted, rtol=1e-5)
 
 
 @pytest.mark.parametrize("fragment", [1.0, 4.0, 12.0])
