@@ -144,6 +144,13 @@ ITEMS = (
         "Filters learned by gradient",
     ),
     Item(
+        "learn_bank",
+        "learn_bank.py",
+        None,
+        "",
+        "Filters learned by gradient in the thesis' chain",
+    ),
+    Item(
         "learn_views",
         "learn_parameters.py",
         None,

@@ -105,6 +105,7 @@ def thesis_steps(light_field: LightField) -> list[dict]:
     variants = {
         "plain response, fitted lines (4.1.1, 4.1.2)": plain,
         "plain, modulated (Alg. 1)": dataclasses.replace(plain, modulate=True),
+        "plain, between filters": dataclasses.replace(plain, interpolate=True),
         "plain, pyramid (4.1.4)": dataclasses.replace(plain, levels=2),
         "plain, aligned in a quarter of the rows (4.3)": dataclasses.replace(
             plain, alignment="count"
@@ -115,6 +116,7 @@ def thesis_steps(light_field: LightField) -> list[dict]:
         "  + entropy search (4.5)": searched,
         "    + joint filter (4.6)": smoothed,
         "      + pyramid: everything": everything,
+        "        + between filters": dataclasses.replace(everything, interpolate=True),
     }
     table = []
     for name, variant in variants.items():

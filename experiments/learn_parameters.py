@@ -11,7 +11,6 @@ have no derivative and stay. Taps of the filter bank are moved as they are.
     python experiments/learn_parameters.py --what taps --learn demo --rate 0.003 --out results/taps
 """
 
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,11 +19,10 @@ from typing import Any, Literal
 import jax
 import jax.numpy as jnp
 import numpy as np
-import optax
 import tyro
 from _depth import robust_loss, scenes
+from _learning import learn, means, plot_learning
 from _report import print_table, write_csv, write_json
-from matplotlib.figure import Figure
 
 from mvedge_jax import lean_jit
 from mvedge_jax.centre import Parameters, Sizes, edge_to_depth
@@ -91,7 +89,18 @@ def main() -> None:
 
     value_and_gradient = lean_jit(jax.value_and_grad(loss))
     chosen = [fields[name] for name in arguments.learn]
-    runs = [_learn(value_and_gradient, first, chosen, arguments, k) for k in range(arguments.seeds)]
+    runs = [
+        learn(
+            value_and_gradient,
+            first,
+            chosen,
+            steps=arguments.steps,
+            batch=arguments.batch,
+            rate=arguments.rate,
+            seed=seed,
+        )
+        for seed in range(arguments.seeds)
+    ]
     estimate = lean_jit(
         lambda learned, field: (
             edge_to_depth(field.without_truth(), parameters(learned), sizes).disparity
@@ -118,8 +127,8 @@ def main() -> None:
                 }
             )
     print_table(rows, title=f"{arguments.steps} steps of Adam at {arguments.rate}")
-    means = _means(rows, arguments.what)
-    print_table(means, title="means")
+    mean = means(rows, arguments.what)
+    print_table(mean, title="means")
     best = runs[0][0]
     changes = _changes(first, best) if arguments.what == "parameters" else []
     if changes:
@@ -128,9 +137,10 @@ def main() -> None:
     write_csv(arguments.out / "learn_parameters.csv", rows)
     write_json(
         arguments.out / "learn_parameters.json",
-        {"losses": losses, "means": means, "scores": rows, "parameters": changes},
+        {"losses": losses, "means": mean, "scores": rows, "parameters": changes},
     )
-    _plot(losses, rows, arguments.what).savefig(arguments.out / "learn_parameters.png")
+    figure = plot_learning(losses, rows, arguments.what, ("MSE*100", "BP(.07)"))
+    figure.savefig(arguments.out / "learn_parameters.png")
 
 
 def _held_out(disparity: jax.Array, field: LightField) -> jax.Array:
@@ -138,44 +148,6 @@ def _held_out(disparity: jax.Array, field: LightField) -> jax.Array:
     vc, uc = field.centre
     away = [(v, u) for v, u in np.ndindex(field.available.shape) if v != vc and u != uc]
     return self_supervised_loss(disparity, gather_views(field, choice=away), _ERROR_ALONE)[0]
-
-
-def _learn(
-    value_and_gradient: Callable[..., Any],
-    first: Any,
-    fields: list[LightField],
-    arguments: Arguments,
-    seed: int,
-) -> tuple[Any, list[float]]:
-    """What Adam ends at, and the mean loss of every mini-batch."""
-    adam = optax.adam(optax.cosine_decay_schedule(arguments.rate, arguments.steps))
-    learned, state, losses = first, adam.init(first), []
-    order, waiting = np.random.default_rng(seed), []
-    for step in range(arguments.steps):
-        start = time.perf_counter()
-        if len(waiting) < arguments.batch:
-            waiting += order.permutation(len(fields)).tolist()
-        drawn, waiting = waiting[: arguments.batch], waiting[arguments.batch :]
-        found = [value_and_gradient(learned, fields[k]) for k in drawn]
-        losses.append(sum(float(value) for value, _ in found) / len(found))
-        spent = time.perf_counter() - start
-        print(f"seed {seed}, step {step}: loss {losses[-1]:.5f}, {spent:.1f} s", flush=True)
-        gradient = jax.tree.map(lambda *leaves: sum(leaves) / len(leaves), *(g for _, g in found))
-        updates, state = adam.update(gradient, state, learned)
-        learned = optax.apply_updates(learned, updates)
-    return learned, losses
-
-
-def _means(rows: list[dict[str, Any]], what: str) -> list[dict[str, Any]]:
-    """Mean scores over the scenes of either use, for the defaults and for every seed."""
-    means = []
-    for use in dict.fromkeys(row["use"] for row in rows):
-        for label in dict.fromkeys(row[what] for row in rows):
-            mine = [row for row in rows if (row["use"], row[what]) == (use, label)]
-            columns = [name for name in mine[0] if name not in ("scene", "use", what)]
-            mean = {name: sum(row[name] for row in mine) / len(mine) for name in columns}
-            means.append({"use": use, what: label, **mean})
-    return means
 
 
 def _choice(what: str, field: LightField, sizes: Sizes) -> tuple[Any, Callable[[Any], Parameters]]:
@@ -205,27 +177,6 @@ def _changes(first: Any, best: Any, most: int = 12) -> list[dict[str, Any]]:
     ]
     rows.sort(key=lambda row: -abs(jnp.log(row["factor"])))
     return rows[:most]
-
-
-def _plot(losses: list[list[float]], rows: list[dict[str, Any]], what: str) -> Figure:
-    """The loss curve, and the scores before and after per scene."""
-    figure = Figure(figsize=(13, 3.6), layout="constrained")
-    curve, *axes = figure.subplots(1, 3)
-    for seed, values in enumerate(losses):
-        curve.plot(values, "o-", markersize=3, label=f"seed {seed}")
-    curve.set(xlabel="step of Adam", ylabel="loss of the mini-batch")
-    names = list(dict.fromkeys(row["scene"] for row in rows))
-    titles = {row["scene"]: f"{row['scene']}\n({row['use']})" for row in rows}
-    for axis, column in zip(axes, ("MSE*100", "BP(.07)"), strict=True):
-        labels = list(dict.fromkeys(row[what] for row in rows))
-        for k, label in enumerate(labels):
-            heights = [row[column] for row in rows if row[what] == label]
-            shift, width = 0.8 * k / len(labels) - 0.3, 0.8 / len(labels)
-            axis.bar([place + shift for place in range(len(names))], heights, width, label=label)
-        axis.set_xticks(range(len(names)), [titles[name] for name in names], fontsize=7)
-        axis.set(ylabel=column)
-    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper right", ncols=2)
-    return figure
 
 
 if __name__ == "__main__":

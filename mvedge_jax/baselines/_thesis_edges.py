@@ -47,7 +47,8 @@ def thesis_edges(
     Returns:
         The points of the horizontal arm, then those of the vertical one, and statistics:
         candidates are lines, consistent those that pass the tests. Nothing but the spacing of the
-        filters is known of the error. Differentiable at the lines chosen.
+        filters is known of the error. Differentiable at the lines chosen; disparities in the taps
+        only with `sizes.interpolate`.
 
     Raises:
         ValueError: if the entropy search is asked for without a key.
@@ -66,9 +67,12 @@ def thesis_edges(
     params, centre = cast(params, dtype), light_field.centre_view
     keys = (None, None) if key is None else tuple(jax.random.split(key))
     down = jnp.swapaxes(light_field.vertical_arm, 1, 2)
+    banks = params.banks
+    if banks is None:
+        banks = sizes.banks((down.shape[0], light_field.horizontal_arm.shape[0]), dtype)
     arms = [
-        arm_lines(srgb_to_lab(arm), sizes.bank(arm.shape[0], dtype), params, sizes, key=draw)
-        for arm, draw in zip((light_field.horizontal_arm, down), keys, strict=True)
+        arm_lines(srgb_to_lab(arm), bank, params, sizes, key=draw)
+        for arm, bank, draw in zip((light_field.horizontal_arm, down), banks, keys, strict=True)
     ]
     xy, disparity, strength, visible, keep = _of_both(arms[0], arms[1])
 

@@ -73,7 +73,9 @@ def arm_lines(
     lab = convolved(convolved(lab, taps, 1), taps, 2)
 
     def lines_of(epi: Array) -> tuple[EpiLines, Array]:
-        confidence, slope = epi_edge_map(epi, bank, modulate=sizes.modulate)
+        confidence, slope = epi_edge_map(
+            epi, bank, modulate=sizes.modulate, interpolate=sizes.interpolate
+        )
         confidence = jnp.where(confidence > params.floor, confidence, 0)
         return fit_lines(confidence, slope, radius, capacity=sizes.lines)
 

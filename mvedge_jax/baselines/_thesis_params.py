@@ -29,6 +29,9 @@ class ThesisParams(eqx.Module):
         space_sigma: reach of the joint filter in space, px.
         disparity_sigma: in disparity, px per view step.
         colour_sigma: in colour, sRGB in [0, 1].
+        banks: filters of the horizontal and of the vertical arm; None for the oriented Prewitt
+            filters of `ThesisSizes`. Give them (`ThesisSizes.banks`) to learn them; disparities
+            have a derivative in their taps with `ThesisSizes(interpolate=True)`.
     """
 
     floor: Float[Array, ""] = number(0.1, "CIELAB/px")
@@ -40,6 +43,7 @@ class ThesisParams(eqx.Module):
     space_sigma: Float[Array, ""] = number(5.0, "px")
     disparity_sigma: Float[Array, ""] = number(0.1, "px")
     colour_sigma: Float[Array, ""] = number(0.5, "sRGB")
+    banks: tuple[FilterBank, FilterBank] | None = None
 
 
 @dataclass(frozen=True)
@@ -52,6 +56,8 @@ class ThesisSizes:
         filters: number of filters, see `epi.exponential_disparities`.
         lines: slots for lines per EPI.
         modulate: multiply responses by the local standard deviation (Alg. 1).
+        interpolate: disparities between those of the filters, see `epi.epi_edge_map`; the thesis
+            has the filters'.
         levels: scales of the spatial pyramid (4.1.4), 1 or 2.
         alignment: keep lines aligned with the gradient in a quarter of the views ("count",
             Eq. 4.3) or in four in a row ("run", the authors'), or all ("none").
@@ -65,6 +71,7 @@ class ThesisSizes:
     filters: int = 60
     lines: int = 256
     modulate: bool = False
+    interpolate: bool = False
     levels: int = 2
     alignment: Literal["none", "count", "run"] = "run"
     vote: bool = True
@@ -86,18 +93,28 @@ class ThesisSizes:
                 f'`alignment` must be "none", "count" or "run", got {self.alignment!r}.'
             )
 
-    def bank(self, views: int, dtype: DTypeLike) -> FilterBank:
-        """The filters of an arm.
+    def banks(
+        self, views: tuple[int, ...], dtype: DTypeLike = jnp.float32
+    ) -> tuple[FilterBank, FilterBank]:
+        """Oriented Prewitt filters, denser around disparity 0: where learning them starts.
 
         Args:
-            views: of the arm.
+            views: rows and columns of the grid of views, perhaps with more after them.
             dtype: of the filters.
 
         Returns:
-            Oriented Prewitt filters, denser around disparity 0.
+            The bank of the horizontal arm and that of the vertical one.
+
+        Example:
+            >>> across, down = ThesisSizes(reach=1.0, capacity=64).banks((3, 9))
+            >>> across.taps.shape[:2], down.taps.shape[:2]
+            ((60, 9), (60, 3))
         """
         disparity = jnp.asarray(exponential_disparities(self.filters, self.reach), dtype)
-        return prewitt_bank(disparity, views, bank_radius(self.reach, views))
+        across, down = (
+            prewitt_bank(disparity, count, bank_radius(self.reach, count)) for count in views[1::-1]
+        )
+        return across, down
 
     @staticmethod
     def for_light_field(light_field: LightField, **choices: Any) -> "ThesisSizes":

@@ -40,7 +40,11 @@ def _local_deviation(epi: Float[Array, "u x c"]) -> Float[Array, "u x c"]:
 
 
 def epi_edge_map(
-    epi: Float[Array, "u x c"], bank: FilterBank, *, modulate: bool = False
+    epi: Float[Array, "u x c"],
+    bank: FilterBank,
+    *,
+    modulate: bool = False,
+    interpolate: bool = False,
 ) -> tuple[Float[Array, "u x"], Float[Array, "u x"]]:
     """Edge confidence and slope at every pixel of an EPI, all rows.
 
@@ -52,10 +56,13 @@ def epi_edge_map(
         epi: Lab values of one EPI, views by pixels.
         bank: the filters.
         modulate: multiply by the standard deviation of 3x3 pixels of the EPI (Alg. 1).
+        interpolate: the disparity is that of the vertex of the parabola through the responses of
+            the winning filter and of the two beside it, not that of the filter.
 
     Returns:
         Confidence after non-maximum suppression along x (0 elsewhere), and the disparity of the
-        winning filter. The confidence is differentiable in the EPI and the taps.
+        winning filter. The confidence is differentiable in the EPI and the taps, and so is an
+        interpolated disparity.
 
     Source: Thesis 4.1.1, Alg. 1; maximum over channels, absolute response.
     """
@@ -82,9 +89,35 @@ def epi_edge_map(
         left = jnp.pad(value[:-1], (1, 0))
         right = jnp.pad(value[1:], (0, 1))
         keep = (value > left) & (value >= right)
-        return jnp.where(keep, value, 0), bank.disparity[best]
+        disparity = bank.disparity[best]
+        if interpolate:
+            disparity = _vertex(over_channels, best, bank.disparity)
+        return jnp.where(keep, value, 0), disparity
 
     return jax.vmap(row)(steps, _local_deviation(epi))
+
+
+def _vertex(
+    response: Float[Array, "x k"], best: Int[Array, " x"], disparity: Float[Array, " k"]
+) -> Float[Array, " x"]:
+    """Disparity at the vertex of the parabola through the best response and those beside it.
+
+    In the numbers of the filters, between whose disparities it is linear; at the ends of the bank,
+    that of the filter.
+    """
+    last = disparity.shape[0] - 1
+    inside = (best > 0) & (best < last)
+    middle = jnp.clip(best, 1, last - 1)
+    before, at, after = (
+        jnp.take_along_axis(response, (middle + k)[:, None], -1)[:, 0] for k in (-1, 0, 1)
+    )
+    bend = 2 * at - before - after
+    bent = inside & (bend > 0)
+    offset = jnp.where(bent, 0.5 * (after - before) / jnp.where(bent, bend, 1), 0)
+    # Half a filter at most: rounding may have it more where the best has an equal beside it.
+    offset = jnp.clip(offset, -0.5, 0.5)
+    beside = jnp.clip(jnp.where(offset < 0, best - 1, best + 1), 0, last)
+    return disparity[best] + jnp.abs(offset) * (disparity[beside] - disparity[best])
 
 
 def fit_lines(

@@ -24,6 +24,7 @@ from mvedge_jax.baselines._reprojection import reprojection_score
 from mvedge_jax.baselines._sparse_depth import point_weight, thesis_response
 from mvedge_jax.datasets import synthetic
 from mvedge_jax.edges import EdgeParams, EdgePoints, EdgeSizes, multiview_edges
+from mvedge_jax.epi import FilterBank
 from mvedge_jax.lightfield import LightField
 
 _SMALL = {"levels": 16, "median_radius": 3}
@@ -55,6 +56,43 @@ def test_points_of_a_plane():
     assert np.median(error) < 0.05
     assert np.mean(error < 0.15) > 0.95
     assert not np.asarray(edges.points.disparity)[~keep].any()
+
+
+def test_taps_reach_the_disparities_of_points_between_filters():
+    blind = noisy_scene("edges", 40)
+    sizes = ThesisSizes.for_light_field(blind, interpolate=True, lines=32)
+    banks = sizes.banks(blind.views.shape, blind.views.dtype)
+
+    def loss(banks):
+        points = thesis_edges(blind, ThesisParams(banks=banks), sizes, key=jax.random.key(3)).points
+        return jnp.where(points.valid, jnp.sin(3 * points.disparity + points.xy[:, 0]), 0).sum()
+
+    taps = [bank.taps for bank in banks]
+    zero = [jnp.zeros_like(bank.disparity) for bank in banks]
+    directions = [
+        jnp.asarray(np.random.default_rng(k).normal(size=t.shape)) for k, t in enumerate(taps)
+    ]
+    tangent = tuple(FilterBank(*pair) for pair in zip(zero, directions, strict=True))
+
+    def along(step):
+        return jax.tree.map(lambda leaf, change: leaf + step * change, banks, tangent)
+
+    slopes = jax.grad(loss)(banks)
+    slope = sum(
+        jnp.vdot(s.taps, direction) for s, direction in zip(slopes, directions, strict=True)
+    )
+    numeric = (loss(along(1e-8)) - loss(along(-1e-8))) / 2e-8
+    assert abs(float(slope)) > 1
+    np.testing.assert_allclose(slope, numeric, rtol=1e-3)
+
+
+def test_a_bank_for_other_views_is_refused():
+    light_field = plane(0.37, views=9, size=(16, 16))
+    sizes = ThesisSizes(reach=0.7, capacity=64)
+    with pytest.raises(ValueError, match="`bank` is for 5 views, `arm` has 9"):
+        thesis_edges(
+            light_field, ThesisParams(banks=sizes.banks((5, 5))), sizes, key=jax.random.key(0)
+        )
 
 
 def test_sizes_that_cannot_be_are_refused():

@@ -1,0 +1,98 @@
+"""What the experiments that learn by gradient share: the loop, means over scenes, the picture."""
+
+import time
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+from matplotlib.figure import Figure
+
+from mvedge_jax.lightfield import LightField
+
+
+def learn(
+    value_and_gradient: Callable[..., Any],
+    first: Any,
+    fields: Sequence[LightField],
+    *,
+    steps: int,
+    batch: int,
+    rate: float,
+    seed: int,
+    limit: float = float("inf"),
+) -> tuple[Any, list[float]]:
+    """What Adam ends at, and the mean loss of every mini-batch.
+
+    Args:
+        value_and_gradient: of the loss, for what is learned and a scene.
+        first: what is learned, at its start.
+        fields: the scenes, drawn in an order of the seed's.
+        steps: of Adam.
+        batch: scenes per step.
+        rate: at first; it falls to 0 along a cosine.
+        seed: of the order.
+        limit: of the norm of a scene's gradient; longer ones are shortened.
+    """
+    adam = optax.adam(optax.cosine_decay_schedule(rate, steps))
+    learned, state, losses = first, adam.init(first), []
+    order, waiting = np.random.default_rng(seed), []
+    for step in range(steps):
+        start = time.perf_counter()
+        if len(waiting) < batch:
+            waiting += order.permutation(len(fields)).tolist()
+        drawn, waiting = waiting[:batch], waiting[batch:]
+        found = [value_and_gradient(learned, fields[k]) for k in drawn]
+        losses.append(sum(float(value) for value, _ in found) / len(found))
+        spent = time.perf_counter() - start
+        print(f"seed {seed}, step {step}: loss {losses[-1]:.5f}, {spent:.1f} s", flush=True)
+        slopes = [_shortened(slope, limit) for _, slope in found]
+        gradient = jax.tree.map(lambda *leaves: sum(leaves) / len(leaves), *slopes)
+        updates, state = adam.update(gradient, state, learned)
+        learned = optax.apply_updates(learned, updates)
+    return learned, losses
+
+
+def _shortened(gradient: Any, limit: float) -> Any:
+    share = jnp.minimum(1.0, limit / jnp.maximum(optax.tree.norm(gradient), 1e-30))
+    return jax.tree.map(lambda leaf: share * leaf, gradient)
+
+
+def means(rows: Sequence[dict[str, Any]], what: str) -> list[dict[str, Any]]:
+    """Mean scores over the scenes of either use, for the defaults and for every seed."""
+    found = []
+    for use in dict.fromkeys(row["use"] for row in rows):
+        for label in dict.fromkeys(row[what] for row in rows):
+            mine = [row for row in rows if (row["use"], row[what]) == (use, label)]
+            columns = [name for name in mine[0] if name not in ("scene", "use", what)]
+            mean = {name: sum(row[name] for row in mine) / len(mine) for name in columns}
+            found.append({"use": use, what: label, **mean})
+    return found
+
+
+def plot_learning(
+    losses: Sequence[Sequence[float]],
+    rows: Sequence[dict[str, Any]],
+    what: str,
+    columns: tuple[str, str],
+) -> Figure:
+    """The loss curve, and two scores before and after per scene."""
+    figure = Figure(figsize=(13, 3.6), layout="constrained")
+    curve, *axes = figure.subplots(1, 3)
+    for seed, values in enumerate(losses):
+        curve.plot(values, "o-", markersize=3, label=f"seed {seed}")
+    curve.set(xlabel="step of Adam", ylabel="loss of the mini-batch")
+    names = list(dict.fromkeys(row["scene"] for row in rows))
+    titles = {row["scene"]: f"{row['scene']}\n({row['use']})" for row in rows}
+    for axis, column in zip(axes, columns, strict=True):
+        labels = list(dict.fromkeys(row[what] for row in rows))
+        for k, label in enumerate(labels):
+            heights = [row[column] for row in rows if row[what] == label]
+            shift, width = 0.8 * k / len(labels) - 0.3, 0.8 / len(labels)
+            axis.bar([place + shift for place in range(len(names))], heights, width, label=label)
+        axis.set_xticks(range(len(names)), [titles[name] for name in names], fontsize=7)
+        axis.set(ylabel=column)
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper right", ncols=2)
+    return figure
