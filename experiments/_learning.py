@@ -79,13 +79,13 @@ def plot_learning(
     columns: tuple[str, str],
 ) -> Figure:
     """The loss curve, and two scores before and after per scene."""
-    figure = Figure(figsize=(13, 3.6), layout="constrained")
+    figure = Figure(figsize=(15, 4.2), layout="constrained")
     curve, *axes = figure.subplots(1, 3)
     for seed, values in enumerate(losses):
         curve.plot(values, "o-", markersize=3, label=f"seed {seed}")
     curve.set(xlabel="step of Adam", ylabel="loss of the mini-batch")
     names = list(dict.fromkeys(row["scene"] for row in rows))
-    titles = {row["scene"]: f"{row['scene']}\n({row['use']})" for row in rows}
+    titles = {row["scene"]: f"{row['scene']}\n{row['use'].split()[0]}" for row in rows}
     for axis, column in zip(axes, columns, strict=True):
         labels = list(dict.fromkeys(row[what] for row in rows))
         for k, label in enumerate(labels):
