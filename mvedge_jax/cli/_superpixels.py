@@ -22,7 +22,7 @@ from mvedge_jax.superpixels import (
     superpixels as cut,
 )
 
-from ._common import in_unit_range, note, stage, warn
+from ._common import compiled, in_unit_range, note, stage, warn
 from ._every_view import every_view
 from ._output import output_folder, write_json
 
@@ -75,14 +75,13 @@ def superpixels(
     blind = light_field.without_truth()
     with output_folder(out, inputs=[scene], overwrite=overwrite) as folder:
         depths, _, doubts = every_view(blind)
+        room = max(SuperpixelSizes.for_depths(depths).capacity, int(4 * height * width / size**2))
+        sizes = SuperpixelSizes.for_depths(depths, capacity=min(room, 32000))
+        params = SuperpixelParams(size=jnp.asarray(size))
+        with stage("compiling, or reading what was compiled before"):
+            program = compiled(cut, blind, depths, params, sizes)
         with stage("cutting"):
-            room = max(
-                SuperpixelSizes.for_depths(depths).capacity, int(4 * height * width / size**2)
-            )
-            sizes = SuperpixelSizes.for_depths(depths, capacity=min(room, 32000))
-            found = jax.block_until_ready(
-                cut(blind, depths, SuperpixelParams(size=jnp.asarray(size)), sizes)
-            )
+            found = jax.block_until_ready(program(blind, depths, params, sizes))
         with stage("writing"):
             _write(folder, blind, found)
             report: dict[str, Any] = {"scene": light_field.name, "count": int(found.number)}
