@@ -2,48 +2,88 @@
 
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
+from _depth import scenes
 from matplotlib.figure import Figure
 
+from mvedge_jax.edges import scene_range
 from mvedge_jax.lightfield import LightField
 
 
-def learn(
+@dataclass(frozen=True)
+class Schedule:
+    """Options of learning.
+
+    Attributes:
+        steps: of Adam.
+        batch: scenes per step.
+        seeds: runs, each with an order of its own.
+        rate: the learning rate at first, in the units of what is learned (logarithms of parameters
+            and of gains, taps as they are); it falls to 0 along a cosine.
+    """
+
+    steps: int = 40
+    batch: int = 2
+    seeds: int = 3
+    rate: float = 0.05
+
+
+def of_one_range(names: Sequence[str], *, size: int, views: int = 9) -> dict[str, LightField]:
+    """Rendered scenes with the widest of their ranges, so that one program serves them all."""
+    fields = {name: field.crop_views(views) for name, field in scenes(None, names, size=size)}
+    lows, highs = zip(*(scene_range(field) for field in fields.values()), strict=True)
+    widest = (min(lows), max(highs))
+    return {
+        name: LightField(field.views, disparity_range=widest, truth=field.truth)
+        for name, field in fields.items()
+    }
+
+
+def learned_by_seeds(
     value_and_gradient: Callable[..., Any],
     first: Any,
     fields: Sequence[LightField],
+    schedule: Schedule,
     *,
-    steps: int,
-    batch: int,
-    rate: float,
-    seed: int,
     limit: float = float("inf"),
-) -> tuple[Any, list[float]]:
-    """What Adam ends at, and the mean loss of every mini-batch.
+) -> list[tuple[Any, list[float]]]:
+    """What Adam ends at for every seed, and its losses.
 
     Args:
         value_and_gradient: of the loss, for what is learned and a scene.
         first: what is learned, at its start.
         fields: the scenes, drawn in an order of the seed's.
-        steps: of Adam.
-        batch: scenes per step.
-        rate: at first; it falls to 0 along a cosine.
-        seed: of the order.
+        schedule: of Adam.
         limit: of the norm of a scene's gradient; longer ones are shortened.
     """
-    adam = optax.adam(optax.cosine_decay_schedule(rate, steps))
+    return [
+        _learn(value_and_gradient, first, fields, schedule, seed, limit)
+        for seed in range(schedule.seeds)
+    ]
+
+
+def _learn(
+    value_and_gradient: Callable[..., Any],
+    first: Any,
+    fields: Sequence[LightField],
+    schedule: Schedule,
+    seed: int,
+    limit: float,
+) -> tuple[Any, list[float]]:
+    adam = optax.adam(optax.cosine_decay_schedule(schedule.rate, schedule.steps))
     learned, state, losses = first, adam.init(first), []
     order, waiting = np.random.default_rng(seed), []
-    for step in range(steps):
+    for step in range(schedule.steps):
         start = time.perf_counter()
-        if len(waiting) < batch:
+        if len(waiting) < schedule.batch:
             waiting += order.permutation(len(fields)).tolist()
-        drawn, waiting = waiting[:batch], waiting[batch:]
+        drawn, waiting = waiting[: schedule.batch], waiting[schedule.batch :]
         found = [value_and_gradient(learned, fields[k]) for k in drawn]
         losses.append(sum(float(value) for value, _ in found) / len(found))
         spent = time.perf_counter() - start

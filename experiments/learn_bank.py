@@ -23,30 +23,26 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import tyro
-from _depth import scenes
-from _learning import learn, means, plot_learning
+from _learning import Schedule, learned_by_seeds, means, of_one_range, plot_learning
 from _report import print_table, write_csv, write_json
 from jax import Array
 
 from mvedge_jax import lean_jit
 from mvedge_jax.baselines import ThesisParams, ThesisSizes, thesis_edges
-from mvedge_jax.edges import scene_range
 from mvedge_jax.epi import FilterBank
 from mvedge_jax.lightfield import LightField
 
 
 @dataclass(frozen=True)
-class Arguments:
+class Arguments(Schedule):
     """Options.
 
     Attributes:
         learn: scenes to learn from.
         unseen: scenes to measure besides.
         size: side of the views, px.
-        steps: of Adam.
-        batch: scenes per step.
-        seeds: runs, each with an order of its own.
-        rate: the learning rate at first; it falls to 0 along a cosine.
+        rate: the learning rate at first, of logarithms and of the kernel; it falls to 0 along a
+            cosine.
         limit: of the norm of a scene's gradient: where lines swap it has no meaning.
         out: folder for the table, the curve and the banks.
     """
@@ -54,9 +50,6 @@ class Arguments:
     learn: tuple[str, ...] = ("edges", "demo", "thin", "wide")
     unseen: tuple[str, ...] = ("slanted", "crossing", "specular")
     size: int = 96
-    steps: int = 40
-    batch: int = 2
-    seeds: int = 3
     rate: float = 0.012
     limit: float = 1.0
     out: Path = Path("results/learn_bank")
@@ -79,14 +72,7 @@ class Change(NamedTuple):
 def main() -> None:
     """Learns, measures and draws."""
     arguments = tyro.cli(Arguments, description=__doc__)
-    fields = dict(scenes(None, arguments.learn + arguments.unseen, size=arguments.size))
-    # The widest range for all, so that one bank serves them.
-    lows, highs = zip(*(scene_range(field) for field in fields.values()), strict=True)
-    widest = (min(lows), max(highs))
-    fields = {
-        name: LightField(field.views, disparity_range=widest, truth=field.truth)
-        for name, field in fields.items()
-    }
+    fields = of_one_range(arguments.learn + arguments.unseen, size=arguments.size)
     one = next(iter(fields.values()))
     thesis = ThesisSizes.for_light_field(one)
     between = dataclasses.replace(thesis, interpolate=True)
@@ -106,19 +92,7 @@ def main() -> None:
 
     value_and_gradient = lean_jit(jax.value_and_grad(loss))
     chosen = [fields[name] for name in arguments.learn]
-    runs = [
-        learn(
-            value_and_gradient,
-            first,
-            chosen,
-            steps=arguments.steps,
-            batch=arguments.batch,
-            rate=arguments.rate,
-            seed=seed,
-            limit=arguments.limit,
-        )
-        for seed in range(arguments.seeds)
-    ]
+    runs = learned_by_seeds(value_and_gradient, first, chosen, arguments, limit=arguments.limit)
     cases = [("thesis", first, thesis), ("Prewitt", first, between)]
     cases += [(f"seed {k}", point, between) for k, (point, _) in enumerate(runs)]
     measured = {

@@ -20,13 +20,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import tyro
-from _depth import robust_loss, scenes
-from _learning import learn, means, plot_learning
+from _depth import robust_loss
+from _learning import Schedule, learned_by_seeds, means, of_one_range, plot_learning
 from _report import print_table, write_csv, write_json
 
 from mvedge_jax import lean_jit
 from mvedge_jax.centre import Parameters, Sizes, edge_to_depth
-from mvedge_jax.edges import EdgeParams, scene_range
+from mvedge_jax.edges import EdgeParams
 from mvedge_jax.epi import FilterBank
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.losses import LossWeights, gather_views, self_supervised_loss
@@ -36,7 +36,7 @@ _ERROR_ALONE = LossWeights(smoothness=jnp.asarray(0.0), gradient=jnp.asarray(0.0
 
 
 @dataclass(frozen=True)
-class Arguments:
+class Arguments(Schedule):
     """Options.
 
     Attributes:
@@ -46,11 +46,6 @@ class Arguments:
         unseen: scenes to measure besides.
         size: side of the views, px.
         views: views along a side of the grid; odd.
-        steps: of Adam.
-        batch: scenes per step.
-        seeds: runs, each with an order of its own.
-        rate: the learning rate at first, in the logarithm of the parameters or in units of the
-            taps; it falls to 0 along a cosine.
         out: folder for the table, the curve and the parameters.
     """
 
@@ -60,25 +55,15 @@ class Arguments:
     unseen: tuple[str, ...] = ("slanted", "crossing", "specular")
     size: int = 96
     views: int = 9
-    steps: int = 40
-    batch: int = 2
-    seeds: int = 3
-    rate: float = 0.05
     out: Path = Path("results/learn_parameters")
 
 
 def main() -> None:
     """Learns, measures and draws."""
     arguments = tyro.cli(Arguments, description=__doc__)
-    fields = dict(scenes(None, arguments.learn + arguments.unseen, size=arguments.size))
-    fields = {name: field.crop_views(arguments.views) for name, field in fields.items()}
-    # The widest range for all, so that one program serves them.
-    lows, highs = zip(*(scene_range(field) for field in fields.values()), strict=True)
-    widest = (min(lows), max(highs))
-    fields = {
-        name: LightField(field.views, disparity_range=widest, truth=field.truth)
-        for name, field in fields.items()
-    }
+    fields = of_one_range(
+        arguments.learn + arguments.unseen, size=arguments.size, views=arguments.views
+    )
     sizes = Sizes.for_light_field(next(iter(fields.values())))
 
     first, parameters = _choice(arguments.what, next(iter(fields.values())), sizes)
@@ -89,18 +74,7 @@ def main() -> None:
 
     value_and_gradient = lean_jit(jax.value_and_grad(loss))
     chosen = [fields[name] for name in arguments.learn]
-    runs = [
-        learn(
-            value_and_gradient,
-            first,
-            chosen,
-            steps=arguments.steps,
-            batch=arguments.batch,
-            rate=arguments.rate,
-            seed=seed,
-        )
-        for seed in range(arguments.seeds)
-    ]
+    runs = learned_by_seeds(value_and_gradient, first, chosen, arguments)
     estimate = lean_jit(
         lambda learned, field: (
             edge_to_depth(field.without_truth(), parameters(learned), sizes).disparity
