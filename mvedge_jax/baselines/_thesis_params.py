@@ -108,7 +108,7 @@ class ThesisSizes:
         Example:
             >>> across, down = ThesisSizes(reach=1.0, capacity=64).banks((3, 9))
             >>> across.taps.shape[:2], down.taps.shape[:2]
-            ((60, 9), (60, 3))
+            ((59, 9), (59, 3))
         """
         disparity = jnp.asarray(exponential_disparities(self.filters, self.reach), dtype)
         across, down = (
