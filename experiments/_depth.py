@@ -1,7 +1,6 @@
-"""What the depth experiments share: scenes, methods, scores."""
+"""What the depth experiments share: methods, losses, scores."""
 
-from collections.abc import Callable, Iterator, Sequence
-from pathlib import Path
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -18,12 +17,9 @@ from mvedge_jax.baselines import (
     thesis_depth,
 )
 from mvedge_jax.centre import Parameters, Sizes, edge_to_depth
-from mvedge_jax.datasets import load_light_field, synthetic
 from mvedge_jax.edges import EdgeParams, EdgeSizes, multiview_edges, scene_range
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.metrics import boundary_scores, depth_scores
-
-SYNTHETIC = ("edges", "thin", "wide", "noisy", "slanted", "crossing")
 
 
 class Method(NamedTuple):
@@ -86,36 +82,6 @@ ABLATIONS = (
     sparse("edges only, no sharpening", side="bidirectional", sharpening="none"),
     sparse("edges only, unit weights", side="bidirectional", unit_weights=True),
 )
-
-
-def scenes(
-    data: Path | None, names: Sequence[str], *, size: int
-) -> Iterator[tuple[str, LightField]]:
-    """Benchmark scenes that are on disk and synthetic ones, rendered with 9x9 views.
-
-    Compiled programs are dropped after each: one of the whole chain takes 1300 memory maps, and the
-    compiler crashes when a process has as many as Linux allows (65530).
-
-    Args:
-        data: folder with HCI scenes under `hci/`; None for synthetic scenes only.
-        names: which; empty for everything at hand.
-        size: side of the rendered views, px.
-    """
-    folders = {path.name: path for path in sorted((data / "hci").glob("*/"))} if data else {}
-    for name in names or (*folders, *SYNTHETIC):
-        if name in folders:
-            yield name, load_light_field(folders[name])
-        else:
-            yield (
-                name,
-                synthetic.render(
-                    synthetic.scene(name),
-                    shape=(9, 9, size, size),
-                    samples=2,
-                    key=jax.random.key(0),
-                ),
-            )
-        jax.clear_caches()
 
 
 def robust_loss(disparity: jax.Array, light_field: LightField) -> jax.Array:

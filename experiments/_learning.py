@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
-from _depth import scenes
+from _scenes import scenes
 from matplotlib.figure import Figure
 
 from mvedge_jax.edges import scene_range

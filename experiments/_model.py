@@ -1,7 +1,6 @@
-"""What the experiments on the differentiable model share: scenes, starts, runs, scores."""
+"""What the experiments on the differentiable model share: starts, runs, scores."""
 
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import equinox as eqx
@@ -9,7 +8,6 @@ import jax
 import jax.numpy as jnp
 
 from mvedge_jax.centre import Parameters, Sizes, edge_to_depth
-from mvedge_jax.datasets import load_light_field, synthetic
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.metrics import depth_scores
 from mvedge_jax.model import (
@@ -23,17 +21,6 @@ from mvedge_jax.model import (
 )
 from mvedge_jax.model.approaches import Approach, ByEvidence
 from mvedge_jax.model.optimisation import FixedPoints, Progress, Strategy, all_at_once
-
-
-def load_scene(name: str, data: Path | None, *, size: int = 128) -> LightField:
-    """A scene of the development data (`hci/cotton`), or a synthetic one by name and size."""
-    if name in synthetic.scene_names():
-        return synthetic.render(
-            synthetic.scene(name), shape=(9, 9, size, size), key=jax.random.key(0)
-        )
-    if data is None:
-        raise FileNotFoundError(f"{name!r} needs the development data; pass --data FOLDER.")
-    return load_light_field(data / name)
 
 
 def first_map(light_field: LightField) -> Start:

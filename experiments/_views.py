@@ -8,10 +8,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from _report import shared_data
+from _scenes import find_scene, stored
 from jax import lax
 
 from mvedge_jax import lean_jit
-from mvedge_jax.datasets import load_light_field, synthetic
 from mvedge_jax.lightfield import GroundTruth, LightField
 from mvedge_jax.metrics import ViewConsistency
 from mvedge_jax.metrics.depth import bad_pixels, mse
@@ -27,15 +27,9 @@ def scene(name: str, size: int) -> LightField:
     Traced scenes keep the truth of all their views in one `truth.npz`, which is read, too.
     """
     data = shared_data()
-    folders = [Path(name), *(data / part / name for part in ("hci", "traced") if data is not None)]
-    for folder in folders:
-        if folder.exists():
-            light_field = load_light_field(folder)
-            extra = folder / "truth.npz"
-            return with_truth(light_field, extra) if extra.is_file() else light_field
-    return synthetic.render(
-        synthetic.scene(name), shape=(9, 9, size, size), samples=3, key=jax.random.key(0)
-    )
+    light_field, place = find_scene(name, data, size=size, samples=3), stored(name, data)
+    extra = place / "truth.npz" if place is not None else None
+    return with_truth(light_field, extra) if extra and extra.is_file() else light_field
 
 
 def with_truth(light_field: LightField, file: Path) -> LightField:

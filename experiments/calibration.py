@@ -22,27 +22,15 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from experiments._report import print_table, shared_data, write_json
+from experiments._scenes import find_scene
 from mvedge_jax import plotting
 from mvedge_jax.centre import Parameters, Sizes, edge_to_depth
-from mvedge_jax.datasets import load_light_field, synthetic
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.metrics import Calibration, calibration
 from mvedge_jax.photometry import prepare, sight
 from mvedge_jax.photometry.measuring import labels, look
 
 _MEASURED, _OFF = 0.03, 0.03
-
-
-def scene(name: str, size: int) -> LightField:
-    """A light field by its path, its name in the development data, or that of a synthetic one."""
-    data = shared_data()
-    folders = [Path(name), *(data / part / name for part in ("hci", "traced") if data is not None)]
-    for folder in folders:
-        if folder.exists():
-            return load_light_field(folder)
-    return synthetic.render(
-        synthetic.scene(name), shape=(9, 9, size, size), samples=2, key=jax.random.key(0)
-    )
 
 
 def nearest(disparity: np.ndarray, truth: np.ndarray, y: np.ndarray, x: np.ndarray) -> np.ndarray:
@@ -72,7 +60,7 @@ def measured(
 
 def calibrated(name: str, size: int, which: str) -> tuple[dict[str, Any], Calibration]:
     """One row of the table and the curves of the final map."""
-    light_field = scene(name, size)
+    light_field = find_scene(name, shared_data(), size=size)
     known = light_field.truth
     if known is None:
         raise ValueError(f"{name} has no ground truth to score against.")

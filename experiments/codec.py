@@ -18,8 +18,8 @@ import cv2
 import jax.numpy as jnp
 import numpy as np
 import tyro
-from _model import load_scene
 from _report import print_table, shared_data, write_csv, write_json
+from _scenes import find_scene
 from matplotlib.figure import Figure
 
 from mvedge_jax.model.codec import Encoding, decode, encode
@@ -120,7 +120,7 @@ def main() -> None:
     arguments = tyro.cli(Arguments, description=__doc__)
     rows: list[dict[str, Any]] = []
     for name in arguments.scenes:
-        truth = load_scene(name, arguments.data, size=arguments.size).truth
+        truth = find_scene(name, arguments.data, size=arguments.size, samples=3).truth
         if truth is None:
             raise ValueError(f"{name} has no ground truth.")
         rows += measured(name, np.asarray(truth.disparity, np.float64), arguments.points)

@@ -24,6 +24,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from _report import peak_memory, print_table, shared_data, write_csv, write_json
+from _scenes import find_scene, stored
 from _superpixels import MEASURED, changed, plot_sizes, plot_wrong, torn
 from jax import Array, lax
 
@@ -32,7 +33,6 @@ from mvedge_jax.angular import ViewDepths, ViewParams, ViewSizes, depth_of_views
 from mvedge_jax.baselines.kmeans import KMeansParams, KMeansSizes, kmeans_superpixels
 from mvedge_jax.baselines.lfsp import BUGS, LfspParams, LfspSizes, thesis_superpixels
 from mvedge_jax.centre import Parameters, Sizes, edge_to_depth
-from mvedge_jax.datasets import load_light_field, synthetic
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.metrics.superpixels import labels_per_pixel, superpixel_scores
 from mvedge_jax.superpixels import SuperpixelParams, SuperpixelSizes, superpixels
@@ -162,15 +162,8 @@ def _depths(light_field: LightField) -> ViewDepths:
 
 def _scene(arguments: Any, name: str) -> tuple[LightField, np.ndarray, np.ndarray]:
     """A light field, the true ids and disparities of its views or of its centre view."""
-    folders = [Path(name)]
-    if arguments.data:
-        folders += [arguments.data / kind / name for kind in ("hci", "traced")]
-    folder = next((path for path in folders if path.is_dir()), None)
-    if folder is None:
-        shape = (9, 9, arguments.pixels, arguments.pixels)
-        light_field = synthetic.render(synthetic.scene(name), shape=shape, key=jax.random.key(0))
-    else:
-        light_field = load_light_field(folder)
+    folder = stored(name, arguments.data)
+    light_field = find_scene(name, arguments.data, size=arguments.pixels, samples=3)
     if folder is not None and (folder / "truth.npz").exists():
         with np.load(folder / "truth.npz") as known:
             disparity = known["offset"] + known["scale"] * known["disparity"].astype(np.float32)

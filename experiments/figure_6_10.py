@@ -10,8 +10,8 @@ from pathlib import Path
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from _depth import scenes
 from _report import print_table, shared_data, write_csv, write_json
+from _scenes import scenes
 from matplotlib.figure import Figure
 
 from mvedge_jax import lean_jit

@@ -8,8 +8,9 @@ import argparse
 from pathlib import Path
 
 import jax
-from _model import first_map, load_scene, plain, printer, run_supervised
+from _model import first_map, plain, printer, run_supervised
 from _report import print_table, shared_data, write_csv, write_json
+from _scenes import find_scene
 from matplotlib.figure import Figure
 
 from mvedge_jax.lightfield import LightField
@@ -61,7 +62,7 @@ def main() -> None:
     arguments = parser.parse_args()
     arguments.out.mkdir(parents=True, exist_ok=True)
     for name in arguments.scenes:
-        light_field = load_scene(name, arguments.data, size=arguments.size)
+        light_field = find_scene(name, arguments.data, size=arguments.size, samples=3)
         stem = name.replace("/", "_")
         rows = curve(name, light_field, arguments)
         print_table(rows, title="Figure 7.10")

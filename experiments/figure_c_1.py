@@ -16,13 +16,13 @@ import jax
 import jax.numpy as jnp
 from _model import (
     first_map,
-    load_scene,
     printer,
     run_self_supervised,
     run_supervised,
     scores,
 )
 from _report import print_table, shared_data, write_csv, write_json
+from _scenes import find_scene
 
 from mvedge_jax import lean_jit
 from mvedge_jax.model import DepthModel, ModelParams, ModelSizes, Start, render_model
@@ -67,7 +67,7 @@ def main() -> None:
     parser.add_argument("--disparity", type=float, nargs="+", default=[0.25])
     parser.add_argument("--out", type=Path, default=Path("results/figure_c_1"))
     arguments = parser.parse_args()
-    light_field = load_scene(arguments.scene, arguments.data)
+    light_field = find_scene(arguments.scene, arguments.data, size=128, samples=3)
     start = first_map(light_field)
     params, sizes = ModelParams.narrow(arguments.raster), ModelSizes.on_raster(arguments.raster)
     render = lean_jit(render_model)

@@ -10,7 +10,6 @@ import equinox as eqx
 import jax
 from _model import (
     first_map,
-    load_scene,
     plain,
     printer,
     run_self_supervised,
@@ -18,6 +17,7 @@ from _model import (
     scores,
 )
 from _report import print_table, shared_data, write_csv, write_json
+from _scenes import find_scene
 
 
 def main() -> None:
@@ -31,7 +31,7 @@ def main() -> None:
     parser.add_argument("--self-supervised", action="store_true")
     parser.add_argument("--out", type=Path, default=Path("results/figure_c_9"))
     arguments = parser.parse_args()
-    light_field = load_scene(arguments.scene, arguments.data)
+    light_field = find_scene(arguments.scene, arguments.data, size=128, samples=3)
     start = first_map(light_field)
     if not arguments.self_supervised:
         start = plain(start, light_field.centre_view)

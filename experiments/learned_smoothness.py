@@ -18,8 +18,8 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 import tyro
-from _depth import scenes
 from _report import print_table, write_json
+from _scenes import scenes
 
 from mvedge_jax import lean_jit
 from mvedge_jax.centre import Parameters, Sizes, SmoothnessParams, edge_smoothness, edge_to_depth

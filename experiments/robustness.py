@@ -19,10 +19,10 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from experiments._depth import as_image
-from experiments._report import print_table, write_json
+from experiments._report import print_table, shared_data, write_json
+from experiments._scenes import find_scene
 from mvedge_jax.baselines import plane_sweep
 from mvedge_jax.centre import Parameters, Sizes, edge_to_depth
-from mvedge_jax.datasets import load_light_field, synthetic
 from mvedge_jax.edges import scene_range
 from mvedge_jax.lightfield import GroundTruth, LightField
 from mvedge_jax.metrics import depth_scores
@@ -74,15 +74,6 @@ def changed(light_field: LightField, change: Change, *, every: bool = False) -> 
         for place, view in zip(places, views, strict=True):
             grid[place], there[place] = view, True
     return LightField(jnp.asarray(grid), available=there, name=light_field.name)
-
-
-def scene(name: str, size: int) -> LightField:
-    """A light field from a folder or file, or a synthetic one by its name."""
-    if Path(name).exists():
-        return load_light_field(Path(name))
-    return synthetic.render(
-        synthetic.scene(name), shape=(9, 9, size, size), samples=2, key=jax.random.key(0)
-    )
 
 
 class Row(NamedTuple):
@@ -151,7 +142,7 @@ def main() -> None:
     arguments = parser.parse_args()
     which = "all" if arguments.all_views else "crosshair"
     for name in arguments.scenes:
-        light_field = scene(name, arguments.size)
+        light_field = find_scene(name, shared_data(), size=arguments.size)
         truth = light_field.truth
         if truth is None:
             raise ValueError(f"{name} has no ground truth to score against.")
@@ -164,9 +155,10 @@ def main() -> None:
             centre = changed(light_field, CHANGES[label]).centre_view
             picture = np.round(255 * np.asarray(centre)).astype(np.uint8)[..., ::-1]
             strips.append(np.concatenate([picture, *maps], axis=1)[::2, ::2])
+            # After every change: a run that is stopped leaves what it has.
+            write_json(arguments.out / f"{title}.json", {"scene": title, "rows": rows})
+            cv2.imwrite(str(arguments.out / f"{title}.png"), np.concatenate(strips))
         print_table(rows, title=f"{title}: full frame; the view, ours and the plane sweep")
-        write_json(arguments.out / f"{title}.json", {"scene": title, "rows": rows})
-        cv2.imwrite(str(arguments.out / f"{title}.png"), np.concatenate(strips))
         jax.clear_caches()
 
 

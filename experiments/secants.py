@@ -13,8 +13,9 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import tyro
-from _depth import robust_loss, scenes
+from _depth import robust_loss
 from _report import print_table, write_json
+from _scenes import scenes
 
 from mvedge_jax import lean_jit
 from mvedge_jax.centre import Parameters, Sizes, edge_to_depth

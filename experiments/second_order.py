@@ -16,8 +16,9 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import tyro
-from _model import first_map, load_scene, plain
+from _model import first_map, plain
 from _report import print_table, write_json
+from _scenes import find_scene
 from matplotlib.figure import Figure
 
 from mvedge_jax.lightfield import LightField
@@ -112,7 +113,7 @@ def newton(
 def main() -> None:
     """Runs both on every objective and draws the curves."""
     arguments = tyro.cli(Arguments, description=__doc__)
-    light_field = load_scene(arguments.scene, None, size=arguments.size)
+    light_field = find_scene(arguments.scene, None, size=arguments.size, samples=3)
     rows, curves = [], {}
     for kind in arguments.objectives:
         model, goal, first, rates = objective(kind, light_field)

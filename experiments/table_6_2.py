@@ -10,8 +10,9 @@ labels as well.
 import argparse
 from pathlib import Path
 
-from _depth import OURS, SPARSE, scenes, score
+from _depth import OURS, SPARSE, score
 from _report import print_table, shared_data, write_csv, write_json
+from _scenes import scenes
 
 # Thesis, Tab. 6.2: MSE*100 and Q25 of the reprojection error and of bidirectional diffusion.
 PUBLISHED = (

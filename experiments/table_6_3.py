@@ -6,8 +6,9 @@ python experiments/table_6_3.py --out results/table_6_3
 import argparse
 from pathlib import Path
 
-from _depth import OURS, SPARSE, SWEEP, scenes
+from _depth import OURS, SPARSE, SWEEP
 from _report import print_table, shared_data, write_csv, write_json
+from _scenes import scenes
 
 from mvedge_jax.metrics import boundary_scores
 from mvedge_jax.plotting import plot_precision_recall

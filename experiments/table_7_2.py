@@ -14,8 +14,9 @@ from pathlib import Path
 
 import jax
 import numpy as np
-from _model import first_map, load_scene, printer, run_self_supervised, scores
+from _model import first_map, printer, run_self_supervised, scores
 from _report import print_table, shared_data, write_csv, write_json
+from _scenes import find_scene
 
 from mvedge_jax import plotting
 from mvedge_jax.lightfield import LightField
@@ -53,7 +54,7 @@ def main() -> None:
     arguments = parser.parse_args()
     rows, curve = [], []
     for name in arguments.scenes:
-        light_field = load_scene(name, arguments.data)
+        light_field = find_scene(name, arguments.data, size=128, samples=3)
         blind = light_field.without_truth()
         start = first_map(light_field)
         first = start.disparity

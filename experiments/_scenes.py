@@ -1,0 +1,56 @@
+"""Scenes by name: a path, a scene of the development data, or a synthetic one."""
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import jax
+
+from mvedge_jax.datasets import load_light_field, synthetic
+from mvedge_jax.lightfield import LightField
+
+_SYNTHETIC = ("edges", "thin", "wide", "noisy", "slanted", "crossing")
+
+
+def stored(name: str, data: Path | None) -> Path | None:
+    """Where a scene lies on disk: `name` as a path, or below `data` (`cotton`, `hci/cotton`)."""
+    places = [Path(name)]
+    if data is not None:
+        places += [data / part / name for part in (".", "hci", "traced")]
+    return next((place for place in places if place.exists()), None)
+
+
+def find_scene(name: str, data: Path | None, *, size: int, samples: int = 2) -> LightField:
+    """A light field by its path, its name in the development data, or that of a synthetic one.
+
+    Args:
+        name: which.
+        data: folder of development data; None for paths and synthetic scenes only.
+        size: side of the views of a synthetic scene, px; there are 9x9.
+        samples: rays per pixel along each side of a pixel, for a synthetic scene.
+    """
+    place = stored(name, data)
+    if place is not None:
+        return load_light_field(place)
+    shape = (9, 9, size, size)
+    return synthetic.render(
+        synthetic.scene(name), shape=shape, samples=samples, key=jax.random.key(0)
+    )
+
+
+def scenes(
+    data: Path | None, names: Sequence[str], *, size: int
+) -> Iterator[tuple[str, LightField]]:
+    """Benchmark scenes that are on disk and synthetic ones, rendered with 9x9 views.
+
+    Compiled programs are dropped after each: one of the whole chain takes 1300 memory maps, and the
+    compiler crashes when a process has as many as Linux allows (65530).
+
+    Args:
+        data: folder of development data; None for paths and synthetic scenes only.
+        names: which, see `find_scene`; empty for the benchmark's and the synthetic ones.
+        size: side of the rendered views, px.
+    """
+    known = sorted(path.name for path in (data / "hci").glob("*/")) if data else []
+    for name in names or (*known, *_SYNTHETIC):
+        yield Path(name).name, find_scene(name, data, size=size)
+        jax.clear_caches()
