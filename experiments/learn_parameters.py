@@ -1,7 +1,7 @@
 """Parameters, or filters, learned by gradient: Adam through the whole chain.
 
 Small synthetic scenes are learned from, in mini-batches that each seed draws, and others are only
-measured before and after. The loss is the mean of `log(1 + (error / 0.03 px)²)`, or, without any
+measured before and after. The loss is the mean of `log(1 + (error / scale)²)`, or, without any
 truth, the reprojection error of the views that the chain does not read, those off the crosshair.
 Parameters are moved by their logarithm, so that a step is a percentage; leaves that are thresholds
 have no derivative and stay. Taps of the filter bank are moved as they are.
@@ -42,6 +42,7 @@ class Arguments(Schedule):
     Attributes:
         what: the numbers of `Parameters`, or the taps of the filter bank.
         loss: by the truth, or by the views off the crosshair.
+        scale: errors well above it count little more than those near it, px; of the truth's loss.
         learn: scenes to learn from.
         unseen: scenes to measure besides.
         size: side of the views, px.
@@ -51,6 +52,7 @@ class Arguments(Schedule):
 
     what: Literal["parameters", "taps"] = "parameters"
     loss: Literal["truth", "views"] = "truth"
+    scale: float = 0.03
     learn: tuple[str, ...] = ("edges", "demo", "thin", "wide")
     unseen: tuple[str, ...] = ("slanted", "crossing", "specular")
     size: int = 96
@@ -70,7 +72,9 @@ def main() -> None:
 
     def loss(learned: Any, field: LightField) -> jax.Array:
         found = edge_to_depth(field.without_truth(), parameters(learned), sizes).disparity
-        return robust_loss(found, field) if arguments.loss == "truth" else _held_out(found, field)
+        if arguments.loss == "views":
+            return _held_out(found, field)
+        return robust_loss(found, field, arguments.scale)
 
     value_and_gradient = lean_jit(jax.value_and_grad(loss))
     chosen = [fields[name] for name in arguments.learn]
