@@ -19,22 +19,19 @@ def stored(name: str, data: Path | None) -> Path | None:
     return next((place for place in places if place.exists()), None)
 
 
-def find_scene(name: str, data: Path | None, *, size: int, samples: int = 2) -> LightField:
+def find_scene(name: str, data: Path | None, *, size: int) -> LightField:
     """A light field by its path, its name in the development data, or that of a synthetic one.
 
     Args:
         name: which.
         data: folder of development data; None for paths and synthetic scenes only.
         size: side of the views of a synthetic scene, px; there are 9x9.
-        samples: rays per pixel along each side of a pixel, for a synthetic scene.
     """
     place = stored(name, data)
     if place is not None:
         return load_light_field(place)
     shape = (9, 9, size, size)
-    return synthetic.render(
-        synthetic.scene(name), shape=shape, samples=samples, key=jax.random.key(0)
-    )
+    return synthetic.render(synthetic.scene(name), shape=shape, key=jax.random.key(0))
 
 
 def scenes(

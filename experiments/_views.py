@@ -27,7 +27,7 @@ def scene(name: str, size: int) -> LightField:
     Traced scenes keep the truth of all their views in one `truth.npz`, which is read, too.
     """
     data = shared_data()
-    light_field, place = find_scene(name, data, size=size, samples=3), stored(name, data)
+    light_field, place = find_scene(name, data, size=size), stored(name, data)
     extra = place / "truth.npz" if place is not None else None
     return with_truth(light_field, extra) if extra and extra.is_file() else light_field
 

@@ -120,7 +120,7 @@ def main() -> None:
     arguments = tyro.cli(Arguments, description=__doc__)
     rows: list[dict[str, Any]] = []
     for name in arguments.scenes:
-        truth = find_scene(name, arguments.data, size=arguments.size, samples=3).truth
+        truth = find_scene(name, arguments.data, size=arguments.size).truth
         if truth is None:
             raise ValueError(f"{name} has no ground truth.")
         rows += measured(name, np.asarray(truth.disparity, np.float64), arguments.points)

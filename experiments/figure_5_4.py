@@ -163,7 +163,7 @@ def _depths(light_field: LightField) -> ViewDepths:
 def _scene(arguments: Any, name: str) -> tuple[LightField, np.ndarray, np.ndarray]:
     """A light field, the true ids and disparities of its views or of its centre view."""
     folder = stored(name, arguments.data)
-    light_field = find_scene(name, arguments.data, size=arguments.pixels, samples=3)
+    light_field = find_scene(name, arguments.data, size=arguments.pixels)
     if folder is not None and (folder / "truth.npz").exists():
         with np.load(folder / "truth.npz") as known:
             disparity = known["offset"] + known["scale"] * known["disparity"].astype(np.float32)

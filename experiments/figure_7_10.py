@@ -62,7 +62,7 @@ def main() -> None:
     arguments = parser.parse_args()
     arguments.out.mkdir(parents=True, exist_ok=True)
     for name in arguments.scenes:
-        light_field = find_scene(name, arguments.data, size=arguments.size, samples=3)
+        light_field = find_scene(name, arguments.data, size=arguments.size)
         stem = name.replace("/", "_")
         rows = curve(name, light_field, arguments)
         print_table(rows, title="Figure 7.10")

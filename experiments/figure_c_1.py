@@ -67,7 +67,7 @@ def main() -> None:
     parser.add_argument("--disparity", type=float, nargs="+", default=[0.25])
     parser.add_argument("--out", type=Path, default=Path("results/figure_c_1"))
     arguments = parser.parse_args()
-    light_field = find_scene(arguments.scene, arguments.data, size=128, samples=3)
+    light_field = find_scene(arguments.scene, arguments.data, size=128)
     start = first_map(light_field)
     params, sizes = ModelParams.narrow(arguments.raster), ModelSizes.on_raster(arguments.raster)
     render = lean_jit(render_model)

@@ -31,7 +31,7 @@ def main() -> None:
     parser.add_argument("--self-supervised", action="store_true")
     parser.add_argument("--out", type=Path, default=Path("results/figure_c_9"))
     arguments = parser.parse_args()
-    light_field = find_scene(arguments.scene, arguments.data, size=128, samples=3)
+    light_field = find_scene(arguments.scene, arguments.data, size=128)
     start = first_map(light_field)
     if not arguments.self_supervised:
         start = plain(start, light_field.centre_view)

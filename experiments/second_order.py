@@ -113,7 +113,7 @@ def newton(
 def main() -> None:
     """Runs both on every objective and draws the curves."""
     arguments = tyro.cli(Arguments, description=__doc__)
-    light_field = find_scene(arguments.scene, None, size=arguments.size, samples=3)
+    light_field = find_scene(arguments.scene, None, size=arguments.size)
     rows, curves = [], {}
     for kind in arguments.objectives:
         model, goal, first, rates = objective(kind, light_field)

@@ -54,7 +54,7 @@ def main() -> None:
     arguments = parser.parse_args()
     rows, curve = [], []
     for name in arguments.scenes:
-        light_field = find_scene(name, arguments.data, size=128, samples=3)
+        light_field = find_scene(name, arguments.data, size=128)
         blind = light_field.without_truth()
         start = first_map(light_field)
         first = start.disparity

@@ -60,7 +60,7 @@ def main() -> None:
         light_field = load_light_field(data / "hci" / "cotton")
     else:
         light_field = synthetic.render(
-            synthetic.scene("demo"), shape=(9, 9, 512, 512), samples=2, key=jax.random.key(0)
+            synthetic.scene("demo"), shape=(9, 9, 512, 512), key=jax.random.key(0)
         )
     light_field = light_field.without_truth()
     which = "all" if arguments.all_views else "crosshair"
