@@ -140,7 +140,7 @@ ITEMS = (
         "learn_taps",
         "learn_parameters.py",
         None,
-        "--what taps --rate 0.003 --steps 20 --seeds 1",
+        "--what taps --learn demo --rate 0.003 --steps 20 --seeds 1",
         "Filters learned by gradient",
     ),
     Item(

@@ -8,7 +8,7 @@ have no derivative and stay. Taps of the filter bank are moved as they are.
 
     python experiments/learn_parameters.py --out results/learn_parameters
     python experiments/learn_parameters.py --loss views --out results/learn_views
-    python experiments/learn_parameters.py --what taps --learn demo --rate 0.003 --out results/taps
+    python experiments/learn_parameters.py --what taps --learn demo --rate 0.003 --steps 20
 """
 
 from collections.abc import Callable
@@ -52,7 +52,9 @@ class Arguments(Schedule):
 
     what: Literal["parameters", "taps"] = "parameters"
     loss: Literal["truth", "views"] = "truth"
-    scale: float = 0.03
+    scale: float = 0.07
+    steps: int = 80
+    rate: float = 0.1
     learn: tuple[str, ...] = ("edges", "demo", "thin", "wide")
     unseen: tuple[str, ...] = ("slanted", "crossing", "specular")
     size: int = 96
