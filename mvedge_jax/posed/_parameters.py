@@ -35,6 +35,11 @@ def _volume() -> VolumeParams:
     return VolumeParams(truncation=as_number(16.0), slant=as_number(0.4), jump=as_number(2.0))
 
 
+def _photometric() -> PhotometricParams:
+    """As for their labels: nor are disparities known well enough to tell surfaces apart so finely."""
+    return PhotometricParams(same_surface=as_number(0.05))
+
+
 def _centre() -> CentreParams:
     """Labels of few photographs are known to some hundredths of a pixel, not to thousandths."""
     return CentreParams(precision=as_number(0.02))
@@ -52,7 +57,7 @@ class StereoParams(eqx.Module):
     """
 
     volume: VolumeParams = eqx.field(default_factory=_volume)
-    photometric: PhotometricParams = eqx.field(default_factory=PhotometricParams)
+    photometric: PhotometricParams = eqx.field(default_factory=_photometric)
     smoothness: SmoothnessParams = eqx.field(default_factory=SmoothnessParams)
     centre: CentreParams = eqx.field(default_factory=_centre)
     median: MedianParams = eqx.field(default_factory=MedianParams)

@@ -10,7 +10,9 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from mvedge_jax._params import cast
+from mvedge_jax._root import root
 from mvedge_jax._unstack import unstack
+from mvedge_jax.image import box_mean
 
 from .._window import weighted_sum
 from ._look import ArmSplines, Look, look
@@ -23,6 +25,8 @@ _Pair = tuple[Array, Array]
 _LEAST_NOISE = 1.386
 # Where the signal is a smaller share of the information than this, it does not move the map.
 _LEAST_SHARE = 1e-4
+# Where nothing is known of disparities, those of one surface may differ this many times more.
+_PLAIN = 5.0
 # Evidence below this share of what half of the drift needs counts alike.
 _SUREST = 0.1
 
@@ -124,12 +128,13 @@ def labels(
         Labels with their variances. Differentiable.
     """
     params = cast(params, disparity.dtype)
-    total = _gather(found._replace(views=None), lab, disparity, params, passes)
+    unlike = _unlike(lab, disparity, params, _uncertain(found, params))
+    total = _gather(found._replace(views=None), unlike, passes)
     channels = len(total.slope[0])
     floor = (_LEAST_NOISE * params.rounding) ** 2
     tiny = floor * 1e-6
     freedom = jnp.maximum(channels * total.freedom, 1)
-    wider = partial(_gathered, lab=lab, disparity=disparity, params=params, spacing=2**passes)
+    wider = partial(_gathered, unlike=unlike, spacing=2**passes)
     stiffness = _stiffness(total, params, floor, wider)
     right, information, power = _regressed(total, stiffness)
     residual = jnp.maximum(power, 0) / freedom
@@ -238,7 +243,9 @@ def shared(
     params = cast(params, lab.dtype)
     own = measured.disparity
     weight = 1 / measured.variance
-    total, mean = _gather((weight, weight * own), lab, own, params, passes)
+    # Labels scatter, as maps do not: what is within three standard errors is alike.
+    unlike = _unlike(lab, own, params, 9 * measured.variance)
+    total, mean = _gather((weight, weight * own), unlike, passes)
     return measured._replace(disparity=mean / total)
 
 
@@ -265,47 +272,72 @@ def mismatch(
     """
     params = cast(params, disparity.dtype)
     parts = found.power, found.freedom
-    power, freedom = _gather(parts, lab, disparity, params, passes)
+    unlike = _unlike(lab, disparity, params, _uncertain(found, params))
+    power, freedom = _gather(parts, unlike, passes)
     channels = len(found.slope[0])
     return jnp.maximum(power, 0) / jnp.maximum(channels * freedom, 1)
 
 
-def _gather(own: _Tree, lab: Array, disparity: Array, params: Measuring, passes: int) -> _Tree:
+class _Unlike(NamedTuple):
+    """By what neighbours are told from those on the same surface.
+
+    Attributes:
+        planes: disparity and colours, `[n, y, x]`.
+        scales: differences that tell, likewise.
+    """
+
+    planes: Array
+    scales: Array
+
+
+def _uncertain(found: Look, params: Measuring) -> Array:
+    """Variance of the disparity by the 3x3 pixels around; large on plain surfaces, but finite."""
+    information, noise = 9 * box_mean(found.information, 1), params.noise**2
+    return _over(noise, information + 1e-6 * noise)
+
+
+def _unlike(lab: Array, disparity: Array, params: Measuring, variance: Array) -> _Unlike:
+    """What tells surfaces apart: disparities tell less where they are known less well."""
+    same = params.same_surface**2
+    most = _PLAIN**2 * same
+    apart = root(same + most * _over(variance, most + variance))
+    colours = jnp.broadcast_to(params.same_colour, lab.shape)
+    return _Unlike(jnp.concatenate([disparity[None], lab]), jnp.concatenate([apart[None], colours]))
+
+
+def _gather(own: _Tree, unlike: _Unlike, passes: int) -> _Tree:
     """Sums over neighbours on the same surface.
 
     Passes over 3x3 pixels, each twice as far apart as the one before: the window of the second is
     7x7, that of the third 15x15, for 9 terms a pass.
     """
     for i in range(passes):
-        own = _gathered(own, lab, disparity, params, spacing=2**i)
+        own = _gathered(own, unlike, spacing=2**i)
     return own
 
 
-def _gathered(own: _Tree, lab: Array, disparity: Array, params: Measuring, spacing: int) -> _Tree:
+def _gathered(own: _Tree, unlike: _Unlike, spacing: int) -> _Tree:
     """One pass of `_gather`."""
     fields, tree = jax.tree.flatten(own)
-    weights = _alike(lab, disparity, params, spacing)
+    weights = _alike(unlike, spacing)
     # Nothing is known beyond the border.
     total = weighted_sum(jnp.stack(fields), weights, spacing=spacing, mode="constant")
     return tree.unflatten(unstack(total))
 
 
-def _alike(lab: Array, disparity: Array, params: Measuring, spacing: int) -> Float[Array, "o y x"]:
+def _alike(unlike: _Unlike, spacing: int) -> Float[Array, "o y x"]:
     """Weights of 3x3 neighbours by their likeness."""
-    height, width = disparity.shape
+    own, scales = unlike
     margin = (spacing, spacing)
-    padded = jnp.pad(jnp.concatenate([disparity[None], lab]), ((0, 0), margin, margin), mode="edge")
-    scales = [params.same_surface, *(params.same_colour for _ in lab)]
-    taps = jnp.asarray([0.5, 1.0, 0.5], disparity.dtype)
+    padded = jnp.pad(own, ((0, 0), margin, margin), mode="edge")
+    taps = jnp.asarray([0.5, 1.0, 0.5], own.dtype)
 
     @jax.checkpoint
     def weigh(offset: Array) -> Array:
         row, column = offset // 3, offset % 3
         start = (0, row * spacing, column * spacing)
-        others = lax.dynamic_slice(padded, start, (len(scales), height, width))
-        distance = jnp.zeros_like(disparity)
-        for own, other, scale in zip([disparity, *lab], others, scales, strict=True):
-            distance = distance + ((other - own) / scale) ** 2
+        others = lax.dynamic_slice(padded, start, own.shape)
+        distance = jnp.sum(((others - own) / scales) ** 2, axis=0)
         return taps[row] * taps[column] * jnp.exp(-distance)
 
     return lax.map(weigh, jnp.arange(9))

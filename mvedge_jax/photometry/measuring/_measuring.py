@@ -13,7 +13,8 @@ class PhotometricParams(eqx.Module):
         drift: how much more a drift of the colours from view to view must explain, around a
             pixel, than it does of noise, for half of it to be believed; 0 believes every drift.
         same_surface: neighbours whose disparity differs by much more than this do not take part in
-            a pixel's measurement.
+            a pixel's measurement; up to five times as much is allowed for on plain surfaces, where
+            disparities are known less well.
         same_colour: nor do those whose CIELAB colour differs by much more than this.
         outlier: residuals this many times larger than the noise stop counting.
         error_floor: smallest standard error: what interpolation and the pixels' own sampling make
@@ -21,7 +22,7 @@ class PhotometricParams(eqx.Module):
     """
 
     drift: Float[Array, ""] = number(0.7, "noise variances")
-    same_surface: Float[Array, ""] = number(0.07, "px")
+    same_surface: Float[Array, ""] = number(0.012, "px")
     same_colour: Float[Array, ""] = number(8.0, "CIELAB")
     outlier: Float[Array, ""] = number(1.0, "noise variances")
     error_floor: Float[Array, ""] = number(0.004, "px")
