@@ -36,7 +36,7 @@ def _volume() -> VolumeParams:
 
 
 def _photometric() -> PhotometricParams:
-    """As for their labels: nor are disparities known well enough to tell surfaces apart so finely."""
+    """Nor do disparities tell surfaces apart as finely as those of a light field."""
     return PhotometricParams(same_surface=as_number(0.05))
 
 
