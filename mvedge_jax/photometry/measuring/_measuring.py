@@ -5,6 +5,9 @@ from jaxtyping import Array, Float
 
 from mvedge_jax._params import number
 
+# Hypotheses of one surface, found pixel by pixel, differ by this many times what a map's do.
+_SCATTER = 6.0
+
 
 class PhotometricParams(eqx.Module):
     """Parameters of the dense photometric measurement.
@@ -55,3 +58,7 @@ class Measuring(PhotometricParams):
     rounding: Float[Array, ""] = number(1 / 255 / 12**0.5, "sRGB")
     gradient_noise: Float[Array, ""] = number(2.5, "1/px²")
     largest_step: Float[Array, ""] = number(0.2, "px")
+
+    def around_hypotheses(self) -> "Measuring":
+        """The same for starts that every pixel found by itself: on one surface, they scatter."""
+        return eqx.tree_at(lambda p: p.same_surface, self, _SCATTER * self.same_surface)
