@@ -273,5 +273,5 @@ def first_labels(scene: Scene, seen: Sight, *, radius: int, passes: int) -> Phot
     if first is None:
         raise ValueError("`scene` has no first map; `prepare` finds one.")
     found = seen.look(first, radius=radius)
-    measured = labels(found, lab, first, seen.params.around_hypotheses(), passes=passes)
+    measured = labels(found, lab, first, seen.params, passes=passes)
     return shared(measured, lab, seen.params, passes=passes)

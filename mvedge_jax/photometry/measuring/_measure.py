@@ -243,8 +243,7 @@ def shared(
     params = cast(params, lab.dtype)
     own = measured.disparity
     weight = 1 / measured.variance
-    # Labels scatter, as maps do not: what is within three standard errors is alike.
-    unlike = _unlike(lab, own, params, 9 * measured.variance)
+    unlike = _unlike(lab, own, params.scattered(), measured.variance)
     total, mean = _gather((weight, weight * own), unlike, passes)
     return measured._replace(disparity=mean / total)
 

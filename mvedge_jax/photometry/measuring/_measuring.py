@@ -5,7 +5,7 @@ from jaxtyping import Array, Float
 
 from mvedge_jax._params import number
 
-# Hypotheses of one surface, found pixel by pixel, differ by this many times what a map's do.
+# Disparities of one surface, found pixel by pixel, differ by this many times what a map's do.
 _SCATTER = 6.0
 
 
@@ -59,6 +59,6 @@ class Measuring(PhotometricParams):
     gradient_noise: Float[Array, ""] = number(2.5, "1/px²")
     largest_step: Float[Array, ""] = number(0.2, "px")
 
-    def around_hypotheses(self) -> "Measuring":
-        """The same for starts that every pixel found by itself: on one surface, they scatter."""
+    def scattered(self) -> "Measuring":
+        """The same among disparities that every pixel found by itself, which no map smoothed."""
         return eqx.tree_at(lambda p: p.same_surface, self, _SCATTER * self.same_surface)
