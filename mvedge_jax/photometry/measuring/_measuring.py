@@ -6,7 +6,7 @@ from jaxtyping import Array, Float
 from mvedge_jax._params import number
 
 # Disparities of one surface, found pixel by pixel, differ by this many times what a map's do.
-_SCATTER = 6.0
+_SCATTER = 3.5
 
 
 class PhotometricParams(eqx.Module):
@@ -25,7 +25,7 @@ class PhotometricParams(eqx.Module):
     """
 
     drift: Float[Array, ""] = number(0.7, "noise variances")
-    same_surface: Float[Array, ""] = number(0.012, "px")
+    same_surface: Float[Array, ""] = number(0.02, "px")
     same_colour: Float[Array, ""] = number(8.0, "CIELAB")
     outlier: Float[Array, ""] = number(1.0, "noise variances")
     error_floor: Float[Array, ""] = number(0.004, "px")
