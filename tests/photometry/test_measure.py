@@ -74,6 +74,23 @@ def test_flat_images_leave_the_map_alone_and_say_so():
     assert float(labels.variance.min()) > 1
 
 
+def test_a_small_step_parts_surfaces_only_where_disparities_are_known():
+    arms, params = plane_splines(0.3), Measuring()
+    step = jnp.where(jnp.arange(28) < 14, 0, 2.5 * params.same_surface)
+    disparity = jnp.broadcast_to(0.3 + step, (20, 28))
+    around = look(*arms, disparity, params, radius=1)
+    spike = jnp.zeros((20, 28)).at[10, 14].set(1.0)
+
+    def across(information):
+        known = jnp.full((20, 28), information)
+        found = around._replace(power=spike, freedom=jnp.ones((20, 28)), information=known)
+        shares = mismatch(found, PLAIN, disparity, params, passes=1)
+        return float(shares[10, 13] / shares[10, 15])
+
+    assert across(1e6) < 0.01
+    assert across(0.0) > 0.5
+
+
 def small_problem():
     """What the measurement reads, and a smooth number that all of its results go into."""
     across, down = plane_splines(0.2, views=(3, 3), size=(8, 9))
