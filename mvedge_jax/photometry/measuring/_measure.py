@@ -27,6 +27,8 @@ _LEAST_NOISE = 1.386
 _LEAST_SHARE = 1e-4
 # Where nothing is known of disparities, those of one surface may differ this many times more.
 _PLAIN = 5.0
+# Disparities of one surface, found pixel by pixel, differ by this many times what a map's do.
+_SCATTER = 3.5
 # Evidence below this share of what half of the drift needs counts alike.
 _SUREST = 0.1
 
@@ -243,7 +245,7 @@ def shared(
     params = cast(params, lab.dtype)
     own = measured.disparity
     weight = 1 / measured.variance
-    unlike = _unlike(lab, own, params.scattered(), measured.variance)
+    unlike = _told_apart(lab, own, params, _SCATTER * params.same_surface)
     total, mean = _gather((weight, weight * own), unlike, passes)
     return measured._replace(disparity=mean / total)
 
@@ -300,8 +302,14 @@ def _unlike(lab: Array, disparity: Array, params: Measuring, variance: Array) ->
     same = params.same_surface**2
     most = _PLAIN**2 * same
     apart = root(same + most * _over(variance, most + variance))
+    return _told_apart(lab, disparity, params, apart)
+
+
+def _told_apart(lab: Array, disparity: Array, params: Measuring, apart: Array) -> _Unlike:
+    """What tells surfaces apart, the difference of disparities that does given."""
     colours = jnp.broadcast_to(params.same_colour, lab.shape)
-    return _Unlike(jnp.concatenate([disparity[None], lab]), jnp.concatenate([apart[None], colours]))
+    apart = jnp.broadcast_to(apart, (1, *disparity.shape))
+    return _Unlike(jnp.concatenate([disparity[None], lab]), jnp.concatenate([apart, colours]))
 
 
 def _gather(own: _Tree, unlike: _Unlike, passes: int) -> _Tree:

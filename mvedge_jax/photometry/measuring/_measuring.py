@@ -5,9 +5,6 @@ from jaxtyping import Array, Float
 
 from mvedge_jax._params import number
 
-# Disparities of one surface, found pixel by pixel, differ by this many times what a map's do.
-_SCATTER = 3.5
-
 
 class PhotometricParams(eqx.Module):
     """Parameters of the dense photometric measurement.
@@ -58,7 +55,3 @@ class Measuring(PhotometricParams):
     rounding: Float[Array, ""] = number(1 / 255 / 12**0.5, "sRGB")
     gradient_noise: Float[Array, ""] = number(2.5, "1/px²")
     largest_step: Float[Array, ""] = number(0.2, "px")
-
-    def scattered(self) -> "Measuring":
-        """The same among disparities that every pixel found by itself, which no map smoothed."""
-        return eqx.tree_at(lambda p: p.same_surface, self, _SCATTER * self.same_surface)
