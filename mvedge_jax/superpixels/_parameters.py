@@ -45,7 +45,7 @@ class SuperpixelParams(eqx.Module):
     colour: Float[Array, ""] = number(7.0, "Lab")
     depth: Float[Array, ""] = number(0.05, "px per view step")
     limit: Float[Array, ""] = number(8.0, "sizes squared")
-    contour: Float[Array, ""] = number(0.4, "sizes squared per px")
+    contour: Float[Array, ""] = number(0.48, "sizes squared per px")
     step: Float[Array, ""] = number(0.1, "px per view step")
     smallest: Float[Array, ""] = number(0.1, "share of the area")
     speck: Float[Array, ""] = number(6.0, "px")
