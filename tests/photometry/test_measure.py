@@ -10,12 +10,14 @@ from photometry.planes import plane_arms, plane_splines
 from mvedge_jax.photometry.measuring import (
     Look,
     Measuring,
+    PhotometricLabels,
     arm_splines,
     labels,
     look,
     mismatch,
     photometric_labels,
 )
+from mvedge_jax.photometry.measuring._measure import shared
 
 # Of one colour, so that no neighbour is left out for its own.
 PLAIN = jnp.zeros((3, 20, 28))
@@ -89,6 +91,21 @@ def test_a_small_step_parts_surfaces_only_where_disparities_are_known():
 
     assert across(1e6) < 0.01
     assert across(0.0) > 0.5
+
+
+@pytest.mark.parametrize("variance", [1e-6, 1.0])
+def test_labels_are_shared_across_small_steps_only_however_little_is_known(variance):
+    params = Measuring()
+
+    def beside(step):
+        disparity = jnp.broadcast_to(0.3 + jnp.where(jnp.arange(28) < 14, 0, step), (20, 28))
+        known = jnp.full_like(disparity, variance)
+        measured = PhotometricLabels(disparity, known, jnp.zeros_like(disparity))
+        averaged = shared(measured, PLAIN, params, passes=2).disparity
+        return float(averaged[10, 13] - 0.3) / step
+
+    assert beside(params.same_surface) > 0.2
+    assert beside(12 * params.same_surface) < 0.01
 
 
 def small_problem():

@@ -14,7 +14,8 @@ class PhotometricParams(eqx.Module):
             pixel, than it does of noise, for half of it to be believed; 0 believes every drift.
         same_surface: neighbours whose disparity differs by much more than this do not take part in
             a pixel's measurement; up to five times as much is allowed for on plain surfaces, where
-            disparities are known less well.
+            disparities are known less well, and 3.5 times as much, everywhere, where pixels'
+            labels are averaged.
         same_colour: nor do those whose CIELAB colour differs by much more than this.
         outlier: residuals this many times larger than the noise stop counting.
         error_floor: smallest standard error: what interpolation and the pixels' own sampling make
