@@ -2,15 +2,18 @@
 
     python experiments/benchmarks/sweep.py --out results/benchmark_sweep
 
-Four numbers are varied, on rendered scenes. Both ways are compiled and called once before; what is
+Four numbers are varied, on rendered scenes. All ways are compiled and called once before; what is
 reported is the sum over the scenes of the warm seconds. A batch computes once what no varied number
 reaches: numbers of the diffusion leave the photometry and the edges of a scene alone, numbers of
-the photometry leave nothing, hence the two rows.
+the photometry leave nothing, hence the two rows. Threads are what `sweep` adds: one call keeps
+little more than a core busy.
 """
 
 import argparse
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from pathlib import Path
 
 import jax
@@ -40,12 +43,13 @@ VARIED = {
 
 
 def main() -> None:
-    """Times both ways."""
+    """Times all ways."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, default=Path("results/benchmark_sweep"))
     parser.add_argument("--scenes", nargs="+", default=["demo", "edges", "slanted"])
     parser.add_argument("--settings", type=int, default=64)
     parser.add_argument("--batch", type=int, default=8)
+    parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--size", type=int, default=128, help="side of the views, px")
     arguments = parser.parse_args()
     start, rows = Parameters(), []
@@ -55,7 +59,9 @@ def main() -> None:
         generator = np.random.default_rng(0)
         factors = np.exp(generator.uniform(-0.7, 0.7, (arguments.settings, len(names))))
         settings = np.asarray([first[name] for name in names]) * factors
-        seconds, apart = {1: 0.0, arguments.batch: 0.0}, 0.0
+        ways = [(1, 1), (arguments.batch, 1), (1, arguments.threads)]
+        ways.append((arguments.batch, arguments.threads))
+        seconds, apart = dict.fromkeys(ways, 0.0), 0.0
         for name in arguments.scenes:
             light_field = synthetic.render(
                 synthetic.scene(name),
@@ -63,26 +69,42 @@ def main() -> None:
                 key=jax.random.key(0),
             )
             scores = []
-            for batch in seconds:
-                options = {"names": names, "choices": {}, "objective": "mae", "batch": batch}
-                evaluate(light_field, settings[:1], start, **options)
+            for batch, threads in ways:
+                call = partial(
+                    evaluate,
+                    light_field,
+                    params=start,
+                    names=names,
+                    choices={},
+                    objective="mae",
+                    batch=batch,
+                )
+                call(settings[:1])
+                parts = [settings[i : i + batch] for i in range(0, len(settings), batch)]
                 before = time.perf_counter()
-                scores.append(evaluate(light_field, settings, start, **options))
-                seconds[batch] += time.perf_counter() - before
-            apart = max(apart, float(np.abs(scores[1] / scores[0] - 1).max()))
+                if threads == 1:
+                    found = list(map(call, parts))
+                else:
+                    with ThreadPoolExecutor(threads) as pool:
+                        found = list(pool.map(call, parts))
+                seconds[batch, threads] += time.perf_counter() - before
+                scores.append(np.concatenate(found))
+            apart = max(apart, *(float(np.abs(s / scores[0] - 1).max()) for s in scores[1:]))
             jax.clear_caches()
-        one, many = seconds.values()
-        rows.append(
-            {
-                "numbers": label,
-                "settings": arguments.settings * len(arguments.scenes),
-                "single calls s": one,
-                f"batches of {arguments.batch} s": many,
-                "ratio": one / many,
-                "largest difference %": 100 * apart,
-                "peak MiB": peak_memory() / 2**20,
-            }
-        )
+        one = seconds[1, 1]
+        for (batch, threads), spent in seconds.items():
+            rows.append(
+                {
+                    "numbers": label,
+                    "batch": batch,
+                    "threads": threads,
+                    "s": spent,
+                    "settings per s": arguments.settings * len(arguments.scenes) / spent,
+                    "ratio to single calls": one / spent,
+                    "largest difference %": 100 * apart,
+                    "peak MiB": peak_memory() / 2**20,
+                }
+            )
     print_table(rows, title=f"{', '.join(arguments.scenes)}, 9x9 views, {arguments.size} px")
     write_json(arguments.out / "sweep.json", rows)
 

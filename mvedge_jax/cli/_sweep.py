@@ -35,6 +35,7 @@ def sweep(
     journal: Path | None = None,
     prune: bool = False,
     seed: int = 0,
+    threads: int = 2,
     workers: int = 0,
     scheduler: str | None = None,
     overwrite: bool = False,
@@ -58,6 +59,7 @@ def sweep(
         journal: file to keep the trials in, OUT.journal by default. Several processes may share it.
         prune: give up, between two scenes, settings that are worse than half of the others.
         seed: of the sampler.
+        threads: calls of the program at a time in this process; memory grows with them, too.
         workers: processes of a Dask cluster on this machine; 0 for none.
         scheduler: address of a Dask scheduler to use instead, such as tcp://host:8786; its workers
             must see the scenes under the same paths.
@@ -88,6 +90,7 @@ def sweep(
                 journal=journal,
                 sampler=optuna.samplers.TPESampler(seed=seed, constant_liar=True),
                 pruner=optuna.pruners.MedianPruner() if prune else None,
+                threads=threads,
                 submit=submit,
                 progress=lambda done, best: bar.update(
                     task, completed=done, description=f"best {objective} {best:.4g}"

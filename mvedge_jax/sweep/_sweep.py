@@ -1,10 +1,11 @@
 """The sweep: Optuna asks, batches of settings are scored, Optuna is told."""
 
+import contextlib
 import os
 import socket
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol, runtime_checkable
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -19,30 +20,11 @@ from mvedge_jax.lightfield import LightField
 
 from ._evaluate import Objective, check_objective, evaluate
 from ._space import CHOICE, Space, with_numbers
+from ._submit import Submit, in_threads
 
 _OWNER, _LOST = "owner", "lost"
 # Of the rows, beside the scenes' and the space's.
 _COLUMNS = ("number", "state", "mean")
-
-
-@runtime_checkable
-class Future(Protocol):
-    """What `submit` returns: `concurrent.futures.Future`, or that of Dask."""
-
-    def result(self) -> Any:
-        """Waits for the value."""
-        ...
-
-
-class _Done(NamedTuple):
-    value: Any
-
-    def result(self) -> Any:
-        return self.value
-
-
-def _here(function: Callable, *arguments: Any, **options: Any) -> Future:
-    return _Done(function(*arguments, **options))
 
 
 class Swept(NamedTuple):
@@ -77,7 +59,8 @@ def sweep(
     name: str = "sweep",
     sampler: optuna.samplers.BaseSampler | None = None,
     pruner: optuna.pruners.BasePruner | None = None,
-    submit: Callable[..., Future] | None = None,
+    threads: int = 2,
+    submit: Submit | None = None,
     progress: Callable[[int, float], None] | None = None,
 ) -> Swept:
     """Looks for the setting of `edge_to_depth` with the least mean score over scenes.
@@ -103,8 +86,11 @@ def sweep(
         name: of the study in the journal.
         sampler: of settings; TPE with seed 0 by default.
         pruner: none by default; `optuna.pruners.MedianPruner` gives up what is worse than half.
+        threads: of this process that run batches, where `submit` is not given. One call keeps
+            little more than a core busy; memory grows with them. What context managers of JAX set
+            (`jax.enable_x64`, say) holds in one thread only: use 1 within them.
         submit: runs a function elsewhere, as `concurrent.futures.Executor.submit` and Dask's
-            `Client.submit` do; in this process by default.
+            `Client.submit` do; in threads of this process by default.
         progress: called after each wave with the number of settings tried and the best score.
 
     Returns:
@@ -115,11 +101,10 @@ def sweep(
             holds a sweep over another space, or no setting had a finite score.
     """
     scenes = list(scenes)
-    for label, count in (("scenes", len(scenes)), ("trials", trials), ("batch", batch)):
+    counts = {"scenes": len(scenes), "trials": trials, "batch": batch, "wave": wave}
+    for label, count in {**counts, "threads": threads}.items():
         if count < 1:
             raise ValueError(f"`{label}` must be at least 1, got {count}.")
-    if wave < 1:
-        raise ValueError(f"`wave` must be at least 1, got {wave}.")
     check_objective(objective)
     start = Parameters() if start is None else start
     study = _study(journal, name, sampler, pruner)
@@ -128,13 +113,14 @@ def sweep(
     if not study.trials and (first := space.start(start)) is not None:
         study.enqueue_trial(first)
     distributions = _distributions(space)
-    while (left := trials - _finished(study)) > 0:
-        asked = [study.ask(distributions) for _ in range(min(wave, left))]
-        for trial in asked:
-            trial.set_user_attr(_OWNER, _owner())
-        _run_wave(study, asked, named, space, start, objective, batch, submit or _here)
-        if progress is not None:
-            progress(_finished(study), _best(study))
+    with in_threads(threads) if submit is None else contextlib.nullcontext(submit) as run:
+        while (left := trials - _finished(study)) > 0:
+            asked = [study.ask(distributions) for _ in range(min(wave, left))]
+            for trial in asked:
+                trial.set_user_attr(_OWNER, _owner())
+            _run_wave(study, asked, named, space, start, objective, batch, run)
+            if progress is not None:
+                progress(_finished(study), _best(study))
     return _swept(study, space, start)
 
 
@@ -241,7 +227,7 @@ def _run_wave(
     params: Parameters,
     objective: Objective,
     batch: int,
-    submit: Callable[..., Future],
+    submit: Submit,
 ) -> None:
     """Scores settings scene after scene; the pruner may give some up in between."""
     total = {trial.number: 0.0 for trial in trials}

@@ -62,6 +62,7 @@ def test_every_number_has_a_name_and_can_be_replaced():
         (lambda: Interval(0.0, 1.0), "must be positive, got 0.0"),
         (lambda: sweep([], SPACE), "`scenes` must be at least 1, got 0"),
         (lambda: sweep(["a"], SPACE, trials=0), "`trials` must be at least 1, got 0"),
+        (lambda: sweep(["a"], SPACE, threads=0), "`threads` must be at least 1, got 0"),
         (lambda: sweep(["a"], SPACE, objective="bad"), "`objective` must be one of"),
     ],
 )
@@ -115,6 +116,43 @@ def test_a_pool_gives_the_same_result(bowl):
     with ThreadPoolExecutor(2) as pool:
         shared = sweep(["a", "bc"], SPACE, trials=24, submit=pool.submit)
     assert alone.rows == shared.rows
+
+
+def test_threads_run_side_by_side_but_what_may_compile_runs_alone(monkeypatch):
+    running, most, beside, seen = [], [], [], set()
+
+    def score(scene, rows, params, *, names, choices, objective, batch):
+        running.append(scene)
+        most.append(len(running))
+        program = scene, choices["solves"]
+        first = program not in seen
+        seen.add(program)
+        time.sleep(0.05)
+        if first:
+            beside.append(len(running) - 1)
+        running.remove(scene)
+        return rows[:, 0] * choices["solves"] + len(scene)
+
+    monkeypatch.setattr("mvedge_jax.sweep._sweep.evaluate", score)
+    space = Space({"centre.trust": Interval(0.7, 2.8)}, {"solves": (1, 2)})
+    options: Any = {"trials": 24, "batch": 2, "wave": 24}
+    found = sweep(["a", "bc"], space, threads=2, **options)
+    assert beside == [0, 0, 0, 0]
+    assert max(most) == 2
+    most.clear()
+    assert sweep(["a", "bc"], space, threads=1, **options).rows == found.rows
+    assert max(most) == 1
+
+
+def test_a_mistake_in_a_thread_is_the_sweeps(monkeypatch):
+    def score(scene, rows, params, **options):
+        if len(rows) < 4:
+            raise ValueError("what went wrong")
+        return rows[:, 0]
+
+    monkeypatch.setattr("mvedge_jax.sweep._sweep.evaluate", score)
+    with pytest.raises(ValueError, match="what went wrong"):
+        sweep(["a"], SPACE, trials=18, batch=4, wave=18)
 
 
 def test_hopeless_settings_are_given_up(bowl):
