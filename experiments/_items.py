@@ -168,7 +168,7 @@ ITEMS = (
         "second_order",
         "second_order.py",
         None,
-        "--size 128",
+        "",
         "Gauss-Newton against Adam",
     ),
     Item("hidden_points", "hidden_points.py", None, "", "Points that a neighbour hides"),

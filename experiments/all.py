@@ -152,7 +152,8 @@ def _section(out: Path, row: dict[str, Any]) -> Iterator[str]:
     if row["state"] == "left out":
         yield f"<p>Left out: {html.escape(row['why'])}.</p>"
         return
-    yield f"<p><code>{html.escape(row['command'])}</code>, {row['seconds']} s</p>"
+    ran = f"{row['seconds']} s at {html.escape(row['commit'])}"
+    yield f"<p><code>{html.escape(row['command'])}</code>, {ran}</p>"
     if row["state"] == "failed":
         log = (folder / "log.txt").read_text(encoding="utf-8", errors="replace")
         yield f'<p class="failed">{html.escape(row["why"])}</p>'
