@@ -34,6 +34,13 @@ from mvedge_jax.model.optimisation import (
     optimise,
 )
 
+# What is typical of changes of Q, Z, R and xy: labels of `edge_to_depth` are near their place.
+SCALES = {
+    "supervised": (1.0, 0.1, 1.0, 0.2),
+    "evidence": (1.0, 0.01, 1.0, 0.2),
+    "reprojection": (1.0, 0.1, 1.0, 0.2),
+}
+
 
 @dataclass(frozen=True)
 class Arguments:
@@ -88,7 +95,7 @@ def adam(
 
 
 def newton(
-    model: Any, goal: Any, first: jax.Array, arguments: Arguments
+    model: Any, goal: Any, first: jax.Array, scales: tuple, arguments: Arguments
 ) -> tuple[list[float], list[float]]:
     """Losses before the first step and after every one, and seconds at each of them."""
     moments = []
@@ -97,6 +104,7 @@ def newton(
         goal,
         first,
         steps=arguments.steps,
+        scales=scales,
         tolerance=arguments.tolerance,
         progress=lambda step, loss: moments.append(time.perf_counter()),
     )
@@ -118,7 +126,7 @@ def main() -> None:
     for kind in arguments.objectives:
         model, goal, first, rates = objective(kind, light_field)
         losses, spent = adam(model, goal, first, rates, arguments.iterations)
-        steps, seconds = newton(model, goal, first, arguments)
+        steps, seconds = newton(model, goal, first, SCALES[kind], arguments)
         target = min(losses)
         reached = next((k for k, loss in enumerate(steps) if loss <= target), None)
         curves[kind] = {"Adam": losses, "Adam s": spent, "Newton": steps, "Newton s": seconds}

@@ -20,13 +20,12 @@ from mvedge_jax.losses.terms import Features, edge_aware_slopes, warp_views
 
 from ._model import DepthModel, ModelParams, ModelSizes, render_model
 
-# Absolute errors, squared: below this, px per view step, they are squares.
-_BLUNT = 0.01
-# The same for differences of features, which are colours in [0, 1], and for slopes.
+# Absolute errors, squared: below these, differences of features, which are colours in [0, 1], and
+# slopes are squares.
 _BLUNT_FEATURE, _BLUNT_SLOPE = 2 / 255, 0.01
 
 
-def _rooted(error: Array, absolute: Array, square: Array, blunt: float) -> Array:
+def _rooted(error: Array, absolute: Array, square: Array, blunt: Array | float) -> Array:
     """What half of the square of is `absolute |error| + square error²`, smooth where it is 0."""
     bent = jnp.sqrt(1 + (error / blunt) ** 2)
     return error * root(2 * (square + absolute / (blunt * (1 + bent))))
@@ -111,6 +110,8 @@ class Supervised(eqx.Module):
         params: of the rendering.
         weights: of the terms.
         sizes: of the rendering.
+        blunt: below this, px per view step, absolute errors are squares in `residuals`; it should
+            be below the errors that are hoped for.
     """
 
     truth: Float[Array, "y x"]
@@ -119,6 +120,7 @@ class Supervised(eqx.Module):
     params: ModelParams = eqx.field(default_factory=ModelParams)
     weights: SupervisedWeights = eqx.field(default_factory=SupervisedWeights)
     sizes: ModelSizes = eqx.field(static=True, default_factory=ModelSizes)
+    blunt: Float[Array, ""] = number(0.01)
 
     def __call__(
         self, model: DepthModel, start: Float[Array, "y x"], *, key: PRNGKeyArray | None = None
@@ -136,7 +138,8 @@ class Supervised(eqx.Module):
         weights = cast(self.weights, disparity.dtype)
         count = jnp.maximum(jnp.sum(self.known).astype(disparity.dtype), 1)
         error = jnp.where(self.known, disparity - jnp.where(self.known, self.truth, 0), 0)
-        error = _rooted(error, weights.absolute / count, weights.square / count, _BLUNT)
+        blunt = cast(self.blunt, disparity.dtype)
+        error = _rooted(error, weights.absolute / count, weights.square / count, blunt)
         return (error, self.trust.residuals(model)), disparity
 
     def project(self, model: DepthModel) -> DepthModel:

@@ -82,7 +82,10 @@ class ByEvidence(Approach):
         correction = agreed_correction(views, base, self.evidence, radius=reach)
         trust = trust_labels(start, weight=0.0, label=self.evidence.largest)
         known = jnp.ones(base.shape, bool)
-        goal = Supervised(rendered + correction.change, known, trust, rendering, sizes=sizes)
+        # Corrections are thousandths of a pixel.
+        blunt = jnp.asarray(0.001)
+        target = rendered + correction.change
+        goal = Supervised(target, known, trust, rendering, sizes=sizes, blunt=blunt)
         return Prepared(start._replace(disparity=rendered), given, base, goal, correction)
 
     def finish(
