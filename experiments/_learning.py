@@ -117,13 +117,17 @@ def plot_learning(
     rows: Sequence[dict[str, Any]],
     what: str,
     columns: tuple[str, str],
+    *,
+    over: tuple[str, str] = ("step of Adam", "loss of the mini-batch"),
 ) -> Figure:
-    """The loss curve, and two scores before and after per scene."""
+    """The loss curve, and two scores before and after per scene; a seed has one colour."""
     figure = Figure(figsize=(15, 4.2), layout="constrained")
     curve, *axes = figure.subplots(1, 3)
+    # What was not learned comes first.
+    before = len(dict.fromkeys(row[what] for row in rows)) - len(losses)
     for seed, values in enumerate(losses):
-        curve.plot(values, "o-", markersize=3, label=f"seed {seed}")
-    curve.set(xlabel="step of Adam", ylabel="loss of the mini-batch")
+        curve.plot(values, "o-", markersize=3, color=f"C{before + seed}")
+    curve.set(xlabel=over[0], ylabel=over[1])
     names = list(dict.fromkeys(row["scene"] for row in rows))
     titles = {row["scene"]: f"{row['scene']}\n{row['use'].split()[0]}" for row in rows}
     for axis, column in zip(axes, columns, strict=True):

@@ -18,6 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 import tyro
+from _learning import means, plot_learning
 from _report import print_table, write_json
 from _scenes import scenes
 
@@ -128,19 +129,25 @@ def main() -> None:
         learn([given[k] for k in arguments.learn], arguments, s) for s in range(arguments.seeds)
     ]
     networks = {"the rule": Network(jax.random.key(0))}
-    networks |= {f"learned, seed {seed}": network for seed, (network, _) in enumerate(runs)}
+    networks |= {f"seed {seed}": network for seed, (network, _) in enumerate(runs)}
     judged, rows = lean_jit(depth), []
     for name in names:
-        row: dict[str, Any] = {
-            "scene": name,
-            "use": "learned" if name in arguments.learn else "unseen",
-        }
+        use = "learned from" if name in arguments.learn else "unseen"
         for label, network in networks.items():
-            row[label] = float(depth_scores(judged(network, given[name]), given[name].truth).bad_07)
-        rows.append(row)
-    print_table(rows, title="BP(.07), labels of the edges alone")
-    curves = {f"seed {seed}": curve for seed, (_, curve) in enumerate(runs)}
-    write_json(arguments.out / "learned_smoothness.json", {"scores": rows, "losses": curves})
+            scores = depth_scores(judged(network, given[name]), given[name].truth)
+            found = {"MSE*100": float(scores.mse), "BP(.07)": float(scores.bad_07)}
+            rows.append({"scene": name, "use": use, "smoothness": label, **found})
+    print_table(rows, title="labels of the edges alone")
+    mean = means(rows, "smoothness")
+    print_table(mean, title="means")
+    losses = [curve for _, curve in runs]
+    write_json(
+        arguments.out / "learned_smoothness.json",
+        {"losses": losses, "means": mean, "scores": rows},
+    )
+    over = ("epoch", "loss")
+    figure = plot_learning(losses, rows, "smoothness", ("MSE*100", "BP(.07)"), over=over)
+    figure.savefig(arguments.out / "learned_smoothness.png")
 
 
 if __name__ == "__main__":
