@@ -63,9 +63,9 @@ def minimise_least_squares(
     The Jacobian is never formed: each step of the linear solver applies it by forward mode, and its
     transpose, which costs two diffusions. Runs on the host, one compiled step at a time.
 
-    Adam is the better choice so far: on the synthetic scene "demo" at 64x64 px, 20 steps end at 1.8
-    times (`ByEvidence`) and 2.5 times (towards the known map) the loss of 150 iterations of Adam,
-    after 32 and 7 times their seconds, on a busy machine (`experiments/second_order.py`).
+    Few steps, but dear ones: on the synthetic scene "demo" at 64x64 px, the loss of 150 iterations
+    of Adam is reached after 12 or 13, towards the known map, `ByEvidence` and `ByReprojection`, in
+    some 20 to 30 times its seconds (`experiments/second_order.py`); later ones go on below it.
 
     Args:
         model: where to start.
