@@ -54,7 +54,7 @@ def with_points(known: np.ndarray, shares: tuple[float, ...]) -> Iterator[tuple[
     for share in shares:
         encoding = encode(jnp.asarray(known), max(round(share * known.size), 1))
         with tempfile.TemporaryDirectory() as folder:
-            path = Path(folder) / "code.npz"
+            path = Path(folder) / "code.mvec"
             size = encoding.save(path)
             yield size, np.asarray(decode(Encoding.load(path)))
 

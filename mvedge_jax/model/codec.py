@@ -1,9 +1,8 @@
 """A depth map as points and a compact smoothness map: encode, decode, save."""
 
-import zlib
+import math
 from dataclasses import replace
 from pathlib import Path
-from zipfile import BadZipFile
 
 import equinox as eqx
 import jax
@@ -14,6 +13,7 @@ from jaxtyping import Array, Bool, Float, Int
 from mvedge_jax.losses import SupervisedWeights
 from mvedge_jax.splatting import SplatParams
 
+from ._format import Parts, pack, unpack
 from ._model import DepthModel, ModelParams, ModelSizes, compiled_render
 from .objectives import Supervised, unlimited
 from .optimisation._grow import worst_pixels
@@ -26,6 +26,7 @@ _SIZES = replace(ModelSizes.on_raster(1), clears=False, pairing="second")
 _ROUGHNESS = 12.0
 _LOG_WEIGHT = -4.0
 _ROUNDS = 5
+_MOST_BITS = 16
 
 
 class Encoding(eqx.Module):
@@ -33,10 +34,11 @@ class Encoding(eqx.Module):
 
     Attributes:
         pixel: of each point, counted row by row, ascending.
-        label: 16-bit label of each point.
+        label: of each point, in `bits` bits.
         cut: pixels that are cut off from their left and upper neighbour.
         low: label of 0.
-        high: label of 65535.
+        high: label of `2**bits - 1`.
+        bits: of a label, at most 16.
     """
 
     pixel: Int[Array, "n"]
@@ -44,35 +46,35 @@ class Encoding(eqx.Module):
     cut: Bool[Array, "y x"]
     low: Float[Array, ""]
     high: Float[Array, ""]
+    bits: int = eqx.field(static=True, default=16)
 
     def save(self, path: str | Path) -> int:
-        """Writes an encoding to an `.npz` file.
+        """Writes an encoding to a file.
+
+        The format, version 1: `MVEC`, version and bits of a label (a byte each), height, width and
+        number of points (4 bytes each), `low` and `high` (doubles), CRC-32 of the rest, all little
+        endian; then the words of a range coder (constriction's queue) whose bits have adaptive
+        probabilities. Cuts and places of points are planes of bits, each in the context of ten
+        bits before it; places also of the cuts around and of the grid that half of the points
+        start from. Labels are differences from the nearest point before.
 
         Args:
-            path: where to write; the name should end in `.npz`.
+            path: where to write; `.mvec` by custom.
 
         Returns:
             Size of the file in bytes.
+
+        Raises:
+            ModuleNotFoundError: constriction is not installed (`mvedge_jax[codec]`).
         """
-        path = Path(path)
-        index = np.asarray(self.pixel, np.int64)
-        gap = np.diff(index, prepend=0)
-        kind = (
-            np.uint8 if gap.max(initial=0) < 256 else np.uint16 if gap.max() < 65536 else np.uint32
-        )
-        # Differences of neighbours, high and low bytes apart: what deflate packs best.
-        change = np.diff(np.asarray(self.label, np.int64), prepend=0).astype(np.uint16)
-        with path.open("wb") as file:
-            np.savez_compressed(
-                file,
-                gap=gap.astype(kind),
-                high_bytes=(change >> 8).astype(np.uint8),
-                low_bytes=(change & 255).astype(np.uint8),
-                cut=np.packbits(np.asarray(self.cut)),
-                shape=np.asarray(self.cut.shape, np.int32),
-                range=np.asarray([self.low, self.high]),
-            )
-        return path.stat().st_size
+        cut, pixel = np.asarray(self.cut), np.asarray(self.pixel)
+        point = np.zeros(cut.size, bool)
+        point[pixel] = True
+        ends = float(self.low), float(self.high)
+        label = np.asarray(self.label)
+        parts = Parts(cut, point.reshape(cut.shape), label, self.bits, ends)
+        height, width = cut.shape
+        return Path(path).write_bytes(pack(parts, _likely(height, width, len(pixel))))
 
     @staticmethod
     def load(path: str | Path) -> "Encoding":
@@ -82,44 +84,29 @@ class Encoding(eqx.Module):
             path: the file.
 
         Returns:
-            The encoding.
+            The encoding; its range has the precision that JAX works in.
 
         Raises:
             FileNotFoundError: there is no such file.
-            ValueError: the file holds something else.
+            ValueError: the file holds something else, is damaged, or of another version.
+            ModuleNotFoundError: constriction is not installed (`mvedge_jax[codec]`).
         """
         path = Path(path)
         if not path.is_file():
             raise FileNotFoundError(f"There is no encoding at {path}.")
         try:
-            # Given a name, NumPy leaves what is no archive open.
-            with path.open("rb") as raw, np.load(raw, allow_pickle=False) as file:
-                parts = _unpacked({name: file[name] for name in file})
-        except (BadZipFile, zlib.error, EOFError, OSError, TypeError, ValueError) as error:
-            reason = str(error).strip().rstrip(".")
-            raise ValueError(f"{path} is not an encoding that was saved: {reason}.") from error
-        return Encoding(*(jnp.asarray(part) for part in parts))
+            parts = unpack(path.read_bytes(), _likely)
+        except ValueError as error:
+            raise ValueError(f"{path} is not an encoding that was saved: {error}.") from error
+        pixel = np.flatnonzero(parts.point).astype(np.int32)
+        low, high = map(jnp.asarray, parts.ends)
+        label = jnp.asarray(parts.label, jnp.int32)
+        return Encoding(jnp.asarray(pixel), label, jnp.asarray(parts.cut), low, high, parts.bits)
 
 
-def _unpacked(arrays: dict[str, np.ndarray]) -> tuple[np.ndarray, ...]:
-    """Pixels, labels, cuts and both ends of the range; a ValueError where they do not agree."""
-    names = {"gap", "high_bytes", "low_bytes", "cut", "shape", "range"}
-    if set(arrays) != names:
-        raise ValueError(f"it has the arrays {sorted(arrays)}, expected {sorted(names)}")
-    index = np.cumsum(arrays["gap"].astype(np.int64))
-    change = arrays["high_bytes"].astype(np.uint16) * 256 + arrays["low_bytes"]
-    label = np.cumsum(change, dtype=np.uint16).astype(np.int32)
-    height, width = map(int, arrays["shape"])
-    if len(index) != len(label) or index.max(initial=0) >= height * width:
-        raise ValueError(
-            f"it claims {height}x{width} px, and has {len(index)} points, the last at pixel "
-            f"{index.max(initial=0)}, with {len(label)} labels"
-        )
-    cut = np.unpackbits(arrays["cut"])[: height * width].astype(bool).reshape(height, width)
-    low, high = arrays["range"]
-    if arrays["range"].dtype.kind != "f" or not -np.inf < low <= high < np.inf:
-        raise ValueError(f"its range is {low} to {high}, expected finite numbers in order")
-    return index.astype(np.int32), label, cut, np.asarray(low), np.asarray(high)
+def _likely(height: int, width: int, count: int) -> np.ndarray:
+    """Where half of so many points start."""
+    return _first_points(height, width, max(count // 2, 1)).reshape(height, width)
 
 
 def _params(dtype: np.dtype) -> ModelParams:
@@ -149,6 +136,7 @@ def encode(
     *,
     step: Float[Array, ""] | float | None = None,
     iterations: int = 20,
+    bits: int | None = None,
 ) -> Encoding:
     """Finds `k` points and a bit per pixel that reproduce a depth map.
 
@@ -160,18 +148,23 @@ def encode(
         k: number of points.
         step: jumps larger than this are cut; by default 2 % of the map's range.
         iterations: of Adam on the labels at the end.
+        bits: of a label, 1 to 16; by default as few as add a hundredth to the root of the mean
+            squared error.
 
     Returns:
         The encoding.
 
     Raises:
-        ValueError: `k` is below 1 or above the number of pixels, or the map is not finite.
+        ValueError: `k` is below 1 or above the number of pixels, `bits` are not 1 to 16, or the map
+            is not finite.
 
     Source:
         Thesis 1.1.1 and 7.2.3, completeness: what the model can represent at all.
     """
     if not 1 <= k <= disparity.size:
         raise ValueError(f"`k` must be from 1 to the {disparity.size} pixels there are, got {k}.")
+    if bits is not None and not 1 <= bits <= _MOST_BITS:
+        raise ValueError(f"`bits` must be from 1 to {_MOST_BITS}, got {bits}.")
     if not bool(jnp.isfinite(disparity).all()):
         raise ValueError("`disparity` must be finite, got NaN or infinity.")
     dtype = disparity.dtype
@@ -214,9 +207,17 @@ def encode(
     top = jnp.maximum(high, jnp.max(model.disparity))
     bottom = jnp.minimum(low, jnp.min(model.disparity))
     spread = jnp.where(top > bottom, top - bottom, 1)
-    level = jnp.round((model.disparity - bottom) / spread * 65535).astype(jnp.int32)
+    if bits is None:
+        bits = _enough(compiled_render(model, params, _SIZES).disparity - disparity, spread)
+    level = (model.disparity - bottom) / spread * (2**bits - 1)
     pixel = jnp.asarray(np.flatnonzero(taken).astype(np.int32))
-    return Encoding(pixel, level, cut, bottom, bottom + spread)
+    return Encoding(pixel, jnp.round(level).astype(jnp.int32), cut, bottom, bottom + spread, bits)
+
+
+def _enough(error: Float[Array, "y x"], spread: Float[Array, ""]) -> int:
+    """Bits of labels whose steps are half of the error: rounding adds a hundredth to it."""
+    wanted = 2 * float(spread) / max(math.sqrt(float(jnp.mean(error**2))), 1e-30)
+    return min(max(math.ceil(math.log2(wanted + 1)), 1), _MOST_BITS)
 
 
 def _first_points(height: int, width: int, count: int) -> np.ndarray:
@@ -240,7 +241,7 @@ def decode(encoding: Encoding) -> Float[Array, "y x"]:
         The map.
     """
     dtype = encoding.low.dtype
-    scale = (encoding.high - encoding.low) / 65535
+    scale = (encoding.high - encoding.low) / (2**encoding.bits - 1)
     label = encoding.low + encoding.label.astype(dtype) * scale
     valid = jnp.ones(label.shape, bool)
     model = _model(encoding.pixel, label, valid, encoding.cut)

@@ -1,10 +1,11 @@
-from typing import Any
+import sys
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from mvedge_jax.model import _format
 from mvedge_jax.model.codec import Encoding, decode, encode
 
 
@@ -22,7 +23,7 @@ def test_more_points_reproduce_better_and_enough_nearly_perfectly(tmp_path):
         encoding = encode(truth, k, iterations=8)
         assert encoding.pixel.shape == (k,)
         errors.append(float(jnp.sqrt(jnp.mean((decode(encoding) - truth) ** 2))))
-        sizes.append(encoding.save(tmp_path / "code.npz"))
+        sizes.append(encoding.save(tmp_path / "code.mvec"))
     assert errors[0] > 2 * errors[1] > 4 * errors[2]
     assert errors[2] < 2e-3
     assert sizes == sorted(sizes)
@@ -30,7 +31,7 @@ def test_more_points_reproduce_better_and_enough_nearly_perfectly(tmp_path):
 
 def test_a_file_gives_back_the_same(tmp_path):
     encoding = encode(depth_map(), 40, iterations=0)
-    path = tmp_path / "code.npz"
+    path = tmp_path / "code.mvec"
     assert encoding.save(path) == path.stat().st_size
     again = Encoding.load(path)
     for a, b in zip(jax.tree.leaves(encoding), jax.tree.leaves(again), strict=True):
@@ -46,33 +47,95 @@ def test_flat_maps_and_bad_input(tmp_path):
     with pytest.raises(ValueError, match="`disparity` must be finite"):
         encode(flat.at[0, 0].set(jnp.nan), 3)
     with pytest.raises(FileNotFoundError, match="no encoding at"):
-        Encoding.load(tmp_path / "none.npz")
-    np.savez(tmp_path / "other.npz", a=np.zeros(2))
-    with pytest.raises(ValueError, match=r"has the arrays \['a'\]"):
-        Encoding.load(tmp_path / "other.npz")
+        Encoding.load(tmp_path / "none.mvec")
+    with pytest.raises(ValueError, match="`bits` must be from 1 to 16, got 17"):
+        encode(flat, 1, bits=17)
+
+
+def packed(parts, likely):
+    content = _format.pack(parts, likely)
+    assert content[:5] == b"MVEC\x01"
+    return content
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 9), (7, 1), (13, 40)])
+@pytest.mark.parametrize("bits", [1, 7, 16])
+def test_any_cuts_points_and_labels_come_back(shape, bits):
+    draw = np.random.default_rng(bits)
+    for share in (0.0, 0.2, 1.0):
+        cut, point, likely = (draw.random((3, *shape)) < share) | (np.zeros((3, *shape), bool))
+        label = draw.integers(0, 2**bits, int(point.sum()))
+        parts = _format.Parts(cut, point, label, bits, (-1.5, 2.0))
+        again = _format.unpack(packed(parts, likely), lambda *_, likely=likely: likely)
+        for a, b in zip(parts, again, strict=True):
+            np.testing.assert_array_equal(a, b)
+
+
+def test_what_is_regular_takes_few_bytes():
+    cut = np.zeros((64, 64), bool)
+    cut[:, 20] = True
+    point = np.zeros((64, 64), bool)
+    point[::8, ::8] = True
+    label = np.add.outer(100 * np.arange(8), np.full(8, 5000)).ravel()
+    parts = _format.Parts(cut, point, label, 16, (0.0, 1.0))
+    # The header, a few words of either plane, and about a byte per label.
+    assert len(packed(parts, point)) < 42 + 60 + 64
+
+
+def test_labels_have_the_bits_that_they_need():
+    truth = depth_map()
+
+    def error(bits):
+        encoding = encode(truth, 60, iterations=0, bits=bits)
+        away = float(jnp.sqrt(jnp.mean((decode(encoding) - truth) ** 2)))
+        return encoding.bits, away
+
+    chosen, found = error(None)
+    _, exact = error(16)
+    assert 4 < chosen < 12
+    assert found == pytest.approx(exact, rel=0.05)
+    assert error(chosen - 3)[1] > 1.2 * exact
 
 
 def test_files_that_are_no_encoding_are_refused(tmp_path):
-    good, bad = tmp_path / "good.npz", tmp_path / "bad.npz"
-    encode(depth_map(), 40, iterations=0).save(good)
+    good, bad = tmp_path / "good.mvec", tmp_path / "bad.mvec"
+    encode(depth_map(), 40, iterations=0, bits=9).save(good)
     whole = good.read_bytes()
-    np.save(tmp_path / "array.npy", np.zeros(3))
     flipped = bytearray(whole)
-    flipped[len(whole) // 2] ^= 255
-    array = (tmp_path / "array.npy").read_bytes()
-    for content in (b"", b"text", array, whole[:-40], bytes(flipped)):
-        bad.write_bytes(content)
-        with pytest.raises(ValueError, match=r"bad.npz is not an encoding that was saved: "):
-            Encoding.load(bad)
-    with np.load(good) as file:
-        parts = dict(file)
-    for change, message in (
-        ({"shape": np.asarray([2, 3], np.int32)}, "claims 2x3 px"),
-        ({"high_bytes": parts["high_bytes"][:2], "low_bytes": parts["low_bytes"][:2]}, "2 labels"),
-        ({"range": np.asarray([0.0, np.nan])}, "its range is 0.0 to nan"),
-        ({"range": np.asarray([0, 1])}, "its range is 0 to 1"),
+    flipped[-9] ^= 255
+    newer = whole[:4] + bytes([2]) + whole[5:]
+
+    def claiming(**change):
+        names = ("magic", "version", "bits", "height", "width", "count", "low", "high", "check")
+        fields = dict(zip(names, _format._HEADER.unpack_from(whole), strict=True)) | change
+        return _format._HEADER.pack(*fields.values()) + whole[_format._HEADER.size :]
+
+    for content, message in (
+        (b"", "it starts with b''"),
+        (b"text", "it starts with b'text'"),
+        (whole[:20], "expected b'MVEC' and a header"),
+        (newer, "its format has version 2, expected 1"),
+        (whole[:-4], "its checksum does not agree"),
+        (bytes(flipped), "its checksum does not agree"),
+        (claiming(height=0), "it claims 0x23 px"),
+        (claiming(height=1 << 30, width=1 << 30), "it claims 1073741824x1073741824 px"),
+        (claiming(bits=17), "17 bits a label"),
+        (claiming(count=500), "500 points"),
+        (claiming(count=41), "it claims 41 points, and has"),
+        (claiming(low=float("nan")), "its range is nan to"),
+        (claiming(low=1e9), "expected finite numbers in order"),
     ):
-        changed: dict[str, Any] = parts | change
-        np.savez(bad, **changed)
-        with pytest.raises(ValueError, match=message):
+        bad.write_bytes(content)
+        with pytest.raises(
+            ValueError, match=r"bad.mvec is not an encoding that was saved: "
+        ) as told:
             Encoding.load(bad)
+        assert message in str(told.value)
+
+
+def test_without_constriction_it_is_told_what_to_install(tmp_path, monkeypatch):
+    encoding = encode(jnp.full((5, 6), 0.25), 1, iterations=0)
+    monkeypatch.setitem(sys.modules, "constriction", None)
+    with pytest.raises(ModuleNotFoundError, match=r"pip install 'mvedge_jax\[codec\]'"):
+        encoding.save(tmp_path / "code.mvec")
+    assert not (tmp_path / "code.mvec").exists()
