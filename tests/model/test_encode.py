@@ -94,7 +94,7 @@ def test_labels_have_the_bits_that_they_need():
     _, exact = error(16)
     assert 4 < chosen < 12
     assert found == pytest.approx(exact, rel=0.05)
-    assert error(chosen - 3)[1] > 1.2 * exact
+    assert error(chosen - 4)[1] > 1.2 * exact
 
 
 def test_files_that_are_no_encoding_are_refused(tmp_path):
