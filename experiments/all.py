@@ -45,9 +45,7 @@ def main() -> int:
     rows = []
     for item in ITEMS:
         if arguments.only and item.name not in arguments.only:
-            record = arguments.out / item.name / "run.json"
-            if record.exists():  # stays on the page
-                rows.append(json.loads(record.read_text(encoding="utf-8")))
+            rows.append(_earlier(item, arguments.out / item.name, commit))
             continue
         row = _run(item, arguments.tier, arguments.out / item.name, commit, limit, arguments.again)
         rows.append(row)
@@ -72,6 +70,15 @@ def _commit() -> str:
     name = git("rev-parse", "--short", "HEAD").strip() or "no repository"
     changes = git("diff", "HEAD", "--", ".", "../mvedge_jax")
     return f"{name}+{hashlib.sha256(changes.encode()).hexdigest()[:8]}" if changes else name
+
+
+def _earlier(item: Item, out: Path, commit: str) -> dict[str, Any]:
+    """What an earlier run left of an item that is not asked for: it stays on the page."""
+    record = out / "run.json"
+    if record.exists():
+        return {**json.loads(record.read_text(encoding="utf-8")), "what": item.what}
+    row = {"name": item.name, "what": item.what, "seconds": 0.0, "commit": commit}
+    return {**row, "state": "left out", "why": "not asked for, and not run before"}
 
 
 def _run(
