@@ -130,8 +130,9 @@ def test_maps_of_a_scene_share_range_colours_and_bar():
     assert len({image.get_cmap().name for image in images}) == 1
     assert figure.axes[-1].get_ylabel() == "disparity (px per view step)"
     assert np.ma.getmaskarray(_array(images[1]))[3, 4]
-    fixed = plotting.plot_disparity(maps[1], limits=(-2.0, 2.0))
+    fixed = plotting.plot_disparity(maps[1], limits=(-2.0, 2.0), label="of its own")
     assert _images(fixed)[0].get_clim() == (-2.0, 2.0)
+    assert fixed.axes[-1].get_ylabel() == "of its own"
     _draw(figure)
     with pytest.raises(ValueError, match="`names` must have one entry"):
         plotting.plot_disparity(maps, names=["a"])

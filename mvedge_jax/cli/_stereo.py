@@ -177,7 +177,8 @@ def _written(
     index = int(chosen.index)
     name = photographs.names[index]
     write_pfm(_file(base, "depth.pfm"), np.asarray(depth))
-    plotting.plot_disparity(np.asarray(disparity)).savefig(_file(base, "depth.png"))
+    figure = plotting.plot_disparity(np.asarray(disparity), label="disparity (px per baseline)")
+    figure.savefig(_file(base, "depth.png"))
     row: dict[str, Any] = {
         "baseline": float(chosen.baseline),
         "disparity range": np.asarray(chosen.disparity_range).tolist(),

@@ -54,6 +54,7 @@ def plot_disparity(
     *,
     names: Sequence[str] | None = None,
     limits: tuple[float, float] | None = None,
+    label: str = DISPARITY,
     width: float = WIDTH,
 ) -> Figure:
     """Draws disparity maps side by side, with one colour map, range and bar.
@@ -63,6 +64,7 @@ def plot_disparity(
         names: A title per map.
         limits: Colour range, px per view step; by default `disparity_limits` of all maps. Pass the
             same to every figure of a scene.
+        label: Of the colour bar.
         width: Width of the figure, inches.
 
     Returns:
@@ -84,7 +86,7 @@ def plot_disparity(
             show(ax, values, name, **options)
             for ax, values, name in zip(axes, listed, names, strict=True)
         ]
-        colour_bar(figure, shown[-1], list(axes), DISPARITY)
+        colour_bar(figure, shown[-1], list(axes), label)
     return figure
 
 
