@@ -73,7 +73,7 @@ def minimise_least_squares(
         start: a map near what `model` renders.
         steps: at most.
         scales: typical changes of Q, Z, R and xy; steps are damped in these units. Where labels are
-            near their place already, as in `ByEvidence`, that of Z is some hundredths of a pixel.
+            near their place already, as in `ByEvidence`, that of Z is a hundredth of a pixel.
         tolerance: to which the linear systems are solved.
         progress: called after each step with its number and the loss.
 
