@@ -16,7 +16,7 @@ from mvedge_jax.baselines import (
     sparse_depth,
     thesis_depth,
 )
-from mvedge_jax.centre import Parameters, Sizes, edge_to_depth
+from mvedge_jax.depth import Parameters, Sizes, edge_to_depth
 from mvedge_jax.edges import EdgeParams, EdgeSizes, multiview_edges, scene_range
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.metrics import boundary_scores, depth_scores

@@ -7,7 +7,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from mvedge_jax.centre import Parameters, Sizes, edge_to_depth
+from mvedge_jax.depth import Parameters, Sizes, edge_to_depth
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.metrics import depth_scores
 from mvedge_jax.model import (

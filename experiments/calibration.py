@@ -24,10 +24,10 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from experiments._report import print_table, shared_data, write_json
 from experiments._scenes import find_scene
 from mvedge_jax import plotting
-from mvedge_jax.centre import Parameters, Sizes, edge_to_depth
+from mvedge_jax.depth import Parameters, Sizes, edge_to_depth
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.metrics import Calibration, calibration
-from mvedge_jax.photometry import prepare, sight
+from mvedge_jax.photometry import prepare, prepare_views
 from mvedge_jax.photometry.measuring import labels, look
 
 _MEASURED, _OFF = 0.03, 0.03
@@ -52,7 +52,7 @@ def measured(
         params.volume,
         window=sizes.window,
     )
-    seen = sight(scene, params.photometric)
+    seen = prepare_views(scene, params.photometric)
     found = look(*seen.splines, disparity, seen.params, radius=sizes.radius)
     label = labels(found, scene.lab, disparity, seen.params, passes=sizes.passes)
     return np.asarray(label.disparity), np.sqrt(np.asarray(label.variance))

@@ -34,7 +34,7 @@ from mvedge_jax.baselines import (
     thesis_edges,
     thesis_views,
 )
-from mvedge_jax.centre import DepthResult, Parameters, Sizes, edge_to_depth
+from mvedge_jax.depth import DepthResult, Parameters, Sizes, edge_to_depth
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.metrics import view_consistency
 from mvedge_jax.plotting import plot_consistency, plot_view_maps

@@ -32,7 +32,7 @@ from mvedge_jax import lean_jit, plotting
 from mvedge_jax.angular import ViewDepths, ViewParams, ViewSizes, depth_of_views
 from mvedge_jax.baselines.kmeans import KMeansParams, KMeansSizes, kmeans_superpixels
 from mvedge_jax.baselines.lfsp import BUGS, LfspParams, LfspSizes, thesis_superpixels
-from mvedge_jax.centre import Parameters, Sizes, edge_to_depth
+from mvedge_jax.depth import Parameters, Sizes, edge_to_depth
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.metrics.superpixels import labels_per_pixel, superpixel_scores
 from mvedge_jax.superpixels import SuperpixelParams, SuperpixelSizes, superpixels

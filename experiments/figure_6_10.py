@@ -15,7 +15,7 @@ from _scenes import scenes
 from matplotlib.figure import Figure
 
 from mvedge_jax import lean_jit
-from mvedge_jax.centre import Parameters, Sizes, edge_to_depth
+from mvedge_jax.depth import Parameters, Sizes, edge_to_depth
 from mvedge_jax.metrics.depth import mse, q25
 
 SWEEPS = {

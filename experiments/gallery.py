@@ -30,7 +30,7 @@ from mvedge_jax import (
     viewer,
 )
 from mvedge_jax.baselines import plane_sweep
-from mvedge_jax.centre import DepthResult
+from mvedge_jax.depth import DepthResult
 from mvedge_jax.color import srgb_to_gray
 from mvedge_jax.datasets import synthetic
 from mvedge_jax.edges.sides import BidirectionalParams, bidirectional

@@ -19,7 +19,7 @@ import numpy as np
 import tyro
 from _report import print_table, write_csv, write_json
 
-from mvedge_jax.centre import Parameters, Sizes, edge_to_depth
+from mvedge_jax.depth import Parameters, Sizes, edge_to_depth
 from mvedge_jax.datasets import synthetic
 from mvedge_jax.lightfield import Camera, LightField
 from mvedge_jax.metrics import depth_scores

@@ -25,7 +25,7 @@ from _learning import Schedule, learned_by_seeds, means, of_one_range, plot_lear
 from _report import print_table, write_csv, write_json
 
 from mvedge_jax import lean_jit
-from mvedge_jax.centre import Parameters, Sizes, edge_to_depth
+from mvedge_jax.depth import Parameters, Sizes, edge_to_depth
 from mvedge_jax.edges import EdgeParams
 from mvedge_jax.epi import FilterBank
 from mvedge_jax.lightfield import LightField

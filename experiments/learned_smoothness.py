@@ -23,7 +23,7 @@ from _report import print_table, write_json
 from _scenes import scenes
 
 from mvedge_jax import lean_jit
-from mvedge_jax.centre import Parameters, Sizes, SmoothnessParams, edge_smoothness, edge_to_depth
+from mvedge_jax.depth import Parameters, Sizes, SmoothnessParams, edge_smoothness, edge_to_depth
 from mvedge_jax.color import srgb_to_lab
 from mvedge_jax.diffusion import System, diffuse
 from mvedge_jax.edges import rasterise

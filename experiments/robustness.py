@@ -22,7 +22,7 @@ from experiments._depth import as_image
 from experiments._report import print_table, shared_data, write_json
 from experiments._scenes import find_scene
 from mvedge_jax.baselines import plane_sweep
-from mvedge_jax.centre import Parameters, Sizes, edge_to_depth
+from mvedge_jax.depth import Parameters, Sizes, edge_to_depth
 from mvedge_jax.edges import scene_range
 from mvedge_jax.lightfield import GroundTruth, LightField
 from mvedge_jax.metrics import depth_scores

@@ -18,7 +18,7 @@ from _report import print_table, write_json
 from _scenes import scenes
 
 from mvedge_jax import lean_jit
-from mvedge_jax.centre import Parameters, Sizes, edge_to_depth
+from mvedge_jax.depth import Parameters, Sizes, edge_to_depth
 from mvedge_jax.lightfield import LightField
 
 

@@ -7,21 +7,22 @@ from typing import Any as _Any
 
 from ._cache import compilation_cache as compilation_cache
 from ._compiler import compiler_options as compiler_options, lean_jit as lean_jit
+from ._paths import describe as describe
 from .angular import (
     ViewDepths as ViewDepths,
     ViewParams as ViewParams,
     ViewSizes as ViewSizes,
     depth_of_views as depth_of_views,
 )
-from .centre import (
-    DepthResult as DepthResult,
-    Parameters as Parameters,
-    Sizes as Sizes,
-    edge_to_depth as edge_to_depth,
-)
 from .datasets import load_light_field as load_light_field
+from .depth import (
+    DepthResult as DepthResult,
+    EdgeDepth as EdgeDepth,
+    depth as depth,
+    multiview_edges as multiview_edges,
+)
 from .diffusion import System as System, diffuse as diffuse
-from .edges import EdgePoints as EdgePoints, multiview_edges as multiview_edges
+from .edges import EdgePoints as EdgePoints
 from .lightfield import Camera as Camera, GroundTruth as GroundTruth, LightField as LightField
 from .model import (
     FitParams as FitParams,

@@ -18,6 +18,7 @@ from jaxtyping import Array, Bool
 
 from ._compiler import lean_jit, release_memory
 from ._params import as_number
+from ._paths import replaced
 
 _LOG = logging.getLogger("mvedge_jax")
 # Seconds after which a call says that it is being compiled.
@@ -131,11 +132,11 @@ def _described(value: Any) -> str:
     return type(value).__name__
 
 
-def with_numbers(params: Any) -> Any:
-    """Parameters whose Python numbers are arrays; outside `jit` they are checked, too.
+def with_numbers(model: Any) -> Any:
+    """A model whose declared Python numbers are arrays; outside `jit` they are checked, too.
 
     Args:
-        params: a module of them, perhaps after `equinox.tree_at`.
+        model: a module of parts, perhaps after `equinox.tree_at`.
 
     Returns:
         The same with arrays.
@@ -143,36 +144,39 @@ def with_numbers(params: Any) -> Any:
     Raises:
         ValueError: a number is NaN, infinite or negative; names it.
     """
-    params = jax.tree.map(as_number, params)
-    for name, leaf, signed in _numbers(params):
+    for name, leaf, signed in _numbers(model):
+        if not eqx.is_inexact_array(leaf) or getattr(leaf, "weak_type", False):
+            model = replaced(model, {name: as_number(leaf)})
         if isinstance(leaf, Tracer):
             continue
         values = np.asarray(leaf)
         bad = ~np.isfinite(values) | (False if signed else values < 0)
         if bad.any():
             wish = "finite" if signed else "finite and not negative"
-            raise ValueError(f"`params.{name}` must be {wish}, got {values[bad].flat[0]:g}.")
-    return params
+            raise ValueError(f"`{name}` must be {wish}, got {values[bad].flat[0]:g}.")
+    return model
 
 
-def sound(params: Any) -> Bool[Array, ""]:
-    """Whether every parameter is a number that `with_numbers` takes, within `jit`."""
+def sound(model: Any) -> Bool[Array, ""]:
+    """Whether every number of a model is one that `with_numbers` takes, within `jit`."""
     fine = jnp.asarray(True)
-    for _, leaf, signed in _numbers(params):
+    for _, leaf, signed in _numbers(model):
         ok = jnp.isfinite(leaf) if signed else jnp.isfinite(leaf) & (leaf >= 0)
-        fine = fine & ok.all()
+        fine = fine & jnp.all(ok)
     return fine
 
 
-def _numbers(params: Any, prefix: str = "") -> Iterator[tuple[str, Any, bool]]:
-    """Name and value of every floating leaf, and whether it may be negative."""
-    for field in dataclasses.fields(params):
-        value, name = getattr(params, field.name), prefix + field.name
+def _numbers(model: Any, prefix: str = "") -> Iterator[tuple[str, Any, bool]]:
+    """Name and value of every declared or floating leaf, and whether it may be negative."""
+    for field in dataclasses.fields(model):
+        value, name = getattr(model, field.name), prefix + field.name
         if isinstance(value, eqx.Module):
             yield from _numbers(value, name + ".")
         elif isinstance(value, tuple):
             for i, part in enumerate(value):
                 if isinstance(part, eqx.Module):
                     yield from _numbers(part, f"{name}[{i}].")
+        elif "unit" in field.metadata:
+            yield name, value, False
         elif eqx.is_inexact_array(value):
-            yield name, value, "unit" not in field.metadata
+            yield name, value, True

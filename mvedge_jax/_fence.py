@@ -1,11 +1,12 @@
 """Keeping XLA from fusing one computation into the next."""
 
 from collections.abc import Callable
-from functools import partial
 from typing import Any, TypeVar
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 from jax.ad_checkpoint import checkpoint_name
 from jax.extend.core import Primitive
@@ -45,7 +46,17 @@ def staged(function: Callable[..., Any]) -> Callable[..., Any]:
     Returns:
         The same function. Differentiable as it is, in both modes.
     """
-    return partial(fenced, recomputed(function))
+
+    def stage(*arguments: Any) -> Any:
+        # What is no array, such as an activation of a user's network, is closed over.
+        arrays, rest = eqx.partition(arguments, _is_array)
+
+        def of_arrays(arrays: Any) -> Any:
+            return function(*eqx.combine(arrays, rest))
+
+        return fenced(recomputed(of_arrays), arrays)
+
+    return stage
 
 
 def recomputed(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -70,6 +81,10 @@ def kept(tree: _Tree) -> _Tree:
         The same.
     """
     return jax.tree.map(lambda array: checkpoint_name(array, _KEPT), tree)
+
+
+def _is_array(leaf: Any) -> bool:
+    return eqx.is_array(leaf) or isinstance(leaf, np.ndarray)
 
 
 def _is_small_but_dear(primitive: Primitive, *_: Any, **params: Any) -> bool:

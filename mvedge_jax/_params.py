@@ -1,6 +1,5 @@
 """Traced hyperparameters: declaring them, and matching them to the data's precision."""
 
-import dataclasses
 from collections.abc import Callable
 from typing import Any, TypeVar
 
@@ -26,13 +25,19 @@ def as_number(value: Any) -> Any:
     return value
 
 
-def number(default: float | tuple[float, ...] | Callable[[], Any], unit: str = "") -> Any:
+def number(
+    default: float | tuple[float, ...] | Callable[[], Any],
+    unit: str = "",
+    *,
+    threshold: bool = False,
+) -> Any:
     """Declares a traced numeric field of a parameter `equinox.Module`.
 
     Args:
         default: value, or a function without arguments that makes it. Arrays are made when the
             module is instantiated, never when the package is imported.
-        unit: what it is measured in, for `described`.
+        unit: what it is measured in, for `describe`.
+        threshold: whether it only selects, so that its derivative is 0.
 
     Returns:
         An `equinox.field` whose value becomes an array leaf: one compiled function then serves
@@ -47,7 +52,8 @@ def number(default: float | tuple[float, ...] | Callable[[], Any], unit: str = "
         ()
     """
     factory = default if callable(default) else (lambda: default)
-    return eqx.field(converter=as_number, default_factory=factory, metadata={"unit": unit})
+    metadata = {"unit": unit, "threshold": threshold}
+    return eqx.field(converter=as_number, default_factory=factory, metadata=metadata)
 
 
 def at_least(sizes: Any, **least: int) -> None:
@@ -98,38 +104,6 @@ def one_of(sizes: Any, **options: tuple[Any, ...]) -> None:
         value = getattr(sizes, name)
         if value not in known:
             raise ValueError(f"`{name}` must be one of {known}, got {value!r}.")
-
-
-def described(params: Any, prefix: str = "") -> list[str]:
-    """Names, values and units of a parameter module, one line each; for people.
-
-    Args:
-        params: a module whose fields are numbers, such modules or None.
-        prefix: what names begin with.
-
-    Returns:
-        Lines such as `centre.precision = 0.005 px`. Traced values and arrays show their types.
-    """
-    lines = []
-    for field in dataclasses.fields(params):
-        value, name = getattr(params, field.name), prefix + field.name
-        if value is None:
-            continue
-        if isinstance(value, eqx.Module):
-            lines += described(value, name + ".")
-            continue
-        lines.append(f"{name} = {_shown(value)} {field.metadata.get('unit', '')}".rstrip())
-    return lines
-
-
-def _shown(value: Any) -> str:
-    """A number as such; what is traced, or an array, by its type."""
-    if eqx.is_array(value) and value.ndim == 0:
-        try:
-            return f"{float(value):.6g}"
-        except jax.errors.ConcretizationTypeError:
-            pass
-    return eqx.tree_pformat(value)
 
 
 def cast(tree: _Tree, dtype: Any) -> _Tree:

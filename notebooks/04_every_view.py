@@ -30,7 +30,7 @@ import numpy as np
 from mvedge_jax import plotting
 from mvedge_jax.angular import ViewParams, ViewSizes, depth_of_views
 from mvedge_jax.baselines import reproject_views
-from mvedge_jax.centre import Parameters, Sizes, edge_to_depth
+from mvedge_jax.depth import Parameters, Sizes, edge_to_depth
 from mvedge_jax.datasets import synthetic
 from mvedge_jax.edit import insert_picture, paint, remove
 from mvedge_jax.metrics import view_consistency

@@ -10,7 +10,7 @@ import pytest
 
 from mvedge_jax._product import product
 from mvedge_jax.angular import ViewParams, ViewSizes, depth_of_views
-from mvedge_jax.centre import Parameters, Sizes, edge_to_depth
+from mvedge_jax.depth import Parameters, Sizes, edge_to_depth
 from mvedge_jax.color import srgb_to_gray, srgb_to_lab
 from mvedge_jax.epi._response import correlate
 from mvedge_jax.lightfield import LightField

@@ -22,7 +22,7 @@ from _report import peak_memory, print_table, shared_data, timed, write_json
 
 from mvedge_jax import lean_jit
 from mvedge_jax._crosshair import crosshair
-from mvedge_jax.centre import Parameters, Sizes, edge_smoothness, edge_to_depth, sharpen
+from mvedge_jax.depth import Parameters, Sizes, edge_smoothness, edge_to_depth, sharpen
 from mvedge_jax.cli._common import compiled
 from mvedge_jax.color import srgb_to_gray, srgb_to_lab
 from mvedge_jax.datasets import load_light_field, synthetic

@@ -26,7 +26,7 @@ from mvedge_jax.datasets import load_light_field
 from mvedge_jax.edges import EdgeParams, EdgeSizes, multiview_edges
 from mvedge_jax.epi import strongest_response
 from mvedge_jax.lightfield import LightField
-from mvedge_jax.photometry import VolumeParams, hypothesis_count, prepare
+from mvedge_jax.photometry import Matching, hypothesis_count, prepare
 
 
 def textured(size: int, views: int = 9) -> LightField:
@@ -70,7 +70,7 @@ def _first_map(light_field: LightField, params: EdgeParams, sizes: EdgeSizes) ->
     low, high = sizes.ends
     count = hypothesis_count(high - low - 2 * sizes.spacing, max(light_field.centre))
     tried = sizes.hypotheses(count)
-    volume = cast(VolumeParams(), tried.dtype)
+    volume = cast(Matching(), tried.dtype)
     return prepare(light_field.without_truth(), tried, volume, window=2)
 
 

@@ -22,7 +22,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from experiments._report import peak_memory, print_table, write_json
-from mvedge_jax.centre import Parameters
+from mvedge_jax.depth import Parameters
 from mvedge_jax.datasets import synthetic
 from mvedge_jax.sweep import Interval, Space, evaluate
 

@@ -5,16 +5,14 @@ from dataclasses import dataclass
 import equinox as eqx
 from jaxtyping import Array, Float
 
-from mvedge_jax._params import at_least, described, number, positive
-from mvedge_jax.centre import SmoothnessParams
+from mvedge_jax._params import at_least, number, positive
+from mvedge_jax._paths import described
 from mvedge_jax.edges import scene_range
 from mvedge_jax.lightfield import LightField
-from mvedge_jax.photometry import (
-    PhotometricParams,
-    VolumeParams,
-    hypothesis_count,
-    occluder_radius,
-)
+from mvedge_jax.photometry import hypothesis_count, occluder_radius
+from mvedge_jax.photometry.matching import Matching
+from mvedge_jax.photometry.measuring import Measurement
+from mvedge_jax.smoothness import ColorAndDepth
 
 
 class ViewParams(eqx.Module):
@@ -29,9 +27,9 @@ class ViewParams(eqx.Module):
         trust: residual of a label, in multiples of the noise variance, that halves its weight.
     """
 
-    volume: VolumeParams = eqx.field(default_factory=VolumeParams)
-    photometric: PhotometricParams = eqx.field(default_factory=PhotometricParams)
-    smoothness: SmoothnessParams = eqx.field(default_factory=SmoothnessParams)
+    volume: Matching = eqx.field(default_factory=Matching)
+    photometric: Measurement = eqx.field(default_factory=Measurement)
+    smoothness: ColorAndDepth = eqx.field(default_factory=ColorAndDepth)
     precision: Float[Array, ""] = number(0.005, "px")
     stiffness: Float[Array, ""] = number(1.5, "perfect labels")
     trust: Float[Array, ""] = number(1.4, "noise variances")

@@ -12,13 +12,14 @@ from jaxtyping import Array, Bool, Float, Int
 from mvedge_jax._fence import recomputed, staged
 from mvedge_jax._product import product
 from mvedge_jax._root import root
-from mvedge_jax.centre import edge_smoothness
 from mvedge_jax.diffusion import AutoSolver, System, diffuse
 from mvedge_jax.image import highest
 from mvedge_jax.lightfield import LightField
-from mvedge_jax.photometry import Exposure, Noise, Scene, Sight, recentred, sight
+from mvedge_jax.photometry import CalibratedViews, Noise, PreparedViews, prepare_views, recentred
+from mvedge_jax.photometry.brightness import Exposure
 from mvedge_jax.photometry.matching import hypotheses
 from mvedge_jax.photometry.measuring import Look, labels, look, mismatch
+from mvedge_jax.smoothness import edge_smoothness
 
 from ._draw import STEP, decided, drawn
 from ._parameters import ViewParams, ViewSizes
@@ -74,8 +75,8 @@ def _contradicted(
 class _Reference(NamedTuple):
     """A view as the centre of a crosshair of its own."""
 
-    scene: Scene
-    sight: Sight
+    scene: CalibratedViews
+    sight: PreparedViews
 
 
 def uncovered(
@@ -129,7 +130,7 @@ def _measured_in(
     """Disparity and standard error of a view, and which pixels the samples do not explain."""
     shape = (light_field.views.shape[2], light_field.views.shape[3])
     scene = recentred(light_field, view, exposure, noise)
-    reference = _Reference(scene, sight(scene, params.photometric))
+    reference = _Reference(scene, prepare_views(scene, params.photometric))
     picture = jnp.moveaxis(light_field.views[view[0], view[1]], -1, 0)
     first = drawn(samples, light_field.steps[view[0], view[1]], shape)
     drawing = decided(first, samples, picture, noise.deviation)

@@ -10,7 +10,7 @@ from mvedge_jax._checks import checked_jit, expect, with_numbers
 from mvedge_jax._fence import recomputed
 from mvedge_jax._params import cast
 from mvedge_jax._root import root
-from mvedge_jax.centre import DepthResult
+from mvedge_jax.depth import DepthResult
 from mvedge_jax.lightfield import LightField
 
 from ._draw import decided, drawn
@@ -41,7 +41,7 @@ def _look(light_field: Any, result: Any, params: Any, sizes: Any) -> tuple[Any, 
     """The arguments of `depth_of_views`, or what is wrong with them."""
     order = "the order is (light_field, result, params, sizes)"
     expect("light_field", light_field, LightField, order)
-    expect("result", result, DepthResult, "`edge_to_depth` makes one, and " + order)
+    expect("result", result, DepthResult, "`depth` makes one, and " + order)
     expect("params", params, ViewParams, "`ViewParams()` has the defaults, and " + order)
     chosen = "`ViewSizes.for_light_field(light_field)` chooses them, and " + order
     expect("sizes", sizes, ViewSizes, chosen)
@@ -66,7 +66,7 @@ def depth_of_views(
 
     Args:
         light_field: all views that are there; ground truth is not read.
-        result: of `edge_to_depth` for this light field.
+        result: of `depth` for this light field.
         params: see `ViewParams`.
         sizes: see `ViewSizes.for_light_field`.
 
@@ -83,9 +83,9 @@ def depth_of_views(
     Source: Thesis 6.1, whose angular diffusion (6.4)-(6.8) this replaces.
 
     Example:
-        >>> from mvedge_jax import Parameters, Sizes, edge_to_depth
+        >>> from mvedge_jax import depth
         >>> flat = LightField(jnp.full((3, 3, 16, 16, 3), 0.5), disparity_range=(-1.0, 1.0))
-        >>> result = edge_to_depth(flat, Parameters(), Sizes.for_light_field(flat))
+        >>> result = depth(flat)
         >>> sizes = ViewSizes.for_light_field(flat)
         >>> depth_of_views(flat, result, ViewParams(), sizes).disparity.shape
         (3, 3, 16, 16)

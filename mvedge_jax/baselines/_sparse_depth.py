@@ -12,8 +12,8 @@ from mvedge_jax._compiler import lean_jit
 from mvedge_jax._crosshair import crosshair
 from mvedge_jax._fence import recomputed, staged
 from mvedge_jax._params import at_least, cast, number, one_of, positive
-from mvedge_jax.centre import MedianParams, Sharpening, SmoothnessParams, edge_smoothness, sharpen
 from mvedge_jax.color import srgb_to_gray, srgb_to_lab
+from mvedge_jax.depth import MedianParams, Sharpening, SmoothnessParams, edge_smoothness, sharpen
 from mvedge_jax.diffusion import AutoSolver, System, diffuse
 from mvedge_jax.edges import EdgePoints, rasterise, scene_range
 from mvedge_jax.edges.sides import (

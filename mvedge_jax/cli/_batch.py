@@ -9,8 +9,8 @@ from typing import Annotated, Any, NamedTuple
 import jax
 import tyro
 
-from mvedge_jax.centre import DepthResult, Parameters, Sizes, edge_to_depth
 from mvedge_jax.datasets import load_light_field
+from mvedge_jax.depth import DepthResult, Parameters, Sizes, edge_to_depth
 from mvedge_jax.edges import scene_range
 from mvedge_jax.lightfield import LightField
 

@@ -15,8 +15,8 @@ from matplotlib.figure import Figure
 
 from mvedge_jax import plotting
 from mvedge_jax.baselines import plane_sweep
-from mvedge_jax.centre import Parameters, Sizes, edge_to_depth
 from mvedge_jax.datasets import synthetic, write_pfm
+from mvedge_jax.depth import Parameters, Sizes, edge_to_depth
 from mvedge_jax.edges import EdgePoints
 from mvedge_jax.lightfield import GroundTruth, LightField
 from mvedge_jax.metrics import (

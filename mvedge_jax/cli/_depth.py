@@ -12,8 +12,8 @@ import numpy as np
 import tyro
 
 from mvedge_jax import plotting, viewer
-from mvedge_jax.centre import DepthResult, DepthStats, Parameters, Sizes, edge_to_depth
 from mvedge_jax.datasets import load_light_field, write_pfm
+from mvedge_jax.depth import DepthResult, DepthStats, Parameters, Sizes, edge_to_depth
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.metrics import boundary_scores, calibration, depth_scores
 

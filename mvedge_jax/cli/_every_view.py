@@ -5,7 +5,7 @@ import time
 import jax
 
 from mvedge_jax.angular import ViewDepths, ViewParams, ViewSizes, depth_of_views
-from mvedge_jax.centre import Parameters, Sizes, edge_to_depth
+from mvedge_jax.depth import Parameters, Sizes, edge_to_depth
 from mvedge_jax.lightfield import LightField
 
 from ._common import compiled, missing_views, stage

@@ -11,8 +11,8 @@ import tyro
 from matplotlib.figure import Figure
 
 from mvedge_jax import plotting
-from mvedge_jax.centre import Parameters, Sizes, edge_to_depth
 from mvedge_jax.datasets import load_light_field, write_pfm
+from mvedge_jax.depth import Parameters, Sizes, edge_to_depth
 from mvedge_jax.lightfield import GroundTruth, LightField
 from mvedge_jax.losses.features import Colours, FilterBank, load_vgg16
 from mvedge_jax.losses.terms import Features

@@ -1,13 +1,10 @@
 """Multi-view edges: points in the centre view and their disparity (Thesis 4.1).
 
-Room: `sides` (which surface an edge belongs to, and depth edges; Thesis 4.2.2, 4.3).
+Rooms: `sides` (which surface an edge belongs to, and depth edges; Thesis 4.2.2, 4.3), `thesis`
+(points by the thesis' own steps).
 """
 
-from ._edges import (
-    measured_edges as measured_edges,
-    multiview_edges as multiview_edges,
-)
-from ._params import EdgeParams as EdgeParams, EdgeSizes as EdgeSizes
+from ._edges import EdgeDetector as EdgeDetector, OrientedEdges as OrientedEdges
 from ._points import EdgePoints as EdgePoints, Edges as Edges, EdgeStats as EdgeStats
 from ._range import scene_range as scene_range
-from ._raster import rasterise as rasterise, share as share
+from ._raster import Raster as Raster, rasterise as rasterise, share as share

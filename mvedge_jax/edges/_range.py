@@ -9,9 +9,9 @@ from mvedge_jax._crosshair import crosshair
 from mvedge_jax._params import cast
 from mvedge_jax.color import srgb_to_lab
 from mvedge_jax.lightfield import LightField
-from mvedge_jax.photometry import Noise, VolumeParams
+from mvedge_jax.photometry import Noise
 from mvedge_jax.photometry.brightness import expose, rough_brightness
-from mvedge_jax.photometry.matching import best_match
+from mvedge_jax.photometry.matching import Matching, best_match
 
 from ._candidates import contrast
 
@@ -31,7 +31,7 @@ _TAIL, _FALSE = 0.002, 0.016
 def _coarse(light_field: LightField, disparities: Array, noise: Noise) -> tuple[Array, ...]:
     """Best disparity, its cost, and the contrast of the centre view, per pixel."""
     lab = srgb_to_lab(light_field.centre_view)
-    params = cast(VolumeParams(), lab.dtype)
+    params = cast(Matching(), lab.dtype)
     planes = jnp.moveaxis(lab, -1, 0)
     found = best_match(
         *crosshair(light_field), planes, disparities, params, window=_WINDOW, noise=noise

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from mvedge_jax._params import cast, number
-from mvedge_jax.centre import DepthResult
+from mvedge_jax.depth import DepthResult
 from mvedge_jax.image import nearest_pixels
 from mvedge_jax.lightfield import LightField
 

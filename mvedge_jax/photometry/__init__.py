@@ -1,19 +1,24 @@
-"""What the colours of the views say: the scene made ready, and the sight of every pixel's views.
+"""What the colors of the views say: calibrated views, and the measurement of every pixel in them.
 
 Rooms: `brightness` (exposure, noise), `matching` (costs of hypotheses), `measuring` (disparity and
-standard error of a pixel).
+standard error of a pixel), `photographs` (the same for posed photographs).
 """
 
+from ._calibration import (
+    AsIs as AsIs,
+    Calibrate as Calibrate,
+    Calibration as Calibration,
+    Evidence as Evidence,
+    gather_evidence as gather_evidence,
+)
 from ._scene import (
-    Scene as Scene,
-    Sight as Sight,
+    CalibratedViews as CalibratedViews,
+    PreparedViews as PreparedViews,
     first_labels as first_labels,
     hypothesis_count as hypothesis_count,
     occluder_radius as occluder_radius,
     prepare as prepare,
+    prepare_views as prepare_views,
     recentred as recentred,
-    sight as sight,
 )
-from .brightness import Exposure as Exposure, Noise as Noise
-from .matching import VolumeParams as VolumeParams
-from .measuring import PhotometricParams as PhotometricParams
+from .brightness import Noise as Noise

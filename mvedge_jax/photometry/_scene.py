@@ -16,14 +16,14 @@ from .brightness._denoise import denoised, low_pass, soften
 from .brightness._exposure import Exposure, exposed_arms, exposure_along, rough_exposure
 from .brightness._noise import Noise, measure_noise
 from .brightness._unlit import lit
-from .matching._cost import VolumeParams, hypotheses
+from .matching._cost import Matching, hypotheses
 from .measuring._grid import Grid, grid_of
 from .measuring._look import ArmSplines, Look, arm_splines, look
 from .measuring._measure import PhotometricLabels, labels, shared
-from .measuring._measuring import Measuring, PhotometricParams
+from .measuring._measuring import Measurement, Measuring
 
 
-class Scene(NamedTuple):
+class CalibratedViews(NamedTuple):
     """The crosshair of a light field whose brightness and noise are known.
 
     Attributes:
@@ -51,7 +51,7 @@ class Scene(NamedTuple):
         return self.arms[0].planes[self.arms[0].centre]
 
 
-class Sight(NamedTuple):
+class PreparedViews(NamedTuple):
     """Views made ready for being measured in.
 
     Attributes:
@@ -66,9 +66,9 @@ class Sight(NamedTuple):
     params: Measuring
     grid: Grid | None = None
 
-    def look(self, disparity: Float[Array, "y x"], *, radius: int) -> Look:
+    def look(self, disparity: Float[Array, "y x"]) -> Look:
         """Reads the views of the crosshair around a map, see `look`."""
-        return look(*self.splines, disparity, self.params, radius=radius)
+        return look(*self.splines, disparity, self.params, radius=self.params.radius)
 
 
 def hypothesis_count(span: float, steps: int) -> int:
@@ -101,11 +101,11 @@ def occluder_radius(span: float, steps: int, shape: tuple[int, int]) -> int:
 def prepare(
     light_field: LightField,
     disparities: Float[Array, " d"],
-    params: VolumeParams,
+    params: Matching,
     *,
     window: int,
     every: bool = False,
-) -> Scene:
+) -> CalibratedViews:
     """Measures exposure, gains and noise, and finds the first map.
 
     Gains are measured twice: roughly, and again along the first map, when it is known what shows
@@ -130,7 +130,7 @@ def prepare(
 
     @staged
     def searched(
-        arms: tuple[Arm, Arm], lab: Array, noise: Noise, params: VolumeParams
+        arms: tuple[Arm, Arm], lab: Array, noise: Noise, params: Matching
     ) -> Float[Array, "y x"]:
         sigma = jnp.clip(0.4 + 30 * noise.deviation, 0.5, 1.0)
         soft = low_pass(arms, noise, sigma).arms
@@ -143,7 +143,9 @@ def prepare(
     )
 
 
-def sight(scene: Scene, params: PhotometricParams, *, every: LightField | None = None) -> Sight:
+def prepare_views(
+    scene: CalibratedViews, params: Measurement, *, every: LightField | None = None
+) -> PreparedViews:
     """Low-passes the views as far as their noise asks, and says what that does to measurements.
 
     Args:
@@ -159,7 +161,7 @@ def sight(scene: Scene, params: PhotometricParams, *, every: LightField | None =
     measuring = measuring_in(scene.noise, scene.exposure.scale, kept, grain, params)
     horizontal, vertical = map(arm_splines, arms)
     grid = None if every is None else _whole_grid(scene, every, sigma)
-    return Sight(arms, (horizontal, vertical), measuring, grid)
+    return PreparedViews(arms, (horizontal, vertical), measuring, grid)
 
 
 def measuring_in(
@@ -167,7 +169,7 @@ def measuring_in(
     scale: Float[Array, ""],
     kept: Float[Array, ""],
     grain: Float[Array, ""],
-    params: PhotometricParams,
+    params: Measurement,
 ) -> Measuring:
     """What a measurement takes for granted in views that `soften` has blurred.
 
@@ -195,11 +197,14 @@ def measuring_in(
         # What noise is left in the mean gradients of all views is less than the residual says.
         gradient_noise=plain.gradient_noise * grain * (1 - 0.6 * noise.alpha**4),
         largest_step=plain.largest_step,
+        radius=params.radius,
+        passes=params.passes,
+        views=params.views,
     )
 
 
-def _whole_grid(scene: Scene, every: LightField, sigma: Float[Array, ""]) -> Grid:
-    """All views as `sight` has those of the crosshair."""
+def _whole_grid(scene: CalibratedViews, every: LightField, sigma: Float[Array, ""]) -> Grid:
+    """All views as `prepare_views` has those of the crosshair."""
     factor = scene.exposure.scale / scene.exposure.gain.reshape(-1)
     views = every.views.reshape(-1, *every.views.shape[2:])
     planes = jnp.moveaxis(views, -1, 1) * factor[:, None, None, None]
@@ -212,7 +217,7 @@ def recentred(
     view: Int[Array, "2"],
     exposure: Exposure,
     noise: Noise,
-) -> Scene:
+) -> CalibratedViews:
     """The row and the column of views through any view, as the crosshair of a scene of its own.
 
     Args:
@@ -247,21 +252,19 @@ def recentred(
     return _guided((across, down), exposure, noise)
 
 
-def _guided(arms: tuple[Arm, Arm], exposure: Exposure, noise: Noise) -> Scene:
+def _guided(arms: tuple[Arm, Arm], exposure: Exposure, noise: Noise) -> CalibratedViews:
     """A scene without a first map, whose guide is the centre view without its noise."""
     guide = denoised(arms[0].planes[arms[0].centre], noise)
     lab = jnp.moveaxis(srgb_to_lab(jnp.moveaxis(guide, 0, -1)), -1, 0)
-    return Scene(arms, exposure, noise, guide, lab, None)
+    return CalibratedViews(arms, exposure, noise, guide, lab, None)
 
 
-def first_labels(scene: Scene, seen: Sight, *, radius: int, passes: int) -> PhotometricLabels:
+def first_labels(scene: CalibratedViews, seen: PreparedViews) -> PhotometricLabels:
     """Measures every pixel around the first map.
 
     Args:
         scene: with a first map.
         seen: its views.
-        radius: how far occluders are looked for, px.
-        passes: over the neighbourhood, see `labels`.
 
     Returns:
         Labels, shared between neighbours. Differentiable.
@@ -269,9 +272,9 @@ def first_labels(scene: Scene, seen: Sight, *, radius: int, passes: int) -> Phot
     Raises:
         ValueError: the scene has no first map.
     """
-    first, lab = scene.first, scene.lab
+    first, lab, passes = scene.first, scene.lab, seen.params.passes
     if first is None:
         raise ValueError("`scene` has no first map; `prepare` finds one.")
-    found = seen.look(first, radius=radius)
+    found = seen.look(first)
     measured = labels(found, lab, first, seen.params, passes=passes)
     return shared(measured, lab, seen.params, passes=passes)

@@ -4,13 +4,9 @@ Rooms: `sparse` (the thesis' own method: points, diffused and optimised), `objec
 `cloud` (surfaces as points), `scores` (errors in depth).
 """
 
-from ._parameters import (
-    Reference as Reference,
-    StereoParams as StereoParams,
-    StereoSizes as StereoSizes,
-    reference_of as reference_of,
-)
+from ._model import StereoDepth as StereoDepth
 from ._photographs import Photographs as Photographs, projections as projections
+from ._reference import Reference as Reference, reference_of as reference_of
 from ._stereo import (
     PosedSweep as PosedSweep,
     StereoResult as StereoResult,

@@ -1,6 +1,5 @@
 """Dense depth of a photograph from others around it: the light field's measurement, posed."""
 
-from functools import partial
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -10,10 +9,9 @@ from jaxtyping import Array, Bool, Float, Int
 from mvedge_jax._compiler import lean_jit
 from mvedge_jax._fence import staged
 from mvedge_jax._params import cast
-from mvedge_jax.centre import map_problems, sharpen
-from mvedge_jax.centre.error import standard_error
-from mvedge_jax.centre.solves import Labels, dense_map
 from mvedge_jax.color import srgb_to_lab
+from mvedge_jax.depth import map_problems
+from mvedge_jax.depth.solves import Given, Labels, Parts, refine_disparity
 from mvedge_jax.photometry import Noise
 from mvedge_jax.photometry.photographs import (
     Projection,
@@ -22,8 +20,9 @@ from mvedge_jax.photometry.photographs import (
     prepare_photographs,
 )
 
-from ._parameters import Reference, StereoParams, StereoSizes
+from ._model import StereoDepth
 from ._photographs import Photographs, projections
+from ._reference import Reference
 
 # The least disparity that depth is made of, as a share of the range's upper end.
 _FARTHEST = 1e-6
@@ -73,9 +72,7 @@ class StereoResult(NamedTuple):
         return map_problems(self.disparity, self.disparity_error, stats.converged, stats.searched)
 
 
-def stereo(
-    photographs: Photographs, reference: Reference, params: StereoParams, sizes: StereoSizes
-) -> StereoResult:
+def stereo(photographs: Photographs, reference: Reference, model: StereoDepth) -> StereoResult:
     """Estimates the depth of every pixel of one of a few posed photographs.
 
     As `edge_to_depth` without edge points, and with another way for a pixel to move into a view, a
@@ -93,12 +90,11 @@ def stereo(
     Args:
         photographs: two or more, without lens distortion; true depth is not read.
         reference: see `reference_of`. Its index is traced: one program for all photographs.
-        params: see `StereoParams`.
-        sizes: see `StereoSizes.of`.
+        model: see `StereoDepth.of`.
 
     Returns:
         Depth, disparity, standard errors, statistics. Differentiable, forwards and backwards, in
-        images, poses, intrinsics, baseline and every leaf of `params` at the selections made.
+        images, poses, intrinsics, baseline and every leaf of `model` at the selections made.
 
     Source: Thesis 7.2.2 has the photographs; the measurement is ours.
 
@@ -111,49 +107,41 @@ def stereo(
         >>> from mvedge_jax.posed import reference_of
         >>> pair = Photographs(images, poses, matrix)
         >>> wanted = reference_of(pair, 0, depth_range=(0.5, 4.0))
-        >>> result = stereo(pair, wanted, StereoParams(), StereoSizes.of(wanted))
+        >>> result = stereo(pair, wanted, StereoDepth.of(wanted))
         >>> round(float(jnp.median(result.depth)), 1)
         1.0
     """
     # Names are static, and the number of points is a shape: neither is read, and each would ask
     # for a program of its own.
     read = photographs.images, photographs.poses, photographs.intrinsics
-    return _stereo(read, reference, params, sizes)
+    return _stereo(read, reference, model)
 
 
 @lean_jit
 def _stereo(
     read: tuple[Array, Array, Array],
     reference: Reference,
-    params: StereoParams,
-    sizes: StereoSizes,
+    model: StereoDepth,
 ) -> StereoResult:
     photographs = Photographs(*read)
-    params = cast(params, photographs.images.dtype)
-    given = _set_up(photographs, reference, sizes)
-    scene = prepare_photographs(*given[:4], params.volume, window=sizes.window)
-    views = staged(posed_sight)(scene, params.photometric)
-    sharper = partial(
-        sharpen,
-        guide=scene.guide,
-        params=params.median,
-        radius=sizes.median_radius,
-        levels=sizes.levels,
-        mode=sizes.sharpening,
-    )
+    model = cast(model, photographs.images.dtype)
+    setup = _set_up(photographs, reference, model)
+    scene = prepare_photographs(*setup[:4], model.matching, window=model.window)
+    views = staged(posed_sight)(scene, model.measurement)
     nothing = jnp.zeros_like(scene.first)
-    labels = Labels(nothing, nothing)
-    span = given.disparities[-1] - given.disparities[0]
-    found = dense_map(labels, views, scene.lab, scene.first, span, sharper, params, sizes)
+    span = setup.disparities[-1] - setup.disparities[0]
+    given = Given(Labels(nothing, nothing), views, scene.lab, scene.guide, span, nothing)
+    parts = Parts(model.dense, model.smoothness, model.solver, model.refine)
+    found = refine_disparity(given, scene.first, parts)
     stats = StereoStats(
         found.iterations,
         found.converged,
         scene.noise,
-        jnp.ones_like(scene.gain).at[given.order].set(scene.gain),
-        jnp.stack([given.disparities[0], given.disparities[-1]]),
+        jnp.ones_like(scene.gain).at[setup.order].set(scene.gain),
+        jnp.stack([setup.disparities[0], setup.disparities[-1]]),
     )
-    disparity_error = standard_error(found.error, found.disparity)
-    depth, error = _depth(found.disparity, disparity_error, given.scale, reference)
+    disparity_error = model.refine.error(found.error, found.disparity)
+    depth, error = _depth(found.disparity, disparity_error, setup.scale, reference)
     return StereoResult(depth, error, found.disparity, disparity_error, scene.first, stats)
 
 
@@ -177,7 +165,7 @@ class _SetUp(NamedTuple):
     order: Array
 
 
-def _set_up(photographs: Photographs, reference: Reference, sizes: StereoSizes) -> _SetUp:
+def _set_up(photographs: Photographs, reference: Reference, model: StereoDepth) -> _SetUp:
     count, dtype = photographs.images.shape[0], photographs.images.dtype
     scale = reference.scale(photographs)
     order = (jnp.arange(count, dtype=jnp.int32) + reference.index) % count
@@ -186,7 +174,7 @@ def _set_up(photographs: Photographs, reference: Reference, sizes: StereoSizes) 
     apart = jnp.sqrt(jnp.sum(lax.stop_gradient(places.epipole) ** 2, axis=1))
     available = (apart > 1e-3 * jnp.max(apart)) | (jnp.arange(count) == 0)
     limits = reference.disparity_range.astype(dtype)
-    shares = jnp.linspace(0, 1, sizes.hypotheses, dtype=dtype)
+    shares = jnp.linspace(0, 1, model.hypotheses, dtype=dtype)
     disparities = limits[0] + (limits[1] - limits[0]) * shares
     return _SetUp(photographs.images[order], places, available, disparities, scale, order)
 
@@ -204,23 +192,20 @@ class PosedSweep(NamedTuple):
 
 
 @lean_jit
-def posed_sweep(
-    photographs: Photographs, reference: Reference, params: StereoParams, sizes: StereoSizes
-) -> PosedSweep:
+def posed_sweep(photographs: Photographs, reference: Reference, model: StereoDepth) -> PosedSweep:
     """A plane sweep through posed photographs: every pixel by itself, the baseline to beat.
 
     Args:
         photographs: two or more.
         reference: see `reference_of`.
-        params: its `volume` is read.
-        sizes: its `hypotheses` and `window` are read.
+        model: its `matching`, `hypotheses` and `window` are read.
 
     Returns:
         Depth and disparity. Differentiable at the hypotheses chosen, as `plane_sweep`.
 
     Source: not in the thesis; the plane sweep of Collins (1996) with the better half of the views.
     """
-    given = _set_up(photographs, reference, sizes)
+    given = _set_up(photographs, reference, model)
     images = jnp.moveaxis(given.images, -1, 1)
     dtype = images.dtype
     lab = jnp.moveaxis(srgb_to_lab(jnp.moveaxis(images[0], 0, -1)), -1, 0)
@@ -230,9 +215,9 @@ def posed_sweep(
         given.available,
         lab,
         given.disparities,
-        cast(params.volume, dtype),
+        cast(model.matching, dtype),
         noise=Noise.of(jnp.zeros((), dtype)),
-        window=sizes.window,
+        window=model.window,
         paths=False,
     )
     depth, _ = _depth(disparity, jnp.zeros_like(disparity), given.scale, reference)

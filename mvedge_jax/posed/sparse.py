@@ -26,8 +26,8 @@ from mvedge_jax.model import (
 from mvedge_jax.model.objectives import unlimited
 from mvedge_jax.model.optimisation import Progress, Rates, Routine, begin, one_at_a_time, optimise
 
-from ._parameters import Reference
 from ._photographs import Photographs, projections
+from ._reference import Reference
 from .objective import PosedReprojection
 
 # Slopes below this share of the steepest one are no edges.

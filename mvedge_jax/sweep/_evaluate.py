@@ -11,8 +11,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from mvedge_jax._compiler import lean_jit
-from mvedge_jax.centre import DepthResult, Parameters, Sizes, edge_to_depth
 from mvedge_jax.datasets import load_light_field
+from mvedge_jax.depth import DepthResult, Parameters, Sizes, edge_to_depth
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.metrics import DepthScores, depth_scores
 

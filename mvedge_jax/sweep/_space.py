@@ -8,7 +8,7 @@ from typing import Any, get_args, get_type_hints
 import equinox as eqx
 import numpy as np
 
-from mvedge_jax.centre import Parameters, Sizes
+from mvedge_jax.depth import Parameters, Sizes
 from mvedge_jax.edges import EdgeSizes
 
 CHOICE = "sizes."

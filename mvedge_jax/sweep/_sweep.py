@@ -15,7 +15,7 @@ from optuna.storages import JournalStorage
 from optuna.storages.journal import JournalFileBackend
 from optuna.trial import TrialState
 
-from mvedge_jax.centre import Parameters
+from mvedge_jax.depth import Parameters
 from mvedge_jax.lightfield import LightField
 
 from ._evaluate import Objective, check_objective, evaluate

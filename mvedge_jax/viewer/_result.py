@@ -6,8 +6,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from mvedge_jax.centre import DepthResult
 from mvedge_jax.datasets import columns_of, read_pfm
+from mvedge_jax.depth import DepthResult
 from mvedge_jax.lightfield import LightField
 
 

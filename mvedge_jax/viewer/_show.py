@@ -4,7 +4,7 @@ import html as markup
 from pathlib import Path
 from typing import NamedTuple
 
-from mvedge_jax.centre import DepthResult
+from mvedge_jax.depth import DepthResult
 from mvedge_jax.lightfield import LightField
 
 from ._page import page

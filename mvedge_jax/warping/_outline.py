@@ -35,7 +35,7 @@ def outline(
     view: Float[Array, "c y x"],
     noise: Float[Array, ""],
     *,
-    prior: float,
+    prior: float | Float[Array, ""],
 ) -> Int[Array, "y x"]:
     r"""Decides by colour which surface the pixels beside a depth step show.
 

@@ -13,7 +13,7 @@ from helpers import dot, random_like, with_values
 
 from mvedge_jax.angular import ViewParams, ViewSizes, depth_of_views
 from mvedge_jax.baselines import reproject_views
-from mvedge_jax.centre import DepthResult, DepthStats, Parameters, Sizes, edge_to_depth
+from mvedge_jax.depth import DepthResult, DepthStats, Parameters, Sizes, edge_to_depth
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.photometry import Exposure, Noise
 

@@ -14,7 +14,7 @@ from mvedge_jax.baselines import SweepSizes, plane_sweep
 from mvedge_jax.datasets import load_light_field
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.metrics import depth_scores
-from mvedge_jax.photometry import VolumeParams
+from mvedge_jax.photometry import Matching
 
 _SMALL = SweepSizes(planes=9, window=1)
 
@@ -67,7 +67,7 @@ def test_beside_an_occluder_the_better_half_sees_the_background():
 def test_agrees_with_a_plain_search():
     """Integer planes, single pixels: the oracle compares shifted views one by one."""
     scene = _plane(1.0, shape=(3, 3, 9, 11))
-    params = with_values(VolumeParams, drift=0.0)
+    params = with_values(Matching, drift=0.0)
     result = plane_sweep(
         scene, params=params, sizes=SweepSizes(planes=5, window=0), disparity_range=(-2.0, 2.0)
     )
@@ -108,7 +108,7 @@ def test_one_trace_for_all_values():
         lambda s, p, r: plane_sweep(s, params=p, sizes=_SMALL, disparity_range=r).disparity
     )
     for truncation, high in ((4.0, 1.0), (8.0, 1.5)):
-        counted(scene, with_values(VolumeParams, truncation=truncation), jnp.array([-1.0, high]))
+        counted(scene, with_values(Matching, truncation=truncation), jnp.array([-1.0, high]))
     assert traces() == 1
 
 
@@ -123,7 +123,7 @@ def test_gradients_match_differences():
 
     check_gradient(
         loss,
-        (VolumeParams(), scene.views),
+        (Matching(), scene.views),
         rtol=1e-4,
         step=1e-7,
         key=jax.random.key(0),

@@ -10,7 +10,7 @@ from scipy import ndimage
 
 from mvedge_jax._crosshair import crosshair
 from mvedge_jax.lightfield import LightField
-from mvedge_jax.photometry import VolumeParams
+from mvedge_jax.photometry import Matching
 from mvedge_jax.photometry.matching import hypotheses
 from mvedge_jax.photometry.matching._paths import aggregate
 
@@ -34,7 +34,7 @@ def test_hypotheses_find_both_sides_of_an_occlusion_edge():
     truth = np.where((x >= 12) & (x < 28) & (y >= 8) & (y < 24), 1.0, -0.5)
     lab = 100 * jnp.moveaxis(jnp.asarray(views[2, 2]), -1, 0)
     tried = jnp.linspace(-1, 1.5, 11)
-    found = hypotheses(*arms, lab, tried, VolumeParams(), window=2)
+    found = hypotheses(*arms, lab, tried, Matching(), window=2)
     assert float(found.min()) >= -1
     assert float(found.max()) <= 1.5
     inner = (slice(4, -4), slice(4, -4))
@@ -53,7 +53,7 @@ def test_hypotheses_do_not_see_a_missing_view():
             down,
             lab,
             tried,
-            VolumeParams(),
+            Matching(),
             window=1,
         )
         for value in (0.0, 0.9)
@@ -99,7 +99,7 @@ def test_a_plain_surface_follows_its_surroundings():
     arms = across._replace(planes=planes[0]), down._replace(planes=planes[1])
     # Colours alike, so that nothing but the neighbours can fill the hole in the texture.
     found = hypotheses(
-        *arms, jnp.zeros((3, 20, 28)), jnp.linspace(-1, 1, 9), VolumeParams(), window=1
+        *arms, jnp.zeros((3, 20, 28)), jnp.linspace(-1, 1, 9), Matching(), window=1
     )
     assert float(jnp.median(jnp.abs(found[6:14, 10:18] - 0.5))) < 0.1
 
@@ -117,7 +117,7 @@ def test_gloss_does_not_move_the_best_hypothesis():
     def wrong(drift):
         # Costs saturate at what the faint texture differs by.
         truncation = jnp.asarray(4 * (1e-4 * 255) ** 2)
-        params = VolumeParams(drift=jnp.asarray(drift), truncation=truncation)
+        params = Matching(drift=jnp.asarray(drift), truncation=truncation)
         found = hypotheses(*faint, lab, tried, params, window=2)
         return float((jnp.abs(found - 0.5)[4:-4, 4:-4] > 0.07).mean())
 
@@ -131,7 +131,7 @@ def test_no_drift_is_granted_beside_an_outline():
     lab = jnp.zeros((3, 20, 28)).at[0, ::4].set(1e4)
     tried = jnp.linspace(-1, 1, 9)
     found = [
-        hypotheses(across, down, lab, tried, VolumeParams(drift=jnp.asarray(d)), window=1)
+        hypotheses(across, down, lab, tried, Matching(drift=jnp.asarray(d)), window=1)
         for d in (0.0, 6.0 / 255)
     ]
     np.testing.assert_allclose(found[0], found[1], atol=1e-6)
@@ -149,7 +149,7 @@ def test_derivatives_of_the_hypotheses_match_differences():
             hypotheses(across._replace(planes=planes), down, lab, tried, params, window=1) ** 2
         )
 
-    tree = (across.planes, lab, VolumeParams())
+    tree = (across.planes, lab, Matching())
     check_gradient(loss, tree, rtol=1e-4, step=1e-7, key=jax.random.key(3))
     direction = random_like(tree, key=jax.random.key(4))
     _, tangent = jax.jit(lambda t, d: jax.jvp(loss, (t,), (d,)))(tree, direction)

@@ -8,13 +8,13 @@ from edges.scenes import plane, two_planes
 
 from mvedge_jax._params import cast
 from mvedge_jax.photometry import (
-    PhotometricParams,
-    VolumeParams,
+    Measurement,
+    Matching,
     first_labels,
     hypothesis_count,
     occluder_radius,
     prepare,
-    sight,
+    prepare_views,
 )
 from mvedge_jax.photometry.matching import best_match
 from mvedge_jax.photometry.measuring import Measuring, PhotometricLabels, view_weights
@@ -24,8 +24,8 @@ from mvedge_jax.photometry.measuring._measure import shared
 def _prepared(light_field, low, high):
     tried = jnp.linspace(low, high, hypothesis_count(high - low, max(light_field.centre)))
     tried = tried.astype(light_field.views.dtype)
-    scene = prepare(light_field, tried, cast(VolumeParams(), tried.dtype), window=2)
-    return scene, sight(scene, cast(PhotometricParams(), tried.dtype)), tried
+    scene = prepare(light_field, tried, cast(Matching(), tried.dtype), window=2)
+    return scene, prepare_views(scene, cast(Measurement(), tried.dtype)), tried
 
 
 def test_the_first_measurement_finds_a_plane():
@@ -83,7 +83,7 @@ def test_views_that_a_nearer_surface_hides_or_that_differ_weigh_little():
 
 def test_the_best_match_is_the_least_of_its_costs():
     scene, _, tried = _prepared(plane(0.5, views=5), 0.0, 1.0)
-    params = cast(VolumeParams(), tried.dtype)
+    params = cast(Matching(), tried.dtype)
     disparity, cost = best_match(*scene.arms, scene.lab, tried, params, window=2)
     assert float(jnp.median(jnp.abs(disparity - 0.5))) < 0.02
     for shift in (-1, 1):

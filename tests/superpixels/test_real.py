@@ -6,7 +6,7 @@ import pytest
 from helpers import shared_data, with_values
 
 from mvedge_jax.angular import ViewParams, ViewSizes, depth_of_views
-from mvedge_jax.centre import Parameters, Sizes, edge_to_depth
+from mvedge_jax.depth import Parameters, Sizes, edge_to_depth
 from mvedge_jax.datasets import load_light_field
 from mvedge_jax.metrics.superpixels import superpixel_scores
 from mvedge_jax.superpixels import SuperpixelParams, SuperpixelSizes, superpixels

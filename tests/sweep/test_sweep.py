@@ -17,7 +17,7 @@ import numpy as np
 import optuna
 import pytest
 
-from mvedge_jax.centre import DepthResult, Parameters, Sizes, edge_to_depth
+from mvedge_jax.depth import DepthResult, Parameters, Sizes, edge_to_depth
 from mvedge_jax.datasets import synthetic, write_hci
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.metrics import depth_scores

@@ -2,14 +2,21 @@
 
 from ._bidirectional import (
     Bidirectional as Bidirectional,
-    BidirectionalParams as BidirectionalParams,
+    DirectionalDiffusion as DirectionalDiffusion,
     bidirectional as bidirectional,
     depth_edge_confidence as depth_edge_confidence,
 )
-from ._profile import step_response as step_response
+from ._parts import (
+    BidirectionalSides as BidirectionalSides,
+    NoSides as NoSides,
+    ReprojectionSides as ReprojectionSides,
+    SideChoice as SideChoice,
+    Sides as Sides,
+    ThesisSides as ThesisSides,
+)
+from ._profile import step_response as step_response, thesis_response as thesis_response
 from ._surface import (
-    SurfaceParams as SurfaceParams,
+    SideVote as SideVote,
     SurfaceVectors as SurfaceVectors,
-    choose as choose,
     surface_vectors as surface_vectors,
 )

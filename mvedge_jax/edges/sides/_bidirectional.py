@@ -5,32 +5,40 @@ from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
+import lineax as lx
 from jax import lax
 from jaxtyping import Array, Float
 
 from mvedge_jax._params import cast, number
 from mvedge_jax._root import root
-from mvedge_jax.diffusion import AbstractSolver, AutoSolver, System, diffuse, edge_weights
+from mvedge_jax.diffusion import AutoSolver, System, diffuse, edge_weights
 
 from .._points import EdgePoints
 from .._raster import rasterise
 from ._profile import profiles, step_response
 
 
-class BidirectionalParams(eqx.Module):
+def _coarse() -> AutoSolver:
+    """Far below any step that matters here, at a share of the cost."""
+    return AutoSolver(tolerance=1e-3)
+
+
+class DirectionalDiffusion(eqx.Module):
     """Parameters of the two directional solves.
 
     Attributes:
         offset: how far labels are pushed along the normal, px.
         data: weight of a label against a smoothness of 1.
-        gradient: squared image gradient, grey levels in 0..1 per px, that halves the smoothness.
+        gradient: squared image gradient, gray levels in 0..1 per px, that halves the smoothness.
         floor: least smoothness.
+        solver: of both systems.
     """
 
-    offset: Float[Array, ""] = number(1.0, "px")
+    offset: Float[Array, ""] = number(1.0, "px", threshold=True)
     data: Float[Array, ""] = number(100.0, "smoothness of 1")
-    gradient: Float[Array, ""] = number(1e-4, "squared grey/px")
-    floor: Float[Array, ""] = number(1e-4)
+    gradient: Float[Array, ""] = number(1e-4, "squared gray/px")
+    floor: Float[Array, ""] = number(1e-4, threshold=True)
+    solver: lx.AbstractLinearSolver = eqx.field(default_factory=_coarse)
 
 
 class Bidirectional(NamedTuple):
@@ -57,10 +65,9 @@ class Bidirectional(NamedTuple):
 def bidirectional(
     points: EdgePoints,
     gray: Float[Array, "y x"],
-    params: BidirectionalParams,
+    params: DirectionalDiffusion,
     *,
     respond: Callable[[Float[Array, "7 n"]], Float[Array, " n"]] = step_response,
-    solver: AbstractSolver | None = None,
 ) -> Bidirectional:
     r"""Diffuses the labels from either side of their edges and compares the depth profiles.
 
@@ -70,10 +77,8 @@ def bidirectional(
     Args:
         points: positions, disparities, unit normals.
         gray: centre view in [0, 1], `[y, x]`.
-        params: see `BidirectionalParams`.
+        params: see `DirectionalDiffusion`.
         respond: answer to the depth profiles at -3..3 px along the normals.
-        solver: of the two systems; by default to 1e-3 of the range of labels, which is far below
-            any step that matters here.
 
     Returns:
         Both maps, responses, confidences. Differentiable at the rasterisation chosen.
@@ -81,14 +86,15 @@ def bidirectional(
     Source: Thesis 4.2.2, Eq. 4.8-4.11; 4.3; Eq. 6.3 (as corrected).
     """
     params = cast(params, gray.dtype)
-    solver = AutoSolver(tolerance=jnp.asarray(1e-3, gray.dtype)) if solver is None else solver
     tx, ty = edge_weights(image_smoothness(gray, params))
     shift = params.offset * points.normal
 
     def solve(xy: Array) -> tuple[Array, Array]:
         raster = rasterise(xy, points.disparity, points.valid, (gray.shape[0], gray.shape[1]))
         weight = params.data * raster.hit.astype(gray.dtype)
-        found = diffuse(System(weight, raster.values(points.disparity), tx, ty), solver=solver)
+        found = diffuse(
+            System(weight, raster.values(points.disparity), tx, ty), solver=params.solver
+        )
         return found.value, found.stats.iterations
 
     # One after the other by a loop, not twice in the program: the solver compiles slowly.
@@ -128,7 +134,9 @@ def depth_edge_confidence(
     return _gradient_magnitude(0.5 * (forward + backward))
 
 
-def image_smoothness(gray: Float[Array, "y x"], params: BidirectionalParams) -> Float[Array, "y x"]:
+def image_smoothness(
+    gray: Float[Array, "y x"], params: DirectionalDiffusion
+) -> Float[Array, "y x"]:
     r"""Smoothness $1 / (1 + |\nabla I|^2 / g)$ of the directional solves; Eq. 4.11 with a square.
 
     Args:

@@ -61,3 +61,20 @@ def step_response(
 
     before = jnp.abs(profile[3] - profile[2]) > jnp.abs(profile[4] - profile[3])
     return jnp.where(before, answer(first), answer(first + 1))
+
+
+def thesis_response(profile: Float[Array, "7 n"]) -> Float[Array, " n"]:
+    """Answer of the thesis' step filter to depth profiles stretched to [-1, 1].
+
+    Args:
+        profile: samples at -3..3 px along the normal, any unit.
+
+    Returns:
+        4 for a clean step of any height, 0 for a flat profile. Differentiable as `step_response`.
+
+    Source: Thesis 4.2.2.
+    """
+    low, high = (f(profile, axis=0, keepdims=True) for f in (jnp.min, jnp.max))
+    flat = high - low < 1e-6
+    stretched = jnp.where(flat, 0, 2 * (profile - low) / jnp.where(flat, 1, high - low) - 1)
+    return step_response(stretched, taps=(-1.0, -1.0, 1.0, 1.0))

@@ -16,22 +16,22 @@ from .._raster import rasterise
 from ._evidence import map_evidence, neighbour_evidence
 
 
-class SurfaceParams(eqx.Module):
-    """Parameters of the choice of side.
+class SideVote(eqx.Module):
+    """How evidence for either side is weighed.
 
     Attributes:
         offset: length of a surface vector, px.
         response: weight of the bidirectional response.
-        neighbours: weight of the evidence from neighbouring labels.
+        neighbors: weight of the evidence from neighboring labels.
         dense: weight of the evidence from a dense map, where there is one.
-        radius: standard deviation of the neighbourhood of a label, px.
+        radius: standard deviation of the neighborhood of a label, px.
         cap: where differences of disparity stop counting, px.
         temperature: of the probabilities, px of evidence.
     """
 
     offset: Float[Array, ""] = number(1.0, "px")
     response: Float[Array, ""] = number(0.3)
-    neighbours: Float[Array, ""] = number(1.0)
+    neighbors: Float[Array, ""] = number(1.0)
     dense: Float[Array, ""] = number(1.0)
     radius: Float[Array, ""] = number(6.0, "px")
     cap: Float[Array, ""] = number(0.3, "px")
@@ -45,18 +45,20 @@ class SurfaceVectors(NamedTuple):
         score: positive speaks for `+normal`, px of evidence, `[n]`.
         forward: probability of `+normal`, `[n]`, one half where nothing speaks for either side.
         offset: surface vectors in px, `(x, y)`, `[n, 2]`; of the likelier side.
+        length: of a surface vector, px.
     """
 
     score: Float[Array, " n"]
     forward: Float[Array, " n"]
     offset: Float[Array, "n 2"]
+    length: Float[Array, ""]
 
 
 def surface_vectors(
     points: EdgePoints,
     response: Float[Array, " n"] | None,
     disparity: Float[Array, "y x"] | None,
-    params: SurfaceParams,
+    params: SideVote,
     *,
     shape: tuple[int, int],
     reach: int = 6,
@@ -67,7 +69,7 @@ def surface_vectors(
         points: positions, disparities, unit normals.
         response: of the bidirectional diffusion, px, `[n]`, or None.
         disparity: a dense map that already knows the surfaces, or None.
-        params: see `SurfaceParams`.
+        params: see `SideVote`.
         shape: rows and columns of the centre view.
         reach: how far the score is averaged along the edge to either side, px.
 
@@ -79,7 +81,7 @@ def surface_vectors(
     """
     params = cast(params, points.disparity.dtype)
     raster = rasterise(points.xy, points.disparity, points.valid, shape)
-    score = params.neighbours * neighbour_evidence(
+    score = params.neighbors * neighbour_evidence(
         points, raster, radius=params.radius, cap=params.cap
     )
     if response is not None:
@@ -92,13 +94,13 @@ def surface_vectors(
     return choose(points, score, params)
 
 
-def choose(points: EdgePoints, score: Float[Array, " n"], params: SurfaceParams) -> SurfaceVectors:
+def choose(points: EdgePoints, score: Float[Array, " n"], params: SideVote) -> SurfaceVectors:
     """Turns scores into surface vectors.
 
     Args:
         points: whose normals the vectors follow.
         score: positive speaks for the side that `+normal` points to, `[n]`.
-        params: offset and temperature, see `SurfaceParams`.
+        params: offset and temperature, see `SideVote`.
 
     Returns:
         The vectors, probabilities a logistic of the score; of points that are not valid, no offset
@@ -108,7 +110,7 @@ def choose(points: EdgePoints, score: Float[Array, " n"], params: SurfaceParams)
     forward = jnp.where(points.valid, jax.nn.sigmoid(score / params.temperature), 0.5)
     sign = jnp.sign(lax.stop_gradient(score))
     offset = jnp.where(points.valid, params.offset * sign, 0)[:, None] * points.normal
-    return SurfaceVectors(score, forward, offset)
+    return SurfaceVectors(score, forward, offset, params.offset)
 
 
 def along_edge(

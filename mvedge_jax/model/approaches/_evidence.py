@@ -10,12 +10,12 @@ from jaxtyping import Array, Bool, Float
 
 from mvedge_jax._compiler import lean_jit
 from mvedge_jax._params import cast, number
-from mvedge_jax.centre import SmoothnessParams, edge_smoothness
 from mvedge_jax.color import srgb_to_lab
 from mvedge_jax.diffusion import AutoSolver, System, diffuse
 from mvedge_jax.image import gaussian
 from mvedge_jax.losses import Views
 from mvedge_jax.photometry.measuring import Grid, Measuring, grid_of, labels, look_around
+from mvedge_jax.smoothness import ColorAndDepth, edge_smoothness
 
 # Gaussians over regions are cut here, px.
 _REGION_REACH = 12
@@ -42,7 +42,7 @@ class EvidenceParams(eqx.Module):
     error: Float[Array, ""] = number(0.004)
     smoothness: Float[Array, ""] = number(1.0)
     region: Float[Array, ""] = number(3.0)
-    edges: SmoothnessParams = eqx.field(default_factory=SmoothnessParams)
+    edges: ColorAndDepth = eqx.field(default_factory=ColorAndDepth)
 
 
 class Correction(NamedTuple):

@@ -6,9 +6,9 @@ from jaxtyping import Array, Bool, Float
 
 from mvedge_jax._compiler import lean_jit
 from mvedge_jax._params import cast, number
-from mvedge_jax.centre import SmoothnessParams, edge_smoothness
 from mvedge_jax.color import planes_to_lab
 from mvedge_jax.diffusion import System, diffuse
+from mvedge_jax.smoothness import ColorAndDepth, edge_smoothness
 
 from ._evidence import _shrink
 
@@ -24,8 +24,8 @@ class RelocateParams(eqx.Module):
 
     step: Float[Array, ""] = number(0.2)
     trust: Float[Array, ""] = number(1e4)
-    smoothness: SmoothnessParams = eqx.field(
-        default_factory=lambda: SmoothnessParams(colour=jnp.asarray(0.5))
+    smoothness: ColorAndDepth = eqx.field(
+        default_factory=lambda: ColorAndDepth(color=0.5, color_power=4.0, depth_power=0.0)
     )
 
 
@@ -76,7 +76,7 @@ def relocate_steps(
     weight = jnp.where(_shrink(clear, reach - 1), params.trust, 0)
     # Where all is steps there is nothing to go by, and the map stays.
     weight = jnp.where(jnp.any(weight > 0), weight, params.trust)
-    tx, ty = edge_smoothness(lab, disparity, params.smoothness, powers=(4.0, 0.0))
+    tx, ty = edge_smoothness(lab, disparity, params.smoothness)
     return diffuse(System(weight, disparity, tx, ty)).value
 
 

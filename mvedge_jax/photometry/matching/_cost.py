@@ -32,7 +32,7 @@ COLOUR_OF_JUMPS = 4.0
 POOLING = 20.0
 
 
-class VolumeParams(eqx.Module):
+class Matching(eqx.Module):
     """Parameters of the hypotheses.
 
     Attributes:
@@ -58,7 +58,7 @@ def hypotheses(
     vertical: Arm,
     lab: Float[Array, "c y x"],
     disparities: Float[Array, " d"],
-    params: VolumeParams,
+    params: Matching,
     *,
     window: int,
     noise: Noise | None = None,
@@ -83,7 +83,7 @@ def hypotheses(
         vertical: the vertical arm, likewise, transposed.
         lab: the centre view in CIELAB, denoised, `[c, y, x]`.
         disparities: what to try, px per view step, increasing, evenly spaced.
-        params: see `VolumeParams`.
+        params: see `Matching`.
         window: half the width of the window, px.
         noise: of the views before any low-pass; None for none.
 
@@ -111,7 +111,7 @@ def best_match(
     vertical: Arm,
     lab: Float[Array, "c y x"],
     disparities: Float[Array, " d"],
-    params: VolumeParams,
+    params: Matching,
     *,
     window: int,
     noise: Noise | None = None,
@@ -123,7 +123,7 @@ def best_match(
         vertical: the vertical arm, transposed.
         lab: the centre view in CIELAB, `[c, y, x]`.
         disparities: what to try, px per view step, increasing, evenly spaced.
-        params: see `VolumeParams`.
+        params: see `Matching`.
         window: half the width of the window, px.
         noise: of the views; None for none.
 
@@ -142,7 +142,7 @@ def _costs(
     vertical: Arm,
     lab: Array,
     disparities: Array,
-    params: VolumeParams,
+    params: Matching,
     noise: Noise,
     window: int,
 ) -> Float[Array, "d y x"]:

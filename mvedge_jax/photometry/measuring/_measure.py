@@ -39,7 +39,7 @@ class PhotometricLabels(NamedTuple):
     Attributes:
         disparity: px per view step, `[y, x]`.
         variance: of the disparity, px², `[y, x]`: residual over contrast, and what no residual
-            tells (`PhotometricParams.error_floor`).
+            tells (`Measurement.error_floor`).
         residual: variance of the colours over the views that see the pixel, `[y, x]`.
     """
 

@@ -1,13 +1,17 @@
-"""What a measurement in the views takes for granted."""
+"""Parameters of the photometric measurement."""
+
+from typing import Literal, get_args
 
 import equinox as eqx
 from jaxtyping import Array, Float
 
-from mvedge_jax._params import number
+from mvedge_jax._params import at_least, number, one_of
+
+LabelViews = Literal["crosshair", "all"]
 
 
-class PhotometricParams(eqx.Module):
-    """Parameters of the dense photometric measurement.
+class Measurement(eqx.Module):
+    """Disparity and standard error of every pixel around a map, from the views that show it.
 
     Attributes:
         drift: how much more a drift of the colours from view to view must explain, around a
@@ -20,6 +24,10 @@ class PhotometricParams(eqx.Module):
         outlier: residuals this many times larger than the noise stop counting.
         error_floor: smallest standard error: what interpolation and the pixels' own sampling make
             of an outline is alike in many views, so that neither noise nor their number tells it.
+        radius: how far occluders are looked for, px.
+        passes: over the neighbors whose measurements are shared, see `photometric_labels`.
+        views: which of them labels are measured in: `"crosshair"`, or, in two more solves at the
+            end, `"all"`.
     """
 
     drift: Float[Array, ""] = number(0.7, "noise variances")
@@ -27,19 +35,29 @@ class PhotometricParams(eqx.Module):
     same_colour: Float[Array, ""] = number(8.0, "CIELAB")
     outlier: Float[Array, ""] = number(1.0, "noise variances")
     error_floor: Float[Array, ""] = number(0.004, "px")
+    radius: int = eqx.field(static=True, default=1)
+    passes: int = eqx.field(static=True, default=2)
+    views: LabelViews = eqx.field(static=True, default="crosshair")
+
+    def __check_init__(self) -> None:
+        at_least(self, radius=1, passes=0)
+        one_of(self, views=get_args(LabelViews))
 
 
-class Measuring(PhotometricParams):
-    """The same in views of a certain noise, which `sight` says.
+class Measuring(Measurement):
+    """The same in views of a certain noise, see `prepare_views`.
 
     Attributes:
-        drift: see `PhotometricParams`.
+        drift: see `Measurement`.
         stiffness: how sure it is from the start that colours do not drift: 1 says nothing; larger
             where noise would pass for drift.
         same_surface: see there.
         same_colour: see there; larger where noise hides the colours of surfaces.
         outlier: see there.
         error_floor: see there.
+        radius: see there.
+        passes: see there.
+        views: see there.
         noise: standard deviation of the images' noise, quantisation and interpolation included, in
             units of sRGB; the floor of what residuals are taken to mean.
         rounding: standard deviation of what the images were rounded by, as much larger as they

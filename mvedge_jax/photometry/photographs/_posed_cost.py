@@ -18,7 +18,7 @@ from ..matching._arm import SAME_COLOUR, truncated
 from ..matching._cost import (
     COLOUR_OF_JUMPS,
     POOLING,
-    VolumeParams,
+    Matching,
     cheapest,
     noise_variance,
     shared_drift,
@@ -37,7 +37,7 @@ def posed_hypotheses(
     available: Bool[Array, " s"],
     lab: Float[Array, "c y x"],
     disparities: Float[Array, " d"],
-    params: VolumeParams,
+    params: Matching,
     *,
     noise: Noise,
     window: int,
@@ -57,7 +57,7 @@ def posed_hypotheses(
         available: those that are to be read.
         lab: the reference in CIELAB, denoised, `[c, y, x]`.
         disparities: what to try, increasing, evenly spaced.
-        params: see `VolumeParams`.
+        params: see `Matching`.
         noise: of the images before any low-pass.
         window: half the width of the window, px.
         paths: sum costs along paths through the image, see `hypotheses`; without, every pixel has

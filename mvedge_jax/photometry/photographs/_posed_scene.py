@@ -13,10 +13,10 @@ from .._scene import measuring_in
 from ..brightness._denoise import denoised, passed, soften
 from ..brightness._exposure import gains_along, rough_gains
 from ..brightness._noise import Noise, measure_noise
-from ..matching._cost import VolumeParams
+from ..matching._cost import Matching
 from ..measuring._grid import PosedGrid, look_around, posed_grid
 from ..measuring._look import Look
-from ..measuring._measuring import Measuring, PhotometricParams
+from ..measuring._measuring import Measurement, Measuring
 from ._posed_cost import posed_hypotheses, posed_variance
 
 
@@ -46,8 +46,8 @@ class PosedScene(NamedTuple):
     first: Float[Array, "y x"]
 
 
-class PosedSight(NamedTuple):
-    """Photographs made ready for being measured in: `Sight`, for posed ones.
+class PreparedPhotographs(NamedTuple):
+    """Photographs made ready for being measured in: `PreparedViews`, for posed ones.
 
     Attributes:
         grid: all of them.
@@ -57,9 +57,9 @@ class PosedSight(NamedTuple):
     grid: PosedGrid
     params: Measuring
 
-    def look(self, disparity: Float[Array, "y x"], *, radius: int) -> Look:
+    def look(self, disparity: Float[Array, "y x"]) -> Look:
         """Reads all photographs around a map, see `look_around`."""
-        return look_around(self.grid, disparity, self.params, radius=radius)
+        return look_around(self.grid, disparity, self.params, radius=self.params.radius)
 
 
 def prepare_photographs(
@@ -67,7 +67,7 @@ def prepare_photographs(
     places: Projection,
     available: Bool[Array, " s"],
     disparities: Float[Array, " d"],
-    params: VolumeParams,
+    params: Matching,
     *,
     window: int,
 ) -> PosedScene:
@@ -98,7 +98,7 @@ def prepare_photographs(
 
     @staged
     def searched(
-        own: Array, places: Projection, lab: Array, noise: Noise, params: VolumeParams
+        own: Array, places: Projection, lab: Array, noise: Noise, params: Matching
     ) -> Float[Array, "y x"]:
         soft = soften(own, noise, jnp.clip(0.4 + 30 * noise.deviation, 0.5, 1.0))
         return posed_hypotheses(
@@ -110,8 +110,8 @@ def prepare_photographs(
     return PosedScene(exposed(gain), places, available, scale, gain, noise, guide, lab, first)
 
 
-def posed_sight(scene: PosedScene, params: PhotometricParams) -> PosedSight:
-    """Low-passes photographs as far as their noise asks: `sight`, for posed ones.
+def posed_sight(scene: PosedScene, params: Measurement) -> PreparedPhotographs:
+    """Low-passes photographs as far as their noise asks: `prepare_views`, for posed ones.
 
     Args:
         scene: see `prepare_photographs`.
@@ -123,4 +123,4 @@ def posed_sight(scene: PosedScene, params: PhotometricParams) -> PosedSight:
     sigma = jnp.minimum(30 * scene.noise.deviation, 1)
     soft = soften(scene.images, scene.noise, sigma)
     measuring = measuring_in(scene.noise, scene.scale, *passed(scene.noise, sigma), params)
-    return PosedSight(posed_grid(soft, scene.places, scene.available), measuring)
+    return PreparedPhotographs(posed_grid(soft, scene.places, scene.available), measuring)

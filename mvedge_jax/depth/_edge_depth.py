@@ -1,0 +1,312 @@
+"""`EdgeDepth`: from the views of a light field to the depth of its centre view, made of parts."""
+
+from collections.abc import Mapping
+from typing import Any, Literal
+
+import equinox as eqx
+import jax.numpy as jnp
+import lineax as lx
+from jaxtyping import Array, Bool, PRNGKeyArray
+
+from mvedge_jax._checks import checked_jit, expect, sound, with_numbers
+from mvedge_jax._fence import staged
+from mvedge_jax._params import cast
+from mvedge_jax._paths import described, replaced
+from mvedge_jax.edges import EdgeDetector, Edges
+from mvedge_jax.edges.sides import SideChoice
+from mvedge_jax.lightfield import LightField
+from mvedge_jax.photometry import Calibration, Evidence, gather_evidence
+from mvedge_jax.photometry.measuring import Measurement
+from mvedge_jax.smoothness import Smoothness
+from mvedge_jax.warping import outline
+
+from . import _presets
+from ._dense import DenseLabels
+from ._labels import PointLabels
+from ._refine import Given, Map, Parts, Refine
+from ._result import DepthResult, DepthStats
+from .solves import refine_disparity
+
+Preset = Literal["full", "edges", "thesis"]
+
+
+class EdgeDepth(eqx.Module):
+    r"""Depth of the centre view from multi-view edges, a chain of parts.
+
+    1. `calibration`: brightness and noise are measured once and taken out of the views.
+    2. `measurement`: every pixel is measured in the views that show it: disparity and standard
+       error.
+    3. `edges`: filters in epipolar-plane images say where edge points are (Thesis 4.1), the
+       measurement says at which disparity.
+    4. `sides`: on which surface the label of each point belongs (4.2.2), and where depth edges are
+       (4.3).
+    5. `labels`: the points' labels on the pixels of the centre view.
+    6. `dense`: a label measured at every pixel, or None for the edges alone.
+    7. `smoothness`, `solver`, `refine`: labels are diffused (6.1), repeatedly, between edges that
+       the smoothness cuts, and depth steps are moved onto color steps. Pixels beside depth steps
+       go to the surface that covers most of them (`warping.outline`).
+
+    Every part is a pytree: its arrays are traced, so that `jax.grad` and `jax.vmap` reach them, and
+    everything else is static. Any part can be replaced by one that keeps its protocol, see
+    `replace`. `print(model)` lists all numbers with their units.
+
+    Attributes:
+        calibration: see `photometry.Calibration`.
+        measurement: see `photometry.measuring.Measurement`; None if no part reads one.
+        edges: see `edges.EdgeDetector`.
+        sides: see `edges.sides.SideChoice`.
+        labels: see `PointLabels`.
+        dense: see `DenseLabels`; None for the edges alone.
+        smoothness: see `smoothness.Smoothness`.
+        solver: of the diffusions of map, slopes and errors: one of `mvedge_jax.diffusion` or any
+            solver of Lineax for symmetric operators.
+        refine: see `Refine`.
+        searched: lowest and highest disparity of the scene, px per view step.
+
+    Example:
+        >>> flat = LightField(jnp.full((3, 3, 16, 16, 3), 0.5), disparity_range=(-1.0, 1.0))
+        >>> model = EdgeDepth.for_light_field(flat)
+        >>> result = model(flat)
+        >>> bool(jnp.isfinite(result.disparity).all())
+        True
+    """
+
+    calibration: Calibration
+    measurement: Measurement | None
+    edges: EdgeDetector
+    sides: SideChoice
+    labels: PointLabels
+    dense: DenseLabels | None
+    smoothness: Smoothness
+    solver: lx.AbstractLinearSolver
+    refine: Refine
+    searched: tuple[float, float] = eqx.field(static=True)
+
+    @staticmethod
+    def for_light_field(
+        light_field: LightField,
+        *,
+        preset: Preset = "full",
+        views: Literal["crosshair", "all"] = "crosshair",
+        choices: Mapping[str, Any] | None = None,
+    ) -> "EdgeDepth":
+        """Chooses capacities and ranges on the host, from a light field's shape and its range.
+
+        Args:
+            light_field: its disparity range is measured where it does not come with one.
+            preset: `"full"`: edges and dense labels; `"edges"`: the edges alone, splatted with
+                transmittance; `"thesis"`: the steps of Chapters 4 and 6.
+            views: which of them labels are measured in, see `Measurement`.
+            choices: numbers and static fields to set, by path, such as `{"refine.solves": 1}`.
+
+        Returns:
+            The model. Models for light fields of one shape and nearly the same range share a
+            compiled program.
+
+        Raises:
+            ValueError: the light field has one view only, a name is unknown, or a choice is out of
+                range.
+        """
+        parts = _presets.parts_for(light_field, preset, views)
+        return EdgeDepth(**parts).replace(choices)
+
+    def replace(self, choices: Mapping[str, Any] | None = None, /, **parts: Any) -> "EdgeDepth":
+        """The same model with other parts, numbers or static fields.
+
+        Args:
+            choices: by path, such as `{"smoothness.color": 0.5, "refine.solves": 1}`.
+            **parts: whole parts by name, such as `smoothness=network`.
+
+        Returns:
+            The new model; traced values may be traced.
+
+        Raises:
+            ValueError: a path is none of the model's, or a value is out of range.
+        """
+        return replaced(self, {**(choices or {}), **parts})
+
+    def __call__(self, light_field: LightField, *, key: PRNGKeyArray | None = None) -> DepthResult:
+        """Estimates the disparity of every pixel of the centre view, see `estimate_depth`.
+
+        Args:
+            light_field: the crosshair of views is read, or all of them; ground truth is not.
+            key: of parts that draw, such as the entropy search of `ThesisEdges`.
+
+        Returns:
+            See `DepthResult`.
+        """
+        return estimate_depth(light_field, self, key=key)
+
+    def __str__(self) -> str:
+        return "\n".join(described(self))
+
+
+def depth(
+    light_field: LightField, *, preset: Preset = "full", key: PRNGKeyArray | None = None
+) -> DepthResult:
+    """Estimates the disparity of every pixel of a light field's centre view.
+
+    Args:
+        light_field: ground truth is not read.
+        preset: see `EdgeDepth.for_light_field`.
+        key: of the preset `"thesis"`, which draws.
+
+    Returns:
+        See `DepthResult`.
+
+    Raises:
+        ValueError: the light field has a single view per arm, or its range can't be measured.
+
+    Example:
+        >>> flat = LightField(jnp.full((3, 3, 16, 16, 3), 0.5), disparity_range=(-1.0, 1.0))
+        >>> depth(flat).disparity.shape
+        (16, 16)
+    """
+    return EdgeDepth.for_light_field(light_field, preset=preset)(light_field, key=key)
+
+
+def _validate(light_field: Any, model: Any, **options: Any) -> tuple[Any, ...]:
+    """The arguments of `estimate_depth` and `multiview_edges`, or what is wrong with them."""
+    order = "the order is (light_field, model)"
+    wrapped = "`LightField(views)` makes one of an array [v, u, y, x, c], and " + order
+    expect("light_field", light_field, LightField, wrapped)
+    made = "`EdgeDepth.for_light_field(light_field)` makes one, and " + order
+    expect("model", model, EdgeDepth, made)
+    if max(light_field.views.shape[:2]) < 3:
+        raise ValueError(
+            "`light_field` must have at least three views in a row or in a column, got a grid of "
+            f"{light_field.views.shape[0]}x{light_field.views.shape[1]}."
+        )
+    _presets.check_covers(light_field, model)
+    return (light_field.bare(), with_numbers(model)), options
+
+
+@checked_jit(_validate)
+def estimate_depth(
+    light_field: LightField, model: EdgeDepth, *, key: PRNGKeyArray | None = None
+) -> DepthResult:
+    """Runs the chain: what calling an `EdgeDepth` does.
+
+    Every light-field shape and every combination of static fields is a program of its own, of some
+    1300 memory maps, or 2500 where `compiler_options` were not asked for. A process that compiles
+    more than about 25 should call `jax.clear_caches()` now and then: Linux allows 65530 maps,
+    beyond which the compiler crashes.
+
+    Args:
+        light_field: the crosshair of views is read, or all of them (`Measurement.views`); ground
+            truth is not.
+        model: the parts.
+        key: of parts that draw.
+
+    Returns:
+        Disparity, standard error, points, statistics. Differentiable, forwards and backwards, in
+        the views and in every array of `model` at the selections made: points, hypotheses, sides,
+        levels of the median. A leaf that only selects is a threshold: its derivative is 0
+        (`describe`). In single precision the derivative of a single pixel is lost below 1e-38, and
+        above 1e38 it is NaN: scale a loss that is smaller than 1e-10 or larger than 1e20. Rounding
+        alone leaves single parameters' derivatives right to about 2e-4 there, as they are sums that
+        cancel.
+
+    Raises:
+        ValueError: the light field has a single view per arm; or, outside `jit`, a number of the
+            model is not finite or is negative, or the model was made for a narrower range than the
+            light field's. Under `jit` such numbers give a map of NaN, and `stats.sound` is False.
+        TypeError: an argument is of another kind, or their order is another.
+
+    Source: Thesis 6.1, 4.2.2 and 4.3; what differs, and why, is a page of the documentation.
+    """
+    model = cast(model, light_field.views.dtype)
+    fine = sound(model)
+    evidence = _evidence(model, light_field)
+    edges = _found_edges(model, evidence, key)
+    sides = model.sides(edges.points, evidence)
+    labels = model.labels(edges.points, sides, evidence, model.refine.precision)
+
+    views, measured = evidence.calibrated, evidence.measured
+    searched = jnp.asarray(model.searched, views.lab.dtype)
+    given = Given(
+        labels,
+        evidence.prepared,
+        views.lab,
+        views.guide,
+        searched[1] - searched[0],
+        sides.edge,
+        views.lit,
+    )
+    first = sides.initial if model.dense is None or measured is None else measured.disparity
+    parts = Parts(model.dense, model.smoothness, model.solver, model.refine)
+    found = refine_disparity(given, first, parts)
+
+    disparity, error = _outlined(found, evidence, model.refine, fine)
+    stats = DepthStats(
+        edges.stats,
+        jnp.sum(labels.weight > 0),
+        jnp.sum(edges.points.valid & (sides.surface.score != 0)),
+        jnp.concatenate([sides.iterations, found.iterations]),
+        found.converged & fine,
+        views.noise,
+        views.exposure,
+        fine,
+        searched,
+    )
+    return DepthResult(disparity, error, sides.edge, edges.points, sides.surface, stats)
+
+
+@checked_jit(_validate)
+def multiview_edges(
+    light_field: LightField, model: EdgeDepth, *, key: PRNGKeyArray | None = None
+) -> Edges:
+    """Finds edge points with accurate disparities: the first half of the chain.
+
+    Args:
+        light_field: only the crosshair of views is read; ground truth is not.
+        model: its `calibration`, `measurement` and `edges`.
+        key: of parts that draw.
+
+    Returns:
+        Points and statistics. Positions, disparities, confidences and errors are differentiable
+        in the views and in every array of the parts, at the selection made.
+
+    Raises:
+        ValueError: as `estimate_depth`; under `jit`, bad numbers give disparities of NaN.
+        TypeError: an argument is of another kind, or their order is another.
+
+    Source: Thesis 4.1; where it differs, and why, is a page of the documentation.
+
+    Example:
+        >>> flat = LightField(jnp.full((3, 3, 16, 16, 3), 0.5), disparity_range=(-1.0, 1.0))
+        >>> int(multiview_edges(flat, EdgeDepth.for_light_field(flat)).stats.valid)
+        0
+    """
+    model = cast(model, light_field.views.dtype)
+    evidence = _evidence(model, light_field)
+    edges = _found_edges(model, evidence, key)
+    read = model.calibration, model.measurement, model.edges
+    fine = jnp.all(jnp.stack([sound(part) for part in read if part is not None]))
+    # Selections drop NaN on the way: a number that is none would leave plausible points.
+    disparity = edges.points.disparity
+    disparity = jnp.where(fine, disparity, jnp.asarray(jnp.nan, disparity.dtype))
+    return eqx.tree_at(lambda found: found.points.disparity, edges, disparity)
+
+
+def _evidence(model: EdgeDepth, light_field: LightField) -> Evidence:
+    return gather_evidence(light_field, model.calibration, model.measurement, model.searched)
+
+
+def _found_edges(model: EdgeDepth, evidence: Evidence, key: PRNGKeyArray | None) -> Edges:
+    return staged(lambda evidence, edges: edges(evidence, key=key))(evidence, model.edges)
+
+
+def _outlined(
+    found: Map, evidence: Evidence, refine: Refine, fine: Bool[Array, ""]
+) -> tuple[Array, Array]:
+    """Disparity and its standard error once pixels of two surfaces have one of them."""
+    views = evidence.calibrated
+    disparity, error = found.disparity, found.error
+    if refine.outlines:
+        shown = outline(disparity, views.guide, views.noise.deviation, prior=refine.outline_odds)
+        disparity, error = (jnp.ravel(a)[shown] for a in (disparity, error))
+    # Selections drop NaN on the way: a number that is none would leave a plausible map.
+    unknown = jnp.asarray(jnp.nan, disparity.dtype)
+    error = refine.error(error, disparity)
+    return jnp.where(fine, disparity, unknown), jnp.where(fine, error, unknown)

@@ -1,0 +1,176 @@
+"""The labels part: edge points onto pixels."""
+
+from typing import NamedTuple, Protocol, runtime_checkable
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from mvedge_jax._params import cast, number
+from mvedge_jax.edges import EdgePoints, rasterise, share
+from mvedge_jax.edges.sides import Sides
+from mvedge_jax.photometry import Evidence
+from mvedge_jax.splatting import SplatLabels
+
+
+class Labels(NamedTuple):
+    """Labels and data weights per pixel.
+
+    Attributes:
+        weight: against a perfect label, `[y, x]`.
+        value: disparity, `[y, x]`.
+    """
+
+    weight: Float[Array, "y x"]
+    value: Float[Array, "y x"]
+
+
+@runtime_checkable
+class PointLabels(Protocol):
+    """Puts the labels of edge points onto pixels; called inside `jit`.
+
+    Points that are not valid change neither value nor gradient. Where no point is, the weight is 0.
+    """
+
+    def __call__(
+        self, points: EdgePoints, sides: Sides, evidence: Evidence, precision: Float[Array, ""]
+    ) -> Labels:
+        """Labels per pixel.
+
+        Args:
+            points: the edge points.
+            sides: on which side of its edge each of them belongs.
+            evidence: what the views say.
+            precision: standard error, px, at which a label counts half as much as a perfect one.
+
+        Returns:
+            See `Labels`.
+        """
+        ...
+
+
+class SharedLabels(eqx.Module):
+    """Labels on either side of their edges, shared by the pixels of their surface.
+
+    For beside dense labels: which pixels are of a point's surface is read from the first map.
+
+    Attributes:
+        weight: of a point's label against a dense one.
+        agreement: distance of a label from the first map that quarters its share.
+    """
+
+    weight: Float[Array, ""] = number(0.5, "dense labels")
+    agreement: Float[Array, ""] = number(0.15, "px")
+
+    def __call__(
+        self, points: EdgePoints, sides: Sides, evidence: Evidence, precision: Float[Array, ""]
+    ) -> Labels:
+        """See `PointLabels`."""
+        if evidence.measured is None:
+            raise ValueError("`SharedLabels` need a `measurement` in the chain, got None.")
+        first, surface = evidence.measured.disparity, sides.surface
+        params = cast(self, first.dtype)
+        # Points take their disparity from few pixels, which noise leaves little of.
+        trusted = params.weight * (1 - evidence.calibrated.noise.alpha) * points.confidence
+        weight = trusted * precision_weight(points.error**2, precision)
+        weight = jnp.where(points.valid, weight, 0)
+        total, mean = jnp.zeros_like(first), jnp.zeros_like(first)
+        for sign, likely in ((1.0, surface.forward), (-1.0, 1 - surface.forward)):
+            place = points.xy + sign * surface.length * points.normal
+            amount, value = share(place, points.disparity, weight * likely, first, params.agreement)
+            total, mean = total + amount, mean + amount * value
+        return Labels(total, mean / jnp.where(total > 0, total, 1))
+
+
+class NearestLabels(eqx.Module):
+    r"""Every label on the pixel that its surface vector points to; the nearest surface wins.
+
+    Weights are those of the standard errors times $(1 + e^{\min(a \lambda_e, l) - l}) / 2$, which
+    is 1 at most and one half at least.
+
+    Attributes:
+        gain: $a$, of the depth-edge confidence in the exponent of the data weight (Eq. 6.3).
+        limit: $l$, the largest exponent; the thesis' weight is unbounded.
+
+    Source: Thesis 6.1.
+    """
+
+    gain: Float[Array, ""] = number(3.0, "1/px")
+    limit: Float[Array, ""] = number(4.0)
+
+    def __call__(
+        self, points: EdgePoints, sides: Sides, evidence: Evidence, precision: Float[Array, ""]
+    ) -> Labels:
+        """See `PointLabels`."""
+        params = cast(self, points.disparity.dtype)
+        weight = point_weight(sides.confidence, points, precision, params)
+        place = points.xy + sides.surface.offset
+        raster = rasterise(place, points.disparity, points.valid, evidence.shape)
+        return Labels(raster.values(weight), raster.values(points.disparity))
+
+
+class SplattedLabels(eqx.Module):
+    """Super-Gaussian splats on the surfaces of the edges, composited front to back (Thesis 7.1).
+
+    The same splat as that of the model of Chapter 7, whose points are free.
+
+    Attributes:
+        splat: widths, density and raster.
+        gain: see `NearestLabels`.
+        limit: see `NearestLabels`.
+
+    Source: Thesis 7.1.2-7.1.3.
+    """
+
+    splat: SplatLabels = eqx.field(default_factory=SplatLabels)
+    gain: Float[Array, ""] = number(3.0, "1/px")
+    limit: Float[Array, ""] = number(4.0)
+
+    def __call__(
+        self, points: EdgePoints, sides: Sides, evidence: Evidence, precision: Float[Array, ""]
+    ) -> Labels:
+        """See `PointLabels`."""
+        params = cast(self, points.disparity.dtype)
+        weight = point_weight(sides.confidence, points, precision, params)
+        maps = params.splat(
+            points.xy + sides.surface.offset, points.disparity, weight, points.valid, evidence.shape
+        )
+        return Labels(maps.weight, maps.label)
+
+
+def precision_weight(variance: Array, precision: Float[Array, ""]) -> Array:
+    """Weight of a label against that of a perfect one.
+
+    Args:
+        variance: of the label, px².
+        precision: the standard error that halves the weight, px.
+
+    Returns:
+        The weight, at most 1. Differentiable.
+    """
+    square = precision**2
+    return square / (square + variance)
+
+
+def point_weight(
+    confidence: Float[Array, " n"],
+    points: EdgePoints,
+    precision: Float[Array, ""],
+    params: NearestLabels | SplattedLabels,
+) -> Float[Array, " n"]:
+    """Data weights: from standard errors, and from the depth-edge confidence; see `NearestLabels`.
+
+    Args:
+        confidence: `Sides.confidence`, px.
+        points: their standard errors, and which are there.
+        precision: standard error that halves a weight, px.
+        params: `gain` and `limit`.
+
+    Returns:
+        Weights in [0, 1], 0 in slots without a point. Differentiable.
+
+    Source: Thesis 6.1, Eq. 6.3; the standard errors are ours.
+    """
+    precise = precision_weight(points.error**2, precision)
+    exponent = jnp.minimum(params.gain * confidence, params.limit) - params.limit
+    return jnp.where(points.valid, precise * 0.5 * (1 + jnp.exp(exponent)), 0)

@@ -1,0 +1,220 @@
+"""The map of dense labels, measured anew around every map."""
+
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jax.typing import DTypeLike
+from jaxtyping import Array, Float
+
+from mvedge_jax._fence import kept, recomputed, staged
+from mvedge_jax.photometry import PreparedViews
+from mvedge_jax.photometry.measuring import (
+    Look,
+    PhotometricLabels,
+    labels,
+    look_around,
+    mismatch,
+)
+from mvedge_jax.photometry.photographs import PreparedPhotographs
+
+from ._diffused import diffused
+from ._refine import Given, Map, Parts, Refine, cut_edges
+from ._standard_error import steepest
+
+# What a turn does: a solve, measured around the last map in the crosshair or in all views; a look
+# at a map that will be sharpened; sharpening and a solve.
+_PLAIN, _AROUND, _BLURRED, _SHARPENED = range(4)
+# Solves whose labels are measured in all views, where these are asked for.
+_AROUND_SOLVES = 2
+# How far from a step labels of all views are doubted, px.
+_BESIDE = 2
+
+
+def measured_map(given: Given, first: Float[Array, "y x"], parts: Parts) -> Map:
+    """Repeated measurement in the views, sharpening and diffusion; see `refine_disparity`.
+
+    Args:
+        given: see `Given`; its `views` are there.
+        first: where to start, px per view step.
+        parts: of the chain; `dense` is there.
+
+    Returns:
+        The map. Differentiable.
+    """
+    every = _every(given) is not None
+    kinds = _kinds(parts.refine, every=every)
+
+    # One look and one solver for all turns keep the program small: what differs between turns is a
+    # branch, and the two maps that a sharpening compares are looked at in turns of their own.
+    def step(state: _State, turn: _Turn) -> tuple[_State, tuple[Array, Array]]:
+        if state.blurred is None:
+            found = kept(_look(given, state.disparity))
+        else:
+            state, found = _sharpened(given, state, turn, parts)
+        if every:
+            around = partial(_around, given, parts=parts)
+            found = lax.cond(turn.kind == _AROUND, around, lambda f, _: f, found, state.disparity)
+        (disparity, error), stats = lax.cond(
+            turn.kind == _BLURRED,
+            lambda: (state[:2], (jnp.zeros((), jnp.int32), jnp.asarray(True))),
+            lambda: _solve(given, found, state.disparity, turn, parts),
+        )
+        return state._replace(disparity=disparity, error=error), stats
+
+    nothing = jnp.zeros_like(first)
+    state = _State(first, nothing, None)
+    if _BLURRED in kinds:
+        shapes = jax.eval_shape(lambda d: _look(given, d), first)
+        unseen = jax.tree.map(lambda of: jnp.zeros(of.shape, of.dtype), shapes)
+        state = state._replace(blurred=_Blurred(unseen, nothing))
+    turns = _turns(kinds, parts.refine, first.dtype)
+    state, (iterations, converged) = lax.scan(recomputed(step), state, turns)
+    solves = np.flatnonzero(kinds != _BLURRED)
+    return Map(state.disparity, state.error, iterations[solves], jnp.all(converged))
+
+
+class _Turn(NamedTuple):
+    """What is done in a turn of `dense_map`.
+
+    Attributes:
+        kind: see `_PLAIN`.
+        slack: by which factor a sharpened map may disagree more with the views.
+        sloped: whether the solve goes along the slopes of the map.
+        last: whether the error of the map is asked for.
+    """
+
+    kind: Array
+    slack: Array
+    sloped: Array
+    last: Array
+
+
+class _Blurred(NamedTuple):
+    """What the views show of a map before it is sharpened, and how far they disagree with it."""
+
+    found: Look
+    mismatch: Array
+
+
+class _State(NamedTuple):
+    """What a turn of `dense_map` hands on to the next."""
+
+    disparity: Array
+    error: Array
+    blurred: _Blurred | None
+
+
+def _kinds(refine: Refine, *, every: bool) -> np.ndarray:
+    """The kinds of turns with measurements, in their order."""
+    if refine.sharpen.mode == "none":
+        kinds = [_PLAIN] * refine.solves
+    else:
+        kinds = [_BLURRED, _SHARPENED, *[_PLAIN] * (refine.solves - 1)] * 2
+    return np.asarray(kinds + [_AROUND] * (_AROUND_SOLVES if every else 0))
+
+
+def _turns(kinds: np.ndarray, refine: Refine, dtype: DTypeLike) -> _Turn:
+    index, first = np.arange(len(kinds)), np.flatnonzero(kinds != _BLURRED)[0]
+    return _Turn(
+        jnp.asarray(kinds),
+        jnp.where(index == first, refine.worse_at_first, refine.worse).astype(dtype),
+        jnp.asarray(index > first),
+        jnp.asarray(index == len(kinds) - 1),
+    )
+
+
+def _every(given: Given) -> Any:
+    """All views, where labels are measured in them."""
+    return given.views.grid if isinstance(given.views, PreparedViews) else None
+
+
+def _views(given: Given) -> PreparedViews | PreparedPhotographs:
+    if given.views is None:
+        raise ValueError("dense labels need a `measurement` in the chain, got None.")
+    return given.views
+
+
+def _look(given: Given, disparity: Array) -> Look:
+    """What the views of the crosshair, or the photographs, show around a map."""
+
+    @staged
+    def look(disparity: Array) -> Look:
+        found = _views(given).look(disparity).per_pixel()
+        alone = _every(given) is None
+        return found if alone else found._replace(cross=jnp.zeros_like(disparity))
+
+    return look(disparity)
+
+
+def _around(given: Given, found: Look, disparity: Array, *, parts: Parts) -> Look:
+    """What all views show around a map; beside its steps, what the crosshair does."""
+    params = _views(given).params
+    whole = look_around(_every(given), disparity, params, radius=params.radius)
+    share = _share_of_all(disparity, parts.refine.parted)
+    return jax.tree.map(lambda a, c: share * a + (1 - share) * c, whole.per_pixel(), found)
+
+
+def _sharpened(
+    given: Given,
+    state: _State,
+    turn: _Turn,
+    parts: Parts,
+) -> tuple[_State, Look]:
+    """The map, sharpened where the views do not mind, if it is the turn for that; and its look."""
+    assert state.blurred is not None
+    sharpens, params = turn.kind == _SHARPENED, _views(given).params
+
+    def disagreement(found: Look, disparity: Array) -> Array:
+        return mismatch(found, given.lab, disparity, params, passes=params.passes)
+
+    def sharper(disparity: Array) -> Array:
+        return parts.refine.sharpen(disparity, given.guide)
+
+    moved = kept(lax.cond(sharpens, sharper, lambda d: d, state.disparity))
+    found = kept(_look(given, moved))
+    compared = sharpens | (turn.kind == _BLURRED)
+    differs = lax.cond(compared, disagreement, lambda _, d: jnp.zeros_like(d), found, moved)
+    minds = sharpens & (differs > turn.slack * (state.blurred.mismatch + 2 * params.noise**2))
+    # What was seen of the chosen map need not be looked up again.
+    disparity, found = jax.tree.map(
+        partial(jnp.where, minds), (state.disparity, state.blurred.found), (moved, found)
+    )
+    return _State(disparity, state.error, _Blurred(found, differs)), found
+
+
+def _solve(given: Given, found: Look, disparity: Array, turn: _Turn, parts: Parts) -> Any:
+    """Labels at every pixel, with those of the points, diffused."""
+    params, refine, sparse = _views(given).params, parts.refine, given.from_points
+    assert parts.dense is not None
+
+    @staged
+    def measured(found: Look, disparity: Array) -> PhotometricLabels:
+        return labels(found, given.lab, disparity, params, passes=params.passes)
+
+    if _every(given) is not None:
+        # Points were measured in the crosshair, and have no say against all views.
+        alone = 1 - _share_of_all(disparity, refine.parted)
+        share = jnp.where(turn.kind == _AROUND, alone, 1)
+        sparse = sparse._replace(weight=share * sparse.weight)
+    dense = kept(measured(found, disparity))
+    return diffused(
+        parts.dense(sparse, dense, disparity, params, refine.precision, given.lit),
+        cut_edges(given, disparity, parts.smoothness),
+        disparity,
+        given.span,
+        refine,
+        parts.solver,
+        sloped=turn.sloped,
+        last=turn.last,
+    )
+
+
+def _share_of_all(disparity: Array, parted: Array) -> Array:
+    """Share of all views against the crosshair in the label of a pixel: 1 far from steps."""
+    window = (2 * _BESIDE + 1,) * 2
+    step = lax.reduce_window(steepest(disparity), -jnp.inf, lax.max, window, (1, 1), "SAME")
+    return 1 / (1 + (step / parted) ** 4)

@@ -1,0 +1,77 @@
+"""What a result says against itself, in sentences for people."""
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from ._result import DepthResult
+
+# Share of the pixels at or beyond the ends of the range, from which the range is doubted.
+_AT_THE_ENDS = 0.02
+# How near an end is at it, px per view step.
+_NEAR = 0.005
+# Half of the pixels known to no better than this share of the range are not known.
+_VAGUE = 0.25
+
+
+def problems(result: "DepthResult") -> tuple[str, ...]:
+    """See `DepthResult.problems`."""
+    stats = result.stats
+    if not bool(stats.sound):
+        return ("a parameter is NaN, infinite or negative, so the map is NaN.",)
+    found = list(map_problems(result.disparity, result.error, stats.converged, stats.searched))
+    if not int(stats.edges.valid):
+        # A step between two plain surfaces may be a surface's end, and then fits any disparity.
+        found.append("no edge was found: the views do not determine the map, whatever its error.")
+    if int(stats.edges.overflow):
+        found.append(f"{int(stats.edges.overflow)} weak edges found no slot and were left out.")
+    return tuple(found)
+
+
+def map_problems(disparity: Any, error: Any, converged: Any, searched: Any) -> tuple[str, ...]:
+    """What a disparity map and its statistics say against it, on the host.
+
+    Args:
+        disparity: px, `[y, x]`.
+        error: its standard error, px, `[y, x]`.
+        converged: whether every diffusion reached its tolerance.
+        searched: lowest and highest disparity that was tried, px.
+
+    Returns:
+        Sentences for people, none if there is nothing to say.
+
+    Example:
+        >>> map_problems(np.zeros((2, 2)), np.full((2, 2), 0.01), False, (-1.0, 1.0))
+        ('a diffusion stopped before its tolerance.',)
+    """
+    disparity, error, searched = np.asarray(disparity), np.asarray(error), np.asarray(searched)
+    unknown = int((~np.isfinite(disparity)).sum())
+    if unknown:
+        return (f"{unknown} of {disparity.size} disparities are NaN or infinite.",)
+    found, span = [], float(searched[1] - searched[0])
+    if not np.isfinite(error).any():
+        found.append("no pixel was measured at all: the views show nothing to compare.")
+    elif np.median(error) > _VAGUE * span:
+        found.append(
+            f"half of the pixels have a standard error above {np.median(error):.3g} px, of a range "
+            f"of {span:.3g} px: the views tell little about them."
+        )
+    if not bool(converged):
+        found.append("a diffusion stopped before its tolerance.")
+    return (*found, *_range_doubts(disparity, searched))
+
+
+def _range_doubts(disparity: np.ndarray, searched: np.ndarray) -> list[str]:
+    """Where the range was too narrow, pixels gather beyond its ends."""
+    doubts = []
+    for end, word, beyond in (
+        (searched[0], "lowest", disparity < searched[0] - _NEAR),
+        (searched[1], "highest", disparity > searched[1] + _NEAR),
+    ):
+        if beyond.mean() > _AT_THE_ENDS:
+            doubts.append(
+                f"{100 * beyond.mean():.0f} % of the pixels lie beyond the {word} disparity that "
+                f"was tried, {end:.4g} px: the range is likely to be wider."
+            )
+    return doubts

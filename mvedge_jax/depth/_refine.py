@@ -1,0 +1,119 @@
+"""What the diffusions of the chain read, and how they go."""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import lineax as lx
+from jaxtyping import Array, Float
+
+from mvedge_jax._params import at_least, number
+from mvedge_jax.photometry import PreparedViews
+from mvedge_jax.photometry.photographs import PreparedPhotographs
+from mvedge_jax.smoothness import Smoothness
+
+from ._dense import DenseLabels
+from ._labels import Labels
+from ._sharpen import Sharpen
+from ._slopes import Slopes
+from ._standard_error import StandardError
+
+
+class Refine(eqx.Module):
+    """How labels become a map: weights of the diffusion, and when to sharpen and solve again.
+
+    With dense labels: sharpening, `solves` diffusions, sharpening, `solves` diffusions, and, where
+    they are measured in all views, two more. Without: `solves` diffusions and one sharpening.
+
+    Attributes:
+        precision: standard error at which a label counts half as much as a perfect one.
+        stiffness: weight of an uncut edge between pixels against a perfect label.
+        slopes: of the map's slopes; None for a map that is as flat as its labels allow.
+        sharpen: moves depth steps onto color steps.
+        error: from errors of labels to those of the map.
+        worse_at_first: a pixel follows the first sharpened map unless its residual grows by more
+            than this factor (plus twice this, squared noise): the median would swallow structures
+            that are thinner than half of its window, and the views know better. At first, thin
+            structures are not yet fitted to the views.
+        worse: the same factor for the second sharpening.
+        parted: step beside a pixel that halves the share of all views in its label: the views of
+            the corners look past an edge on two sides, and smear it.
+        outline_odds: log odds that the map has a pixel beside a step on the right side.
+        solves: diffusions between two sharpenings.
+        outlines: whether pixels beside depth steps go to the surface that covers most of them, see
+            `warping.outline`.
+    """
+
+    precision: Float[Array, ""] = number(0.005, "px")
+    stiffness: Float[Array, ""] = number(1.5, "perfect labels")
+    slopes: Slopes | None = eqx.field(default_factory=Slopes)
+    sharpen: Sharpen = eqx.field(default_factory=Sharpen)
+    error: StandardError = eqx.field(default_factory=StandardError)
+    worse_at_first: Float[Array, ""] = number(1.2, threshold=True)
+    worse: Float[Array, ""] = number(2.0, threshold=True)
+    parted: Float[Array, ""] = number(0.1, "px")
+    outline_odds: Float[Array, ""] = number(8.0, "log odds", threshold=True)
+    solves: int = eqx.field(static=True, default=2)
+    outlines: bool = eqx.field(static=True, default=True)
+
+    def __check_init__(self) -> None:
+        at_least(self, solves=1)
+
+
+class Map(NamedTuple):
+    """A map, the standard error of its labels, and how the diffusions went.
+
+    Attributes:
+        disparity: `[y, x]`.
+        error: of the labels that every pixel is made from; 0 without labels. `StandardError` makes
+            it that of the map.
+        iterations: of every diffusion of the map.
+        converged: whether all diffusions reached their tolerance.
+    """
+
+    disparity: Array
+    error: Array
+    iterations: Array
+    converged: Array
+
+
+class Given(NamedTuple):
+    """What all solves read.
+
+    Attributes:
+        from_points: labels of the points, of weight 0 where there is none.
+        views: of a light field or of posed photographs, ready to be measured in; None without
+            dense labels.
+        lab: the reference view in CIELAB, denoised, `[c, y, x]`.
+        guide: the same in sRGB.
+        span: width of the range that was searched, px: the standard error of a map without
+            evidence.
+        depth_edge: depth-edge confidence, px per px, `[y, x]`.
+        lit: 0 where there is nothing of the scene to see: no label counts, and no step is cut.
+    """
+
+    from_points: Labels
+    views: PreparedViews | PreparedPhotographs | None
+    lab: Float[Array, "c y x"]
+    guide: Float[Array, "c y x"]
+    span: Float[Array, ""]
+    depth_edge: Float[Array, "y x"]
+    lit: Float[Array, "y x"] | None = None
+
+
+class Parts(NamedTuple):
+    """The parts of the chain that turn labels into a map."""
+
+    dense: DenseLabels | None
+    smoothness: Smoothness
+    solver: lx.AbstractLinearSolver
+    refine: Refine
+
+
+def cut_edges(given: Given, disparity: Array, smoothness: Smoothness) -> tuple[Array, Array]:
+    """Smoothness by the steps of a map: full between neighbors of which one is not lit."""
+    tx, ty = smoothness(given.lab, disparity, given.depth_edge)
+    if given.lit is None:
+        return tx, ty
+    across, down = given.lit[:, 1:] * given.lit[:, :-1], given.lit[1:] * given.lit[:-1]
+    return jnp.maximum(tx, 1 - across), jnp.maximum(ty, 1 - down)

@@ -1,0 +1,77 @@
+"""What the chain returns."""
+
+from typing import NamedTuple
+
+from jaxtyping import Array, Bool, Float, Int
+
+from mvedge_jax.edges import EdgePoints, EdgeStats
+from mvedge_jax.edges.sides import SurfaceVectors
+from mvedge_jax.photometry import Noise
+from mvedge_jax.photometry.brightness import Exposure
+
+from ._problems import problems
+
+
+class DepthStats(NamedTuple):
+    """How the chain went.
+
+    Attributes:
+        edges: counts of the point stage.
+        points: edge points that reached a pixel.
+        sided: points with a surface vector.
+        iterations: of the two directional diffusions and of every map, in order.
+        converged: whether every diffusion of maps, slopes and errors reached its tolerance.
+        noise: of the views, in their units after `exposure` was taken out.
+        exposure: what was taken out of the views before they were compared.
+        sound: whether all parameters were finite and none negative; if not, the map is NaN.
+        searched: lowest and highest disparity that was tried, px per view step.
+    """
+
+    edges: EdgeStats
+    points: Int[Array, ""]
+    sided: Int[Array, ""]
+    iterations: Int[Array, " solves"]
+    converged: Bool[Array, ""]
+    noise: Noise
+    exposure: Exposure
+    sound: Bool[Array, ""]
+    searched: Float[Array, "2"]
+
+
+class DepthResult(NamedTuple):
+    """Depth of the centre view, with what it was made from.
+
+    Attributes:
+        disparity: px per view step, larger is nearer, `[y, x]`.
+        error: standard error of the disparity, px, `[y, x]`: of the labels that a pixel was made
+            from, its own and, where these are weak, those of its surroundings, which far from any
+            label give way to the spread of the whole map or, where little was measured at all, to
+            the width of the range that was tried; and what half a pixel of doubt about the place of
+            a depth step amounts to. Infinite if there is no label at all.
+        depth_edge: depth-edge confidence (Thesis, Section 4.3), px per px, `[y, x]`.
+        points: the multi-view edges.
+        surface: their surface vectors, scores and probabilities.
+        stats: counts and iterations.
+    """
+
+    disparity: Float[Array, "y x"]
+    error: Float[Array, "y x"]
+    depth_edge: Float[Array, "y x"]
+    points: EdgePoints
+    surface: SurfaceVectors
+    stats: DepthStats
+
+    def problems(self) -> tuple[str, ...]:
+        """What the statistics say against the map, one sentence each; on the host."""
+        return problems(self)
+
+    def check(self) -> "DepthResult":
+        """The same result, if there is nothing to say against it; on the host.
+
+        Raises:
+            RuntimeError: with the sentences of `problems`.
+        """
+        found = self.problems()
+        if found:
+            raise RuntimeError("The depth is not to be trusted: " + " ".join(found))
+        return self

@@ -1,0 +1,56 @@
+"""From labels to a map: the diffusions of the chain."""
+
+from typing import Any
+
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Float
+
+from mvedge_jax._fence import recomputed
+
+from ._diffused import diffused
+from ._labels import Labels as Labels
+from ._measured_map import measured_map
+from ._refine import Given as Given, Map as Map, Parts as Parts, cut_edges
+
+
+def refine_disparity(given: Given, first: Float[Array, "y x"], parts: Parts) -> Map:
+    """Diffusion of labels, repeated, with slopes from the second solve on, and sharpening.
+
+    With dense labels, these are measured anew around every map, and a pixel follows the sharpened
+    map only where the views do not mind. Without, the labels of the points are diffused `solves`
+    times, each time with the edges that the map before it cuts, and the map is sharpened once.
+
+    Args:
+        given: see `Given`.
+        first: where to start, px per view step.
+        parts: of the chain.
+
+    Returns:
+        The map. Differentiable.
+    """
+    solve = measured_map if parts.dense is not None else _map_of_points
+    return solve(given, first, parts)
+
+
+def _map_of_points(given: Given, first: Array, parts: Parts) -> Map:
+    count, sharpen = parts.refine.solves, parts.refine.sharpen
+
+    def step(state: tuple[Array, Array], index: Array) -> tuple[tuple[Array, Array], Any]:
+        disparity = state[0]
+        return diffused(
+            given.from_points,
+            cut_edges(given, disparity, parts.smoothness),
+            disparity,
+            given.span,
+            parts.refine,
+            parts.solver,
+            sloped=index > 0,
+            last=index == count - 1,
+        )
+
+    start = (first, jnp.zeros_like(first))
+    (disparity, error), (iterations, converged) = lax.scan(
+        recomputed(step), start, jnp.arange(count)
+    )
+    return Map(sharpen(disparity, given.guide), error, iterations, jnp.all(converged))

@@ -1,0 +1,162 @@
+"""The sides part: on which surface each label belongs, and where depth edges are."""
+
+from collections.abc import Callable
+from typing import NamedTuple, Protocol, runtime_checkable
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from mvedge_jax._fence import staged
+from mvedge_jax._params import at_least, cast
+from mvedge_jax.color import srgb_to_gray
+from mvedge_jax.photometry import Evidence
+
+from .._points import EdgePoints
+from ._bidirectional import Bidirectional, DirectionalDiffusion, bidirectional
+from ._profile import step_response, thesis_response
+from ._reprojection import reprojection_score
+from ._surface import SideVote, SurfaceVectors, choose, surface_vectors
+
+
+class Sides(NamedTuple):
+    """On which side of its edge each label belongs.
+
+    Attributes:
+        surface: the choice per point.
+        confidence: depth-edge confidence of every point, `lambda_e` of (6.3), px, `[n]`.
+        edge: depth-edge confidence of every pixel (Thesis 4.3), px per px, `[y, x]`.
+        initial: a map of the labels, px per view step, `[y, x]`.
+        iterations: of the diffusions, `[k]`.
+    """
+
+    surface: SurfaceVectors
+    confidence: Float[Array, " n"]
+    edge: Float[Array, "y x"]
+    initial: Float[Array, "y x"]
+    iterations: Array
+
+
+@runtime_checkable
+class SideChoice(Protocol):
+    """Chooses the side of every edge point; called inside `jit`.
+
+    Points that are not valid get no offset and no preference. Which side is the likelier one is a
+    selection; scores and probabilities are differentiable.
+    """
+
+    def __call__(self, points: EdgePoints, evidence: Evidence) -> Sides:
+        """Chooses sides.
+
+        Args:
+            points: the edge points.
+            evidence: what the views say; `measured` may be None.
+
+        Returns:
+            See `Sides`.
+        """
+        ...
+
+
+class BidirectionalSides(eqx.Module):
+    """Sides by two directional diffusions, by neighboring labels and by the measured map.
+
+    Attributes:
+        diffusion: of the labels from either side of their edges (4.2.2).
+        vote: how the evidence is weighed.
+    """
+
+    diffusion: DirectionalDiffusion = eqx.field(default_factory=DirectionalDiffusion)
+    vote: SideVote = eqx.field(default_factory=SideVote)
+
+    def __call__(self, points: EdgePoints, evidence: Evidence) -> Sides:
+        """See `SideChoice`."""
+        passes = _both_ways(points, evidence, self.diffusion, step_response)
+        first = None if evidence.measured is None else evidence.measured.disparity
+
+        def vectors(
+            points: EdgePoints, response: Array, first: Array | None, vote: SideVote
+        ) -> SurfaceVectors:
+            return surface_vectors(points, response, first, vote, shape=evidence.shape)
+
+        return _sides(staged(vectors)(points, passes.response, first, self.vote), passes)
+
+
+class ThesisSides(eqx.Module):
+    """Sides by the step response of two directional diffusions, and nothing else.
+
+    Attributes:
+        diffusion: of the labels from either side of their edges.
+        vote: its `offset` and `temperature` are read.
+
+    Source: Thesis 4.2.2: profiles are stretched to [-1, 1] before the step filter.
+    """
+
+    diffusion: DirectionalDiffusion = eqx.field(default_factory=DirectionalDiffusion)
+    vote: SideVote = eqx.field(default_factory=SideVote)
+
+    def __call__(self, points: EdgePoints, evidence: Evidence) -> Sides:
+        """See `SideChoice`."""
+        passes = _both_ways(points, evidence, self.diffusion, thesis_response)
+        return _sides(choose(points, passes.response, self.vote), passes)
+
+
+class ReprojectionSides(eqx.Module):
+    """Sides by the directional map that reprojects better: the rival of bidirectional diffusion.
+
+    Attributes:
+        diffusion: of the labels from either side of their edges.
+        vote: its `offset` and `temperature` are read.
+        radius: how far occluders are looked for, px.
+
+    Source: Thesis 6.2.4, Tab. 6.2.
+    """
+
+    radius: int = eqx.field(static=True)
+    diffusion: DirectionalDiffusion = eqx.field(default_factory=DirectionalDiffusion)
+    vote: SideVote = eqx.field(default_factory=SideVote)
+
+    def __check_init__(self) -> None:
+        at_least(self, radius=1)
+
+    def __call__(self, points: EdgePoints, evidence: Evidence) -> Sides:
+        """See `SideChoice`."""
+        passes = _both_ways(points, evidence, self.diffusion, thesis_response)
+        arms = evidence.calibrated.arms
+        score = reprojection_score(
+            points, passes.forward, passes.backward, *arms, radius=self.radius
+        )
+        return _sides(choose(points, score, self.vote), passes)
+
+
+class NoSides(eqx.Module):
+    """Labels stay on their edges; the naive variant of Fig. B.1."""
+
+    def __call__(self, points: EdgePoints, evidence: Evidence) -> Sides:
+        """See `SideChoice`."""
+        nothing = jnp.zeros_like(points.disparity)
+        surface = choose(points, nothing, cast(SideVote(), nothing.dtype))
+        count = jnp.sum(points.valid)
+        mean = jnp.sum(points.disparity) / jnp.maximum(count, 1)
+        flat = jnp.zeros(evidence.shape, nothing.dtype)
+        return Sides(surface, nothing, flat, flat + mean, jnp.zeros(0, jnp.int32))
+
+
+def _both_ways(
+    points: EdgePoints,
+    evidence: Evidence,
+    params: DirectionalDiffusion,
+    respond: Callable[[Float[Array, "7 n"]], Float[Array, " n"]],
+) -> Bidirectional:
+    gray = srgb_to_gray(jnp.moveaxis(evidence.calibrated.guide, 0, -1))
+
+    @staged
+    def diffused(points: EdgePoints, gray: Array, params: DirectionalDiffusion) -> Bidirectional:
+        return bidirectional(points, gray, params, respond=respond)
+
+    return diffused(points, gray, cast(params, gray.dtype))
+
+
+def _sides(surface: SurfaceVectors, passes: Bidirectional) -> Sides:
+    initial = 0.5 * (passes.forward + passes.backward)
+    return Sides(surface, passes.confidence, passes.edge, initial, passes.iterations)

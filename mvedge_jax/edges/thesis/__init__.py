@@ -1,0 +1,5 @@
+"""Edge points by the thesis' own steps (Thesis 4.1)."""
+
+from ._edges import ThesisEdges as ThesisEdges
+from ._joint_filter import joint_filter as joint_filter
+from ._lines import LineSearch as LineSearch

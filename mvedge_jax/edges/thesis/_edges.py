@@ -1,0 +1,184 @@
+"""Edge points as the thesis finds them: lines of EPIs, tested and averaged."""
+
+import math
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax.typing import DTypeLike
+from jaxtyping import Array, Bool, Float, PRNGKeyArray
+
+from mvedge_jax._params import at_least, cast, number, positive
+from mvedge_jax.color import srgb_to_gray, srgb_to_lab
+from mvedge_jax.epi import FilterBank, bank_radius, exponential_disparities, prewitt_bank
+from mvedge_jax.image import nearest_pixels, unit_gradient
+from mvedge_jax.photometry import Evidence
+
+from .._points import EdgePoints, Edges, EdgeStats
+from ._joint_filter import joint_filter
+from ._lines import ArmLines, LineSearch, arm_lines
+
+# Views in which a point must be seen.
+_FEWEST_VIEWS = 3
+
+
+class ThesisEdges(eqx.Module):
+    """Edges by the thesis' own steps (4.1); what it leaves open is taken from the authors' program.
+
+    Filters answer in every EPI of both arms (4.1.1), lines are fitted to the answers, strongest
+    first (4.1.2), at two scales (4.1.4), moved at random while their entropy falls, tested against
+    the gradient of the EPI (4.1.5) and by a vote of their surroundings (4.1.3); what is left is
+    averaged with neighbors of like place, disparity and color. Nothing but the spacing of the
+    filters is known of the error of a point.
+
+    Attributes:
+        reach: largest disparity of the filters in magnitude, px per view step.
+        capacity: slots for points.
+        filters: number of filters, see `epi.exponential_disparities`.
+        joint: average with neighbors in space, disparity and color (Eq. 4.6).
+        lines: how lines are found and tested.
+        banks: filters of the horizontal and of the vertical arm; None for oriented Prewitt filters.
+            Give them (`prewitt`) to learn them; disparities have a derivative in their taps with
+            `lines.interpolate`.
+        half_confidence: strength at which the confidence is one half.
+        space_sigma: reach of the joint filter in space.
+        disparity_sigma: reach of the joint filter in disparity.
+        color_sigma: reach of the joint filter in color, sRGB in [0, 1].
+    """
+
+    reach: float = eqx.field(static=True)
+    capacity: int = eqx.field(static=True)
+    filters: int = eqx.field(static=True, default=60)
+    joint: bool = eqx.field(static=True, default=True)
+    lines: LineSearch = eqx.field(default_factory=LineSearch)
+    banks: tuple[FilterBank, FilterBank] | None = None
+    half_confidence: Float[Array, ""] = number(2.0, "CIELAB/px")
+    space_sigma: Float[Array, ""] = number(5.0, "px")
+    disparity_sigma: Float[Array, ""] = number(0.1, "px")
+    color_sigma: Float[Array, ""] = number(0.5, "sRGB")
+
+    def __check_init__(self) -> None:
+        positive(self, "reach")
+        at_least(self, filters=4, capacity=1)
+
+    def prewitt(
+        self, views: tuple[int, ...], dtype: DTypeLike = jnp.float32
+    ) -> tuple[FilterBank, FilterBank]:
+        """Oriented Prewitt filters, denser around disparity 0: where learning them starts.
+
+        Args:
+            views: rows and columns of the grid of views, perhaps with more after them.
+            dtype: of the filters.
+
+        Returns:
+            The bank of the horizontal arm and that of the vertical one.
+
+        Example:
+            >>> across, down = ThesisEdges(reach=1.0, capacity=64).prewitt((3, 9))
+            >>> across.taps.shape[:2], down.taps.shape[:2]
+            ((59, 9), (59, 3))
+        """
+        disparity = jnp.asarray(exponential_disparities(self.filters, self.reach), dtype)
+        across, down = (
+            prewitt_bank(disparity, count, bank_radius(self.reach, count)) for count in views[1::-1]
+        )
+        return across, down
+
+    def __call__(self, evidence: Evidence, *, key: PRNGKeyArray | None = None) -> Edges:
+        """See `EdgeDetector`.
+
+        Args:
+            evidence: the calibrated views are read, no measurement.
+            key: draws the proposals of the entropy search; only that needs one.
+
+        Returns:
+            The points of the horizontal arm, then those of the vertical one, and statistics:
+            candidates are lines, consistent those that pass the tests. Differentiable at the lines
+            chosen; disparities in the taps only with `lines.interpolate`.
+
+        Raises:
+            ValueError: the entropy search is asked for without a key.
+        """
+        if self.lines.entropy and key is None:
+            raise ValueError(
+                "`key` must be given for the entropy search of `ThesisEdges`, such as "
+                "`jax.random.key(0)`, got None."
+            )
+        return _thesis_edges(evidence, self, key)
+
+
+def _thesis_edges(evidence: Evidence, part: ThesisEdges, key: PRNGKeyArray | None) -> Edges:
+    views = evidence.calibrated
+    own, down = (jnp.moveaxis(arm.planes, 1, -1) for arm in views.arms)
+    centre = own[own.shape[0] // 2]
+    part = cast(part, centre.dtype)
+    keys = (None, None) if key is None else tuple(jax.random.split(key))
+    banks = part.banks
+    if banks is None:
+        banks = part.prewitt((down.shape[0], own.shape[0]), centre.dtype)
+    arms = [
+        arm_lines(srgb_to_lab(arm), bank, part.lines, key=draw)
+        for arm, bank, draw in zip((own, down), banks, keys, strict=True)
+    ]
+    xy, disparity, strength, visible, keep = _of_both(arms[0], arms[1])
+
+    chosen = jnp.nonzero(keep, size=part.capacity, fill_value=0)[0]
+    total = keep.sum()
+    valid = jnp.arange(part.capacity, dtype=total.dtype) < total
+    xy, disparity, strength, visible = (a[chosen] for a in (xy, disparity, strength, visible))
+    if part.joint:
+        disparity = _smoothed(xy, disparity, valid, centre, part)
+    row, column, _ = nearest_pixels(xy, evidence.shape)
+    points = EdgePoints(
+        xy,
+        disparity,
+        confidence=strength / (strength + part.half_confidence),
+        error=jnp.full_like(disparity, 2 * part.reach / part.filters / math.sqrt(12)),
+        normal=unit_gradient(srgb_to_gray(centre))[row, column],
+        visible=visible,
+        valid=valid,
+    )
+
+    def only(leaf: Array) -> Array:
+        there = valid.reshape(-1, *[1] * (leaf.ndim - 1))
+        return jnp.where(there, leaf, jnp.zeros_like(leaf))
+
+    overflow = arms[0].left + arms[1].left + jnp.maximum(total - part.capacity, 0)
+    lines = arms[0].lines.valid.sum() + arms[1].lines.valid.sum()
+    return Edges(jax.tree.map(only, points), EdgeStats(lines, overflow, total, valid.sum()))
+
+
+def _of_both(across: ArmLines, down: ArmLines) -> list[Array]:
+    """Positions, disparities, strengths, visibilities of all lines, and which are points."""
+    parts = []
+    for own, other in ((across, down), (down, across)):
+        epi = jnp.arange(own.keep.shape[0], dtype=own.lines.position.dtype)[:, None]
+        epi, along = jnp.broadcast_to(epi, own.keep.shape), own.lines.position
+        xy = jnp.stack([along, epi] if own is across else [epi, along], -1)
+        # The authors hide a point from the other arm where the centre view does not show it.
+        shown = own.visible[..., own.visible.shape[-1] // 2, None]
+        others = jnp.broadcast_to(shown, (*own.keep.shape, other.visible.shape[-1]))
+        order = [others, own.visible] if own is across else [own.visible, others]
+        visible = jnp.concatenate(order, -1)
+        keep = own.keep & (visible.sum(-1) >= _FEWEST_VIEWS)
+        fields = (xy, own.lines.disparity, own.lines.confidence, visible, keep)
+        parts.append([field.reshape(-1, *field.shape[2:]) for field in fields])
+    return [jnp.concatenate(pair) for pair in zip(*parts, strict=True)]
+
+
+def _smoothed(
+    xy: Float[Array, "n 2"],
+    disparity: Float[Array, " n"],
+    valid: Bool[Array, " n"],
+    color: Float[Array, "y x c"],
+    part: ThesisEdges,
+) -> Float[Array, " n"]:
+    """Disparities after the joint filter."""
+    height, width = color.shape[:2]
+    row, column, _ = nearest_pixels(xy, (height, width))
+    place = jnp.where(valid, row * width + column, height * width)
+    nothing = jnp.zeros(height * width, disparity.dtype)
+    labels = nothing.at[place].set(disparity, mode="drop").reshape(height, width)
+    present = nothing.at[place].set(1, mode="drop").reshape(height, width) > 0
+    sigmas = part.space_sigma, part.disparity_sigma, part.color_sigma
+    return jnp.where(valid, joint_filter(labels, present, color, *sigmas)[row, column], disparity)

@@ -1,0 +1,132 @@
+"""The calibration part: views whose colors compare, and a first map."""
+
+from typing import NamedTuple, Protocol, runtime_checkable
+
+import equinox as eqx
+import jax.numpy as jnp
+
+from mvedge_jax._crosshair import crosshair
+from mvedge_jax._fence import staged
+from mvedge_jax._params import at_least, cast
+from mvedge_jax.color import srgb_to_lab
+from mvedge_jax.lightfield import LightField
+
+from ._scene import CalibratedViews, PreparedViews, first_labels, prepare, prepare_views
+from .brightness import Exposure, Noise
+from .matching import Matching
+from .measuring import Measurement, PhotometricLabels
+
+
+@runtime_checkable
+class Calibration(Protocol):
+    """Views as they came to views whose colors compare; called inside `jit`.
+
+    It must not read ground truth, and keeps the dtype of the views.
+    """
+
+    def __call__(
+        self, light_field: LightField, searched: tuple[float, float], *, every: bool = False
+    ) -> CalibratedViews:
+        """Takes out of the views what is the cameras' and not the scene's.
+
+        Args:
+            light_field: the views as they came.
+            searched: lowest and highest disparity, px per view step.
+            every: calibrate all views, not those of the crosshair alone.
+
+        Returns:
+            The crosshair, what was taken out, the noise that is left. Differentiable.
+        """
+        ...
+
+
+class Calibrate(eqx.Module):
+    """Measures exposure, gains and noise, and the disparity at which the views agree best.
+
+    Attributes:
+        matching: costs of the hypotheses of the first map.
+        hypotheses: disparities tried per pixel.
+        window: half the width of the windows in which hypotheses are compared, px.
+    """
+
+    matching: Matching
+    hypotheses: int = eqx.field(static=True)
+    window: int = eqx.field(static=True, default=2)
+
+    def __check_init__(self) -> None:
+        at_least(self, hypotheses=2, window=0)
+
+    def __call__(
+        self, light_field: LightField, searched: tuple[float, float], *, every: bool = False
+    ) -> CalibratedViews:
+        """See `Calibration`."""
+        dtype = light_field.views.dtype
+        tried = jnp.linspace(*searched, self.hypotheses, dtype=dtype)
+        return prepare(light_field, tried, self.matching, window=self.window, every=every)
+
+
+class AsIs(eqx.Module):
+    """Takes the views as they are, as the thesis does; no first map."""
+
+    def __call__(
+        self, light_field: LightField, searched: tuple[float, float], *, every: bool = False
+    ) -> CalibratedViews:
+        """See `Calibration`."""
+        del searched, every
+        dtype = light_field.views.dtype
+        exposure = Exposure(jnp.ones((), dtype), jnp.ones(light_field.views.shape[:2], dtype))
+        guide = jnp.moveaxis(light_field.centre_view, -1, 0)
+        lab = jnp.moveaxis(srgb_to_lab(light_field.centre_view), -1, 0)
+        noise = Noise.of(jnp.zeros((), dtype))
+        return CalibratedViews(crosshair(light_field), exposure, noise, guide, lab, None)
+
+
+class Evidence(NamedTuple):
+    """What the views say before any edge is looked for.
+
+    Attributes:
+        calibrated: views whose colors compare.
+        prepared: the same, ready to be measured in; None without a measurement.
+        measured: disparity and standard error of every pixel around the first map; None likewise.
+    """
+
+    calibrated: CalibratedViews
+    prepared: PreparedViews | None
+    measured: PhotometricLabels | None
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns of the centre view."""
+        height, width = self.calibrated.guide.shape[1:]
+        return height, width
+
+
+def gather_evidence(
+    light_field: LightField,
+    calibration: Calibration,
+    measurement: Measurement | None,
+    searched: tuple[float, float],
+) -> Evidence:
+    """Calibrates the views and measures every pixel around the first map.
+
+    Args:
+        light_field: the crosshair of views is read, or all of them (`Measurement.views`).
+        calibration: see `Calibration`.
+        measurement: None for no measurement.
+        searched: lowest and highest disparity, px per view step.
+
+    Returns:
+        See `Evidence`. Differentiable.
+    """
+    if measurement is None:
+        return Evidence(calibration(light_field, searched), None, None)
+    every = light_field if measurement.views == "all" else None
+    scene = calibration(light_field, searched, every=every is not None)
+
+    def prepared(
+        scene: CalibratedViews, params: Measurement, every: LightField | None
+    ) -> PreparedViews:
+        return prepare_views(scene, params, every=every)
+
+    views = staged(prepared)(scene, cast(measurement, scene.lab.dtype), every)
+    return Evidence(scene, views, staged(first_labels)(scene, views))

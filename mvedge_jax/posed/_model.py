@@ -1,0 +1,110 @@
+"""The parts of depth from posed photographs."""
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import equinox as eqx
+import lineax as lx
+import numpy as np
+
+from mvedge_jax._params import at_least
+from mvedge_jax._paths import described, replaced
+from mvedge_jax.depth import DenseLabels, MeasuredLabels, Refine
+from mvedge_jax.diffusion import AutoSolver
+from mvedge_jax.photometry.matching import Matching
+from mvedge_jax.photometry.measuring import Measurement
+from mvedge_jax.smoothness import ColorAndDepth, Smoothness
+
+from ._reference import STEPS, Reference
+
+# Hypotheses per px of movement in the farthest photograph.
+_PER_PX = 4.0
+# Hypotheses come in multiples of this: photographs of about the same range share a program.
+_ROUND = 16
+# More of them at once would take gigabytes.
+_MOST = 768
+
+
+def _matching() -> Matching:
+    """Few photographs, far apart: less is known of a pixel, and more must come along the paths."""
+    return Matching(truncation=16.0, slant=0.4, jump=2.0)
+
+
+def _measurement() -> Measurement:
+    """The same-surface tolerance is looser for posed images."""
+    return Measurement(same_surface=0.05)
+
+
+def _refine() -> Refine:
+    """Labels of few photographs are known to some hundredths of a pixel, not to thousandths."""
+    return Refine(precision=0.02)
+
+
+def _solver() -> AutoSolver:
+    return AutoSolver(tolerance=1e-5, by_residual=True)
+
+
+class StereoDepth(eqx.Module):
+    """Depth of one of a few posed photographs: parts of `EdgeDepth`, without edges.
+
+    Attributes:
+        hypotheses: disparities tried per pixel.
+        window: half the width of the windows in which hypotheses are compared, px.
+        matching: costs of the hypotheses that the first map starts from.
+        measurement: of every pixel; occluders are found wherever they are, its `radius` is not
+            read.
+        dense: weights of the measured labels.
+        smoothness: between neighboring pixels.
+        solver: of the diffusions.
+        refine: when to sharpen and solve again; its `outlines` is not read.
+    """
+
+    hypotheses: int = eqx.field(static=True)
+    window: int = eqx.field(static=True, default=2)
+    matching: Matching = eqx.field(default_factory=_matching)
+    measurement: Measurement = eqx.field(default_factory=_measurement)
+    dense: DenseLabels = eqx.field(default_factory=MeasuredLabels)
+    smoothness: Smoothness = eqx.field(default_factory=ColorAndDepth)
+    solver: lx.AbstractLinearSolver = eqx.field(default_factory=_solver)
+    refine: Refine = eqx.field(default_factory=_refine)
+
+    def __check_init__(self) -> None:
+        at_least(self, hypotheses=2, window=0)
+
+    @staticmethod
+    def of(reference: Reference, *, choices: Mapping[str, Any] | None = None) -> "StereoDepth":
+        """Chooses the number of hypotheses on the host.
+
+        Args:
+            reference: its range of disparities, and that the farthest photograph is four steps
+                away, say how many hypotheses are a quarter of a pixel apart there.
+            choices: numbers and static fields to set, by path.
+
+        Returns:
+            The model for `stereo`.
+
+        Raises:
+            ValueError: a choice is out of range, or the range of depths asks for too many
+                hypotheses.
+        """
+        low, high = np.asarray(reference.disparity_range, np.float64)
+        choices = dict(choices or {})
+        count = choices.pop("hypotheses", None)
+        if count is None:
+            wanted = _PER_PX * STEPS * (high - low) + 1
+            count = _ROUND * max(1, math.ceil(wanted / _ROUND))
+            if count > _MOST:
+                raise ValueError(
+                    f"`reference` has disparities from {low:.4g} to {high:.4g} px, which ask for "
+                    f"{count} hypotheses, expected at most {_MOST}; narrow the range of depths, "
+                    "shrink the photographs, or leave out those that are farthest away."
+                )
+        return StereoDepth(hypotheses=count).replace(choices)
+
+    def replace(self, choices: Mapping[str, Any] | None = None, /, **parts: Any) -> "StereoDepth":
+        """The same model with other parts, numbers or static fields; see `EdgeDepth.replace`."""
+        return replaced(self, {**(choices or {}), **parts})
+
+    def __str__(self) -> str:
+        return "\n".join(described(self))

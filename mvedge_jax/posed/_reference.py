@@ -1,0 +1,123 @@
+"""The photograph whose depth is asked for."""
+
+import math
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from ._photographs import Photographs
+
+# The farthest photograph is this many view steps away, as in a light field of 9x9 views: the
+# parameters' px per view step then mean the same.
+STEPS = 4.0
+# Without points or a range, no surface is nearer than this many times the largest baseline.
+_NEAREST = 8.0
+# How far beyond the points' range surfaces are looked for: share of the range of inverse depths.
+_MARGIN = 0.15
+
+
+class Reference(eqx.Module):
+    """The photograph whose depth is asked for, and what its disparities are counted in.
+
+    Attributes:
+        index: of the photograph.
+        baseline: the disparity of a pixel is its focal length, px, times this over its depth; in
+            the unit of the poses.
+        disparity_range: lowest and highest disparity to look for.
+    """
+
+    index: Int[Array, ""]
+    baseline: Float[Array, ""]
+    disparity_range: Float[Array, "2"]
+
+    def scale(self, photographs: Photographs) -> Float[Array, ""]:
+        """Disparity times depth.
+
+        Args:
+            photographs: whose focal length is meant.
+
+        Returns:
+            px times the unit of the poses. Differentiable.
+        """
+        matrix = photographs.intrinsics[self.index]
+        return jnp.sqrt(matrix[0, 0] * matrix[1, 1]) * self.baseline.astype(matrix.dtype)
+
+
+def reference_of(
+    photographs: Photographs,
+    index: int | str,
+    *,
+    depth_range: tuple[float, float] | None = None,
+) -> Reference:
+    """Chooses what a photograph's disparities are counted in, on the host.
+
+    Args:
+        photographs: two or more.
+        index: of the photograph, or its name.
+        depth_range: nearest and farthest depth to look for, in the unit of the poses; without, that
+            of the sparse points with a margin, and without points from eight times the largest
+            baseline to infinity.
+
+    Returns:
+        A baseline of a fourth of the distance to the farthest camera, and the range.
+
+    Raises:
+        ValueError: the photograph does not exist, all cameras are in one place, the range is empty
+            or not positive, or no point lies in the photograph's frame.
+
+    Example:
+        >>> poses = jnp.stack([jnp.eye(4), jnp.eye(4).at[0, 3].set(0.4)])
+        >>> matrix = jnp.asarray([[20.0, 0, 7.5], [0, 20.0, 5.5], [0, 0, 1]])
+        >>> pair = Photographs(jnp.zeros((2, 12, 16, 3)), poses, matrix)
+        >>> reference_of(pair, 0, depth_range=(1.0, 4.0)).disparity_range.round(3).tolist()
+        [0.5, 2.0]
+    """
+    index = photographs.index(index) if isinstance(index, str) else index
+    count = len(photographs.names)
+    if not 0 <= index < count:
+        raise ValueError(f"`index` must be between 0 and {count - 1}, got {index}.")
+    centres = np.asarray(photographs.centres, np.float64)
+    farthest = float(np.linalg.norm(centres - centres[index], axis=1).max())
+    if not farthest > 1e-9 * max(1.0, float(np.abs(centres).max())):
+        raise ValueError(
+            "`photographs` have zero baseline: all cameras are in one place, expected at least two "
+            "places to see depth from."
+        )
+    near, far = _inverse_range(photographs, index, depth_range, farthest)
+    baseline = farthest / STEPS
+    matrix = np.asarray(photographs.intrinsics[index], np.float64)
+    scale = math.sqrt(matrix[0, 0] * matrix[1, 1]) * baseline
+    dtype = photographs.images.dtype
+    return Reference(
+        jnp.asarray(index, jnp.int32),
+        jnp.asarray(baseline, dtype),
+        jnp.asarray([far * scale, near * scale], dtype),
+    )
+
+
+def _inverse_range(
+    photographs: Photographs,
+    index: int,
+    depth_range: tuple[float, float] | None,
+    farthest: float,
+) -> tuple[float, float]:
+    """Inverse depths of what is nearest and farthest."""
+    if depth_range is not None:
+        near, far = depth_range
+        if not 0 < near < far:
+            raise ValueError(f"`depth_range` must be 0 < near < far, got ({near:.4g}, {far:.4g}).")
+        return 1 / near, 1 / far
+    if photographs.points is None:
+        return 1 / (_NEAREST * farthest), 0.0
+    inverse = 1 / photographs.point_depths(index)
+    if inverse.size < 2:
+        raise ValueError(
+            f"`photographs` have {inverse.size} points in the frame of {photographs.names[index]}, "
+            "expected at least 2 to tell its range of depths; give a `depth_range`."
+        )
+    # A few points of every reconstruction are wrong.
+    far, near = np.quantile(inverse, (0.01, 0.99))
+    margin = _MARGIN * (near - far) + 0.02 * near
+    return near + margin, max(far - margin, 0.2 * far)

@@ -1,0 +1,80 @@
+"""The thesis' smoothness terms: one number per pixel."""
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from mvedge_jax._params import number
+from mvedge_jax.diffusion import Pairing, edge_weights
+
+
+class ThesisSmoothness(eqx.Module):
+    r"""Smoothness that falls with the depth-edge confidence, $1 / (1 + \lambda_s / s)$.
+
+    Attributes:
+        depth_edge: confidence at which the smoothness is one half.
+        floor: least smoothness.
+        pairing: how two pixels' smoothness makes an edge's, see `edge_weights`.
+
+    Source: Thesis 4.3 and 6.1.
+    """
+
+    depth_edge: Float[Array, ""] = number(0.05, "px/px")
+    floor: Float[Array, ""] = number(1e-4)
+    pairing: Pairing = eqx.field(static=True, default="min")
+
+    def __call__(
+        self,
+        guide: Float[Array, "c y x"],
+        disparity: Float[Array, "y x"],
+        depth_edge: Float[Array, "y x"],
+    ) -> tuple[Float[Array, "y x-1"], Float[Array, "y-1 x"]]:
+        """See `Smoothness`; neither the colors nor the map are read."""
+        del guide
+        scale, floor = (a.astype(disparity.dtype) for a in (self.depth_edge, self.floor))
+        smooth = jnp.maximum(scale / (scale + depth_edge), floor)
+        return edge_weights(smooth, pairing=self.pairing)
+
+
+class ImageGradient(eqx.Module):
+    r"""Smoothness that falls with the gradient of the image, $e^{-g |\nabla L|}$.
+
+    Attributes:
+        gain: g.
+        floor: least smoothness.
+        pairing: how two pixels' smoothness makes an edge's, see `edge_weights`.
+
+    Source: Thesis 7.1.5, where Q starts as the image gradient.
+    """
+
+    gain: Float[Array, ""] = number(0.3, "px/L*")
+    floor: Float[Array, ""] = number(1e-4)
+    pairing: Pairing = eqx.field(static=True, default="min")
+
+    def __call__(
+        self,
+        guide: Float[Array, "c y x"],
+        disparity: Float[Array, "y x"],
+        depth_edge: Float[Array, "y x"],
+    ) -> tuple[Float[Array, "y x-1"], Float[Array, "y-1 x"]]:
+        """See `Smoothness`; the lightness alone is read."""
+        del depth_edge
+        gain, floor = (a.astype(disparity.dtype) for a in (self.gain, self.floor))
+        smooth = jnp.maximum(jnp.exp(-image_roughness(guide[0], gain)), floor)
+        return edge_weights(smooth, pairing=self.pairing)
+
+
+def image_roughness(lightness: Float[Array, "y x"], gain: Float[Array, ""]) -> Float[Array, "y x"]:
+    """The magnitude of the image gradient by central differences, scaled.
+
+    Args:
+        lightness: L* in 0..100.
+        gain: per unit of L* per pixel.
+
+    Returns:
+        At least 0. Differentiable, where the image is flat, too.
+    """
+    padded = jnp.pad(lightness, 1, mode="edge")
+    gx = (padded[1:-1, 2:] - padded[1:-1, :-2]) / 2
+    gy = (padded[2:, 1:-1] - padded[:-2, 1:-1]) / 2
+    return gain * jnp.sqrt(gx**2 + gy**2 + 1e-12)

@@ -1,0 +1,136 @@
+"""The parts of the centre view's reconstruction: smoothness, median."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from helpers import check_gradient, check_modes, count_traces, with_values
+from scipy import ndimage
+
+from mvedge_jax.depth import (
+    MedianParams,
+    Sharpening,
+    SmoothnessParams,
+    edge_smoothness,
+    sharpen,
+    weighted_median,
+)
+from mvedge_jax.depth._median import _box_sum
+
+
+def test_smoothness_needs_both_steps_to_cut():
+    lab = jnp.zeros((3, 1, 5)).at[0, 0, 2:].set(40.0)
+    depth = jnp.array([[0.0, 0.0, 1.0, 1.0, 1.0]])
+    params = SmoothnessParams()
+    both, _ = edge_smoothness(lab, depth, params)
+    colour, _ = edge_smoothness(lab, jnp.zeros_like(depth), params)
+    step, _ = edge_smoothness(jnp.zeros_like(lab), depth, params)
+    assert float(both[0, 1]) < 1e-4
+    assert float(colour.min()) > 0.99
+    assert float(step.min()) > 0.99
+    # The formula, written out.
+    expected = 1 / (1 + (40 / 0.3) ** 1.5 * (1 / 0.05) ** 2)
+    assert float(both[0, 1]) == pytest.approx(max(expected, 1e-6), rel=1e-3)
+
+
+def test_smoothness_gradient_matches_differences_and_is_finite_when_flat():
+    key = jax.random.key(0)
+    lab = 10 * jax.random.normal(key, (3, 5, 6))
+    depth = 0.1 * jax.random.normal(jax.random.key(1), (5, 6))
+
+    def loss(tree):
+        lab, depth, logs = tree
+        params = jax.tree.map(jnp.exp, logs)
+        tx, ty = edge_smoothness(lab, depth, params)
+        return jnp.sum(jnp.sqrt(tx)) + jnp.sum(jnp.sqrt(ty))
+
+    logs = jax.tree.map(jnp.log, SmoothnessParams())
+    check_gradient(loss, (lab, depth, logs), rtol=1e-5, step=1e-6, key=key)
+    flat = jax.grad(loss)((jnp.zeros((3, 4, 4)), jnp.zeros((4, 4)), logs))
+    assert all(bool(jnp.isfinite(leaf).all()) for leaf in jax.tree.leaves(flat))
+
+
+@pytest.mark.parametrize("radius", [1, 2, 4, 7])
+def test_box_sums_agree_with_scipy(radius):
+    image = np.random.default_rng(radius).uniform(size=(11, 17))
+    width = 2 * radius + 1
+    expected = ndimage.uniform_filter(image, width, mode="constant") * width**2
+    np.testing.assert_allclose(_box_sum(jnp.asarray(image), radius), expected, atol=1e-12)
+
+
+def blurred_step():
+    x = np.arange(40)
+    step = np.where(x < 20, -0.5, 0.7)
+    guide = np.where(x < 20, 0.2, 0.8)[None, None] * np.ones((3, 24, 1))
+    ramp = np.interp(x, [17, 22], [-0.5, 0.7])
+    return jnp.asarray(np.tile(ramp, (24, 1))), jnp.asarray(guide), step
+
+
+def test_sharpening_moves_a_blurred_step_onto_the_colour_step():
+    blurred, guide, step = blurred_step()
+    before = np.abs(np.asarray(blurred) - step).mean()
+    modes: tuple[Sharpening, ...] = ("clip", "median", "quantised")
+    for mode in modes:
+        sharp = sharpen(blurred, guide, MedianParams(), radius=6, mode=mode)
+        assert np.abs(np.asarray(sharp) - step).mean() < 0.4 * before
+    same = sharpen(blurred, guide, MedianParams(), mode="none")
+    np.testing.assert_array_equal(same, blurred)
+
+
+def test_clip_keeps_precision_where_there_is_nothing_to_sharpen():
+    y, x = np.mgrid[0:24, 0:30]
+    slope = jnp.asarray(0.003 * x + 0.001 * y)
+    guide = jnp.asarray(np.random.default_rng(0).uniform(size=(3, 24, 30)))
+    np.testing.assert_allclose(sharpen(slope, guide, MedianParams(), radius=5), slope, atol=5e-3)
+    gradient = jax.grad(lambda d: sharpen(d, guide, MedianParams(), radius=3).sum())(slope)
+    assert bool(jnp.isfinite(gradient).all())
+    assert float(gradient.mean()) > 0.5
+
+
+def test_median_of_a_constant_is_the_constant():
+    guide = jnp.asarray(np.random.default_rng(0).uniform(size=(3, 9, 7)))
+    for quantised in (False, True):
+        found = weighted_median(
+            jnp.full((9, 7), 0.3), guide, jnp.array(1e-6), radius=2, levels=8, quantised=quantised
+        )
+        np.testing.assert_allclose(found, 0.3, atol=1e-9)
+
+
+def test_median_with_a_flat_guide_is_the_plain_median():
+    rng = np.random.default_rng(2)
+    values = np.where(rng.uniform(size=(30, 30)) < 0.2, 1.0, 0.0)
+    guide = jnp.full((3, 30, 30), 0.5)
+    found = weighted_median(jnp.asarray(values), guide, jnp.array(1e-4), radius=3, levels=16)
+    # The guided filter averages twice, so its window is the triangle of two boxes.
+    weight = ndimage.uniform_filter(ndimage.uniform_filter(values, 7), 7)
+    sure = np.abs(weight - 0.5)[8:-8, 8:-8] > 0.1
+    expected = (weight > 0.5)[8:-8, 8:-8]
+    assert ((np.asarray(found)[8:-8, 8:-8] > 0.5) == expected)[sure].all()
+
+
+def test_median_has_both_modes_and_a_second_derivative():
+    rng = np.random.default_rng(4)
+    guide = jnp.asarray(rng.uniform(size=(3, 14, 17)))
+    values = jnp.asarray(ndimage.gaussian_filter(rng.normal(size=(14, 17)), 1.5))
+    weight = jnp.asarray(rng.normal(size=values.shape))
+
+    def total(tree):
+        found = weighted_median(*tree, radius=3, levels=9)
+        return jnp.sum(weight * found**2)
+
+    check_modes(total, (values, guide, jnp.asarray(1e-2)), rtol=1e-5, key=jax.random.key(6))
+
+
+def test_unknown_modes_are_named():
+    blurred, guide, _ = blurred_step()
+    with pytest.raises((ValueError, TypeError), match="bilateral"):
+        sharpen(blurred, guide, MedianParams(), mode="bilateral")  # pyright: ignore[reportArgumentType]
+
+
+def test_one_trace_serves_every_parameter():
+    blurred, guide, _ = blurred_step()
+    run, traces = count_traces(lambda p: sharpen(blurred, guide, p, radius=3, levels=8))
+    wide = run(with_values(MedianParams, slack=0.2))
+    tight = run(with_values(MedianParams, slack=0.01, epsilon=1e-5))
+    assert traces() == 1
+    assert float(jnp.abs(wide - tight).max()) > 0
