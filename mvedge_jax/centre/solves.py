@@ -37,6 +37,9 @@ _WORSE_FIRST, _WORSE = 1.2, 2.0
 _PLAIN, _AROUND, _BLURRED, _SHARPENED = range(4)
 # Solves whose labels are measured in all views, where these are asked for.
 _AROUND_SOLVES = 2
+# A label of less weight than this, against a perfect one, is not accepted: its standard error is
+# ten times `CentreParams.precision`, or the views disagree about its pixel.
+_ACCEPTED = 0.01
 
 
 @runtime_checkable
@@ -86,12 +89,14 @@ class Map(NamedTuple):
             it that of the map.
         iterations: of every diffusion of the map.
         converged: whether all diffusions reached their tolerance.
+        labelled: share of the pixels with an accepted label in the last solve.
     """
 
     disparity: Array
     error: Array
     iterations: Array
     converged: Array
+    labelled: Array
 
 
 def dense_map(
@@ -128,7 +133,7 @@ def dense_map(
 
     # One look and one solver for all turns keep the program small: what differs between turns is a
     # branch, and the two maps that a sharpening compares are looked at in turns of their own.
-    def step(state: _State, turn: _Turn) -> tuple[_State, tuple[Array, Array]]:
+    def step(state: _State, turn: _Turn) -> tuple[_State, tuple[Array, Array, Array]]:
         if state.blurred is None:
             found = kept(_look(given, state.disparity, sizes))
         else:
@@ -138,7 +143,10 @@ def dense_map(
             found = lax.cond(turn.kind == _AROUND, around, lambda f, _: f, found, state.disparity)
         (disparity, error), stats = lax.cond(
             turn.kind == _BLURRED,
-            lambda: (state[:2], (jnp.zeros((), jnp.int32), jnp.asarray(True))),
+            lambda: (
+                state[:2],
+                (jnp.zeros((), jnp.int32), jnp.asarray(True), jnp.zeros_like(span)),
+            ),
             lambda: _solve(given, found, state.disparity, turn, sizes),
         )
         return state._replace(disparity=disparity, error=error), stats
@@ -149,9 +157,12 @@ def dense_map(
         shapes = jax.eval_shape(lambda d: _look(given, d, sizes), first)
         unseen = jax.tree.map(lambda of: jnp.zeros(of.shape, of.dtype), shapes)
         state = state._replace(blurred=_Blurred(unseen, nothing))
-    state, (iterations, converged) = lax.scan(recomputed(step), state, _turns(kinds, first.dtype))
+    state, stats = lax.scan(recomputed(step), state, _turns(kinds, first.dtype))
+    iterations, converged, labelled = stats
     solves = np.flatnonzero(kinds != _BLURRED)
-    return Map(state.disparity, state.error, iterations[solves], jnp.all(converged))
+    return Map(
+        state.disparity, state.error, iterations[solves], jnp.all(converged), labelled[solves[-1]]
+    )
 
 
 class _Given(NamedTuple):
@@ -278,8 +289,9 @@ def _solve(given: _Given, found: Look, disparity: Array, turn: _Turn, sizes: Sol
         share = jnp.where(turn.kind == _AROUND, 1 - share_of_all(disparity), 1)
         sparse = sparse._replace(weight=share * sparse.weight)
     dense = kept(measured(found, disparity))
-    return diffused(
-        with_dense(sparse, dense, disparity, params.centre, given.views.params, given.lit),
+    both = with_dense(sparse, dense, disparity, params.centre, given.views.params, given.lit)
+    solved, (iterations, converged) = diffused(
+        both,
         cuts(given.lab, disparity, params.smoothness, given.lit),
         disparity,
         given.span,
@@ -288,3 +300,5 @@ def _solve(given: _Given, found: Look, disparity: Array, turn: _Turn, sizes: Sol
         sloped=turn.sloped,
         last=turn.last,
     )
+    labelled = jnp.mean((both.weight >= _ACCEPTED).astype(disparity.dtype))
+    return solved, (iterations, converged, labelled)

@@ -46,8 +46,8 @@ def stereo(
 
     MODEL is a COLMAP model, a transforms.json of nerfstudio, or a folder of images with a list of
     poses. OUT gets, for every photograph NAME, NAME_depth.pfm and NAME_error.pfm (its standard
-    error) in the unit of the model, NAME_depth.png and NAME_error.png, and report.json. Where true
-    depth lies beside the images: scores.
+    error) in the unit of the model, NAME_depth.png and NAME_error.png (the disparity and its
+    standard error, px), and report.json. Where true depth lies beside the images: scores.
 
     Args:
         model: folder or file with the cameras.
@@ -120,6 +120,7 @@ def _dense(
     row |= {
         "seconds, compilation included": round(seconds, 3),
         "standard error, median": float(np.median(np.asarray(result.error))),
+        "pixels without an accepted label, %": 100 * (1 - float(result.stats.labelled)),
         "noise of 255": 255 * float(result.stats.noise.deviation),
         "gains": dict(zip(photographs.names, np.asarray(result.stats.gain).tolist(), strict=True)),
         "hypotheses": sizes.hypotheses,

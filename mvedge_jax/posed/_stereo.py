@@ -24,6 +24,7 @@ from mvedge_jax.photometry.photographs import (
 
 from ._parameters import Reference, StereoParams, StereoSizes
 from ._photographs import Photographs, projections
+from ._problems import depth_problems
 
 # The least disparity that depth is made of, as a share of the range's upper end.
 _FARTHEST = 1e-6
@@ -39,6 +40,8 @@ class StereoStats(NamedTuple):
         gain: brightness of each photograph relative to the reference, which was taken out; in the
             order of `Photographs`.
         searched: lowest and highest disparity that was tried, px per baseline.
+        labelled: share of the pixels with an accepted label: at least a hundredth of the weight of
+            a perfect one, in the last solve. The other pixels are diffused from these.
     """
 
     iterations: Int[Array, " solves"]
@@ -46,6 +49,7 @@ class StereoStats(NamedTuple):
     noise: Noise
     gain: Float[Array, " n"]
     searched: Float[Array, "2"]
+    labelled: Float[Array, ""]
 
 
 class StereoResult(NamedTuple):
@@ -70,7 +74,8 @@ class StereoResult(NamedTuple):
     def problems(self) -> tuple[str, ...]:
         """What the statistics say against the depth, one sentence each; on the host."""
         stats = self.stats
-        return map_problems(self.disparity, self.disparity_error, stats.converged, stats.searched)
+        found = map_problems(self.disparity, self.disparity_error, stats.converged, stats.searched)
+        return (*found, *depth_problems(self.depth, self.error, stats.labelled))
 
 
 def stereo(
@@ -151,6 +156,7 @@ def _stereo(
         scene.noise,
         jnp.ones_like(scene.gain).at[given.order].set(scene.gain),
         jnp.stack([given.disparities[0], given.disparities[-1]]),
+        found.labelled,
     )
     disparity_error = standard_error(found.error, found.disparity)
     depth, error = _depth(found.disparity, disparity_error, given.scale, reference)
