@@ -70,8 +70,7 @@ def posed_hypotheses(
         Disparity per pixel, between the hypotheses by a parabola. Differentiable as `hypotheses`.
     """
     params = cast(params, lab.dtype)
-    height, width = lab.shape[1:]
-    reference, count = images[0], images.shape[0] - 1
+    (height, width), reference, count = lab.shape[1:], images[0], images.shape[0] - 1
     truncation = params.truncation * images.shape[1] * noise_variance(noise)
     share = shared_drift(noise, lab)
     alike = jnp.asarray(SAME_COLOUR, lab.dtype)
