@@ -9,7 +9,7 @@ import numpy as np
 import tyro
 
 from mvedge_jax import plotting
-from mvedge_jax.datasets import load_light_field, write_hci
+from mvedge_jax.datasets import load_light_field, read_raw, write_hci
 from mvedge_jax.edit import insert_picture, paint, remove
 
 from ._common import finite, in_unit_range, note, stage, warn
@@ -97,7 +97,10 @@ def edit(
 
 def _read(path: Path | None) -> np.ndarray:
     """A picture as sRGB and alpha in [0, 1]."""
-    image = None if path is None else cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+    if path is not None and path.suffix.lower() in (".png", ".jpg", ".jpeg", ".bmp"):
+        image = read_raw(path)
+    else:
+        image = None if path is None else cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
     if image is None:
         raise ValueError(f"{path} could not be read as a picture.")
     levels = {np.dtype(np.uint8): 255, np.dtype(np.uint16): 65535}.get(image.dtype, 1)

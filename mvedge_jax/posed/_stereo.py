@@ -3,7 +3,9 @@
 from functools import partial
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
@@ -14,6 +16,7 @@ from mvedge_jax.centre import map_problems, sharpen
 from mvedge_jax.centre.error import standard_error
 from mvedge_jax.centre.solves import Labels, dense_map
 from mvedge_jax.color import srgb_to_lab
+from mvedge_jax.image import highest
 from mvedge_jax.photometry import Noise
 from mvedge_jax.photometry.photographs import (
     Projection,
@@ -28,6 +31,8 @@ from ._problems import depth_problems
 
 # The least disparity that depth is made of, as a share of the range's upper end.
 _FARTHEST = 1e-6
+# How far from a pixel a color between pixels is mostly made of, px.
+_INTERPOLATED = 2
 
 
 class StereoStats(NamedTuple):
@@ -56,12 +61,14 @@ class StereoResult(NamedTuple):
     """Depth of a photograph.
 
     Attributes:
-        depth: distance along the optical axis, in the unit of the poses, `[y, x]`.
+        depth: distance along the optical axis, in the unit of the poses, `[y, x]`; NaN where the
+            photograph is transparent.
         error: its standard error, in the same unit; infinite where there is no label at all.
-        disparity: px per baseline, larger is nearer, `[y, x]`; see `Reference`.
+        disparity: px per baseline, larger is nearer, `[y, x]`; see `Reference`; NaN as depth is.
         disparity_error: its standard error, px.
         first: the disparities that the measurement started from.
         stats: counts.
+        mask: pixels that are not transparent; None for all.
     """
 
     depth: Float[Array, "y x"]
@@ -70,12 +77,15 @@ class StereoResult(NamedTuple):
     disparity_error: Float[Array, "y x"]
     first: Float[Array, "y x"]
     stats: StereoStats
+    mask: Bool[Array, "y x"] | None = None
 
     def problems(self) -> tuple[str, ...]:
         """What the statistics say against the depth, one sentence each; on the host."""
-        stats = self.stats
-        found = map_problems(self.disparity, self.disparity_error, stats.converged, stats.searched)
-        return (*found, *depth_problems(self.depth, self.error, stats.labelled))
+        stats, asked = self.stats, slice(None) if self.mask is None else np.asarray(self.mask)
+        maps = (self.disparity, self.disparity_error, self.depth, self.error)
+        disparity, disparity_error, depth, error = (np.asarray(one)[asked] for one in maps)
+        found = map_problems(disparity, disparity_error, stats.converged, stats.searched)
+        return (*found, *depth_problems(depth, error, stats.labelled))
 
 
 def stereo(
@@ -122,21 +132,22 @@ def stereo(
     """
     # Names are static, and the number of points is a shape: neither is read, and each would ask
     # for a program of its own.
-    read = photographs.images, photographs.poses, photographs.intrinsics
+    read = photographs.images, photographs.poses, photographs.intrinsics, photographs.mask
     return _stereo(read, reference, params, sizes)
 
 
 @lean_jit
 def _stereo(
-    read: tuple[Array, Array, Array],
+    read: tuple[Array, Array, Array, Array | None],
     reference: Reference,
     params: StereoParams,
     sizes: StereoSizes,
 ) -> StereoResult:
-    photographs = Photographs(*read)
+    photographs = Photographs(*read[:3], mask=read[3])
     params = cast(params, photographs.images.dtype)
     given = _set_up(photographs, reference, sizes)
-    scene = prepare_photographs(*given[:4], params.volume, window=sizes.window)
+    shown = given.shown
+    scene = prepare_photographs(*given[:4], params.volume, window=sizes.window, shown=shown)
     views = staged(posed_sight)(scene, params.photometric)
     sharper = partial(
         sharpen,
@@ -149,18 +160,28 @@ def _stereo(
     nothing = jnp.zeros_like(scene.first)
     labels = Labels(nothing, nothing)
     span = given.disparities[-1] - given.disparities[0]
-    found = dense_map(labels, views, scene.lab, scene.first, span, sharper, params, sizes)
+    lit = None if shown is None else shown[0]
+    found = dense_map(labels, views, scene.lab, scene.first, span, sharper, params, sizes, lit=lit)
     stats = StereoStats(
         found.iterations,
         found.converged,
         scene.noise,
         jnp.ones_like(scene.gain).at[given.order].set(scene.gain),
         jnp.stack([given.disparities[0], given.disparities[-1]]),
-        found.labelled,
+        found.labelled if lit is None else found.labelled / jnp.mean(lit.astype(found.error.dtype)),
     )
     disparity_error = standard_error(found.error, found.disparity)
     depth, error = _depth(found.disparity, disparity_error, given.scale, reference)
-    return StereoResult(depth, error, found.disparity, disparity_error, scene.first, stats)
+    mask = given.mask
+    return StereoResult(
+        _where_opaque(depth, mask, jnp.nan),
+        _where_opaque(error, mask, jnp.inf),
+        _where_opaque(found.disparity, mask, jnp.nan),
+        _where_opaque(disparity_error, mask, jnp.inf),
+        scene.first,
+        stats,
+        mask,
+    )
 
 
 def _depth(
@@ -172,8 +193,24 @@ def _depth(
     return depth, error * depth**2 / scale
 
 
+def _where_opaque(values: Array, mask: Array | None, nothing: float) -> Array:
+    """Values of a map, and what stands for none where the photograph is transparent."""
+    return values if mask is None else jnp.where(mask, values, nothing)
+
+
 class _SetUp(NamedTuple):
-    """The photographs with the reference first, and what to try."""
+    """The photographs with the reference first, and what to try.
+
+    Attributes:
+        images: the reference first.
+        places: where each of them shows the reference's pixels.
+        available: those that are to be read.
+        disparities: what to try.
+        scale: disparity times depth.
+        order: indices of the photographs.
+        shown: 1 where a photograph, and all that it is interpolated from, is opaque.
+        mask: the opaque pixels of the reference; None, like `shown`, where all are.
+    """
 
     images: Array
     places: Projection
@@ -181,6 +218,8 @@ class _SetUp(NamedTuple):
     disparities: Array
     scale: Array
     order: Array
+    shown: Array | None
+    mask: Array | None
 
 
 def _set_up(photographs: Photographs, reference: Reference, sizes: StereoSizes) -> _SetUp:
@@ -194,7 +233,11 @@ def _set_up(photographs: Photographs, reference: Reference, sizes: StereoSizes) 
     limits = reference.disparity_range.astype(dtype)
     shares = jnp.linspace(0, 1, sizes.hypotheses, dtype=dtype)
     disparities = limits[0] + (limits[1] - limits[0]) * shares
-    return _SetUp(photographs.images[order], places, available, disparities, scale, order)
+    images, mask, shown = photographs.images[order], photographs.mask, None
+    if mask is not None:
+        clear = (~mask[order]).astype(dtype)
+        shown, mask = 1 - jax.vmap(partial(highest, radius=_INTERPOLATED))(clear), mask[order[0]]
+    return _SetUp(images, places, available, disparities, scale, order, shown, mask)
 
 
 class PosedSweep(NamedTuple):
@@ -240,6 +283,8 @@ def posed_sweep(
         noise=Noise.of(jnp.zeros((), dtype)),
         window=sizes.window,
         paths=False,
+        shown=given.shown,
     )
     depth, _ = _depth(disparity, jnp.zeros_like(disparity), given.scale, reference)
+    depth, disparity = (_where_opaque(v, given.mask, jnp.nan) for v in (depth, disparity))
     return PosedSweep(depth, disparity)

@@ -133,6 +133,15 @@ def test_bad_scale(tmp_path, scale):
         load_light_field(tmp_path, scale=scale)
 
 
+@pytest.mark.parametrize("scale", [1e-320, 1e-30, 0.12])
+def test_a_scale_that_leaves_no_pixel(tmp_path, scale):
+    path = write_grid(tmp_path, random_views((3, 3, 8, 8, 3)))
+    with pytest.raises(
+        ValueError, match=r"leaves no pixel of .*02_02\.png, 8x8 px .* at least 0\.1"
+    ):
+        load_light_field(path, scale=scale)
+
+
 def test_a_range_that_is_given_wins(tmp_path):
     path = write_hci(tmp_path / "scene", random_views())
     loaded = load_light_field(path, disparity_range=(-2.0, 3.0), scale=0.5)

@@ -244,6 +244,10 @@ def test_a_light_field_is_a_set_of_photographs():
             "`depth_range` must be 0 < near < far",
         ),
         (
+            lambda: reference_of(photographs(), 0, depth_range=(1e-320, 1.0)),
+            "`depth_range` must begin at .* a millionth of the distance",
+        ),
+        (
             lambda: reference_of(photographs(points=np.zeros((1, 3)) - 9), 0),
             "have 0 points in the frame of 0, expected at least 2",
         ),
