@@ -13,14 +13,14 @@ import tyro
 
 from mvedge_jax import plotting, viewer
 from mvedge_jax.centre import DepthResult, DepthStats, Parameters, Sizes, edge_to_depth
-from mvedge_jax.datasets import load_light_field, write_pfm
+from mvedge_jax.datasets import write_pfm
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.metrics import boundary_scores, calibration, depth_scores
 
 from ._common import compiled, missing_views, note, stage, warn
 from ._output import output_folder, write_json
 from ._points import valid_points, write_points
-from ._source import source_of
+from ._source import read_scene, source_of
 from ._view import show
 
 _COLUMNS = {
@@ -67,7 +67,7 @@ def depth(
         overwrite: replace OUT if it is an earlier result of mvedge, with nothing else in it.
     """
     with stage(f"reading {scene}"):
-        light_field = load_light_field(
+        light_field, said = read_scene(
             scene, views=views, scale=scale, flip_u=flip_u, flip_v=flip_v
         )
     if range is not None:
@@ -96,7 +96,7 @@ def depth(
             report["source"] = source_of(
                 scene, views=views, scale=scale, flip_u=flip_u, flip_v=flip_v
             )
-            doubts = [*result.problems(), *(missing_views(light_field) if all_views else [])]
+            doubts = [*said, *result.problems(), *(missing_views(light_field) if all_views else [])]
             report["warnings"] = doubts
             write_json(folder / "report.json", report)
     for doubt in doubts:

@@ -10,13 +10,13 @@ from mvedge_jax.datasets import (
     ConventionCheck,
     camera_spacing,
     check_convention,
-    load_light_field,
     open_source,
 )
 from mvedge_jax.lightfield import Camera, GroundTruth, LightField
 from mvedge_jax.photometry.brightness import rough_brightness
 
 from ._common import note, stage, warn
+from ._source import read_scene
 
 # A camera that is off by more than this many steps moves a point of disparity 1 as many pixels.
 _IRREGULAR = 0.05
@@ -48,7 +48,9 @@ def info(
     with open_source(path) as source:
         layout = source.layout
     with stage(f"reading {path}"):
-        light_field = load_light_field(path, views=views, scale=scale, flip_u=flip_u, flip_v=flip_v)
+        light_field, said = read_scene(path, views=views, scale=scale, flip_u=flip_u, flip_v=flip_v)
+    for doubt in said:
+        warn(doubt)
     lines = [
         ("light field", f"{light_field.name} ({layout})"),
         ("views", _views(light_field)),
@@ -90,7 +92,9 @@ def _views(light_field: LightField) -> str:
     text = f"{rows}x{columns} of {width}x{height} px (width x height), "
     if present.all():
         return text + "all there"
-    if present.sum() == rows + columns - 1:
+    cross = np.zeros_like(present)
+    cross[rows // 2] = cross[:, columns // 2] = True
+    if (present == cross).all():
         return text + f"the {int(present.sum())} of the crosshair only"
     missing = [f"({v}, {u})" for v, u in np.argwhere(~present)]
     shown = ", ".join(missing[:6]) + (", ..." if len(missing) > 6 else "")

@@ -6,6 +6,7 @@ Rooms: `synthetic` (rendered scenes), `photographs` (posed photographs), `exchan
 from . import synthetic as synthetic
 from ._columns import columns_of as columns_of
 from ._convention import ConventionCheck as ConventionCheck, check_convention as check_convention
+from ._dead import find_dead_views as find_dead_views
 from ._load import (
     load_ground_truth as load_ground_truth,
     load_light_field as load_light_field,

@@ -11,6 +11,7 @@ import numpy as np
 
 from mvedge_jax.lightfield import Camera, GroundTruth, LightField
 
+from ._dead import leave_out_dead_views
 from ._grid import is_grid, open_grid
 from ._hci import is_hci, open_hci
 from ._hdf5 import open_hdf5
@@ -51,7 +52,8 @@ def load_light_field(
     In the first layout the ground truth may also be there for every view, as
     `gt_disp_lowres_CamNNN.pfm` and `objectids_lowres_CamNNN.png`. A folder that holds a single
     `.h5` or `.mat` file and no views stands for that file. Views outside the crosshair may be
-    missing; they are then not `available`.
+    missing; they are then not `available`. Nor are views that do not show the scene, wherever
+    they are (`find_dead_views`): these are named in a warning.
 
     **Which way round.** By the convention a point of disparity `d` moves by `(u_c - u) d` and
     `(v_c - v) d` px, and larger `d` is nearer: as `u` grows, near things move left, as `v` grows,
@@ -84,8 +86,11 @@ def load_light_field(
             crosshair is missing.
         ValueError: if files are truncated, unreadable, of different sizes, contradict each other,
             do not form an odd square grid or a single odd row or column, claim more than `max_gb`,
-            or hold ground truth that is not finite; or on an option out of its range. The message
-            names the file.
+            or hold ground truth that is not finite; if the centre view does not show what the
+            others show; or on an option out of its range. The message names the file.
+
+    Warns:
+        UserWarning: views do not show the scene and are left out.
 
     Example:
         >>> import tempfile
@@ -106,6 +111,7 @@ def load_light_field(
     with open_source(Path(path), max_gb=max_gb) as source:
         rows, columns = _places(source, views, flip_u, flip_v)
         images, available = read_views(source, rows, columns, scale, limit)
+        leave_out_dead_views(images, available, source, rows, columns)
         truth = None
         if source.truth is not None:
             truth = _ground_truth(source, source.truth(), rows, columns, scale, images.shape[2:4])

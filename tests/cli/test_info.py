@@ -107,3 +107,12 @@ def test_command_line(tmp_path, capsys, monkeypatch):
     error = capsys.readouterr().err
     assert "nowhere is not there" in error
     assert "Traceback" not in error
+
+
+def test_a_view_that_shows_nothing_is_named(tmp_path, capsys):
+    views = _cards()
+    views[2, 4] = 0
+    info(write_grid(tmp_path / "toy", views, pattern="v_{}_{}.png"), quick=True)
+    captured = capsys.readouterr()
+    assert "1 of 25 missing: (v, u) = (2, 4)" in _lines(captured.out)["views"]
+    assert "v_3_5.png is black." in captured.err
