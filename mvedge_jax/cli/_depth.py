@@ -41,6 +41,7 @@ def depth(
     scale: float = 1.0,
     flip_u: bool = False,
     flip_v: bool = False,
+    swap_axes: bool = False,
     range: tuple[float, float] | None = None,
     all_views: bool = False,
     view: bool = False,
@@ -60,16 +61,16 @@ def depth(
         scale: shrink the views by this factor, at most 1.
         flip_u: reverse the columns of views.
         flip_v: reverse the rows of views.
+        swap_axes: exchange rows and columns of views, before they are reversed.
         range: lowest and highest disparity, px per view step; measured if not given or known.
         all_views: measure disparity in all views at the end, not in the central row and column
             alone: more accurate, twice as slow.
         view: show the result in a browser until Ctrl-C, as `mvedge view` does.
         overwrite: replace OUT if it is an earlier result of mvedge, with nothing else in it.
     """
+    order = {"flip_u": flip_u, "flip_v": flip_v, "swap_axes": swap_axes}
     with stage(f"reading {scene}"):
-        light_field, said = read_scene(
-            scene, views=views, scale=scale, flip_u=flip_u, flip_v=flip_v
-        )
+        light_field, said = read_scene(scene, views=views, scale=scale, **order)
     if range is not None:
         light_field = _within(light_field, range)
     params = Parameters()
@@ -93,9 +94,7 @@ def depth(
             write_depth(folder, light_field, result)
             scores = score_depth(folder, light_field, result)
             report["scores"] = scores
-            report["source"] = source_of(
-                scene, views=views, scale=scale, flip_u=flip_u, flip_v=flip_v
-            )
+            report["source"] = source_of(scene, views=views, scale=scale, **order)
             doubts = [*said, *result.problems(), *(missing_views(light_field) if all_views else [])]
             report["warnings"] = doubts
             write_json(folder / "report.json", report)

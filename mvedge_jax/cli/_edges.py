@@ -27,6 +27,7 @@ def edges(
     scale: float = 1.0,
     flip_u: bool = False,
     flip_v: bool = False,
+    swap_axes: bool = False,
     range: tuple[float, float] | None = None,
     overwrite: bool = False,
 ) -> None:
@@ -43,11 +44,14 @@ def edges(
         scale: shrink the views by this factor, at most 1.
         flip_u: reverse the columns of views.
         flip_v: reverse the rows of views.
+        swap_axes: exchange rows and columns of views, before they are reversed.
         range: lowest and highest disparity, px per view step; measured if not given or known.
         overwrite: replace OUT if it is an earlier result of mvedge, with nothing else in it.
     """
     with stage(f"reading {scene}"):
-        read, said = read_scene(scene, views=views, scale=scale, flip_u=flip_u, flip_v=flip_v)
+        read, said = read_scene(
+            scene, views=views, scale=scale, flip_u=flip_u, flip_v=flip_v, swap_axes=swap_axes
+        )
         light_field = read.without_truth()
     if range is not None:
         light_field = LightField(

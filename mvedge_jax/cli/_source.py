@@ -16,6 +16,7 @@ _READING: dict[str, tuple[type, ...]] = {
     "scale": (int, float),
     "flip_u": (bool,),
     "flip_v": (bool,),
+    "swap_axes": (bool,),
 }
 
 

@@ -59,6 +59,14 @@ def _folders() -> Iterator[Case]:
 
             yield Case(f"a .{kind} that is {other}", container)
 
+    for name in ("scene", "b[y] {0}", "\u5834"):
+
+        def parent(folder: Path, name=name) -> None:
+            write_grid(folder / name, random_views())
+            refuses(lambda: load_light_field(folder), name, "in it")
+
+        yield Case(f"a folder whose child {name!r} is a light field", parent)
+
     for what, value in {"black": 0, "white": 255, "of one color": 90}.items():
 
         def dead(folder: Path, what=what, value=value) -> None:
