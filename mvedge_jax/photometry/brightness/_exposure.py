@@ -18,8 +18,6 @@ from .._places import Projection, Shift
 # Where the 99th percentile of a bright, matt scene lies; floors are meant for such scenes.
 _BRIGHT = 0.56
 _BRIGHTEST = 16.0
-# Brightness, blurred, below which a view shows nothing: half a step of 8 bits.
-_UNLIT = 0.5 / 255
 # A scene whose gains differ by no more than this owes it to the scene, not to the cameras.
 _GAIN_PRIOR = 0.002
 # Parallax errs alike over some 4x4 places: so many of them count as one.
@@ -282,8 +280,7 @@ def _regressed(
     seen, known = lax.map(look, (views, places, available))
     own = seen[centre]
     shown = (own > 0.1 * jnp.median(own)) & (own > 0) & (own < 0.97)
-    # What is black in a view alone was never lit there, and tells no gain.
-    known = known[..., None] & shown[None] & (seen < 0.97) & (seen > _UNLIT)
+    known = known[..., None] & shown[None] & (seen < 0.97)
     count = seen.shape[0]
     seen, known = seen.reshape(count, -1), known.reshape(count, -1)
     own = jnp.broadcast_to(own.reshape(1, -1), seen.shape)
