@@ -9,12 +9,13 @@ import numpy as np
 import tyro
 
 from mvedge_jax import plotting
-from mvedge_jax.datasets import load_light_field, read_raw, write_hci
+from mvedge_jax.datasets import read_raw, write_hci
 from mvedge_jax.edit import insert_picture, paint, remove
 
 from ._common import finite, in_unit_range, note, stage, warn
 from ._every_view import every_view
 from ._output import output_folder, write_json
+from ._source import read_scene
 
 # How far around what is removed pixels blend with it, px.
 _BLENDED = 2
@@ -59,7 +60,8 @@ def edit(
     finite(at=at, disparity=disparity, slant=slant)
     in_unit_range(colour)
     with stage("reading"):
-        light_field = load_light_field(scene).without_truth()
+        read, said = read_scene(scene)
+        light_field = read.without_truth()
         given = _read(insert or mask)
     inputs = [scene, *(path for path in (insert, mask) if path is not None)]
     shape = light_field.views.shape[2:4]
@@ -70,6 +72,7 @@ def edit(
         )
     with output_folder(out, inputs=inputs, overwrite=overwrite) as folder:
         found, _, doubts = every_view(light_field)
+        doubts = [*said, *doubts]
         depths = found.disparity
         with stage("editing"):
             white = jnp.asarray(given[..., :3].mean(-1) > 0.5)
