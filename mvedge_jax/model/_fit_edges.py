@@ -9,7 +9,8 @@ from mvedge_jax.lightfield import GroundTruth
 from mvedge_jax.losses import SupervisedWeights
 
 from ._capacity import without_free_places
-from ._model import ModelParams, ModelSizes, compiled_render
+from ._host import compiled_render
+from ._model import ModelParams, ModelSizes
 from ._result import Optimised
 from ._start import Start
 from .objectives import Supervised, unlimited

@@ -65,4 +65,5 @@ def splat_reference(
         jnp.exp(-jnp.sum(optical, axis=0)),
         zero,
         zero,
+        jnp.zeros((), xy.dtype),
     )

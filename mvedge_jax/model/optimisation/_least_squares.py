@@ -12,6 +12,7 @@ from jaxtyping import Array, Float
 
 from mvedge_jax._compiler import lean_jit
 
+from .._host import warn_of_cuts
 from .._model import DepthModel
 from ._optimise import Objective
 from ._state import parts_of, with_parts
@@ -78,7 +79,7 @@ def minimise_least_squares(
         progress: called after each step with its number and the loss.
 
     Returns:
-        The best model seen. Not differentiable.
+        The best model seen. Not differentiable. Warns as `optimise` does.
 
     Raises:
         ValueError: `steps` is below 1.
@@ -88,6 +89,7 @@ def minimise_least_squares(
     """
     if steps < 1:
         raise ValueError(f"`steps` must be at least 1, got {steps}.")
+    warn_of_cuts(model, objective)
     dtype, origin = model.disparity.dtype, parts_of(model)
     units = jnp.asarray(scales, dtype)
 

@@ -11,6 +11,7 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from mvedge_jax._compiler import lean_jit
 
+from .._host import warn_of_cuts
 from .._model import DepthModel
 from ._routine import Routine
 from ._state import ADAM, State, parts_of, with_parts
@@ -217,8 +218,10 @@ def optimise(
         progress: called after every piece, to show or to save how far it is.
 
     Returns:
-        The last state and the history of the iterations that were done.
+        The last state and the history of the iterations that were done. Warns where the rendering
+        of the objective (its `params` and `sizes`, where it has them) cuts points off.
     """
+    warn_of_cuts(state.model, objective)
     strategy = FixedPoints() if strategy is None else strategy
     plan = strategy.plan(state, routine, objective)
     pieces = []
