@@ -7,6 +7,8 @@ from typing import Any, TypeVar
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
 
 _Tree = TypeVar("_Tree")
 
@@ -129,6 +131,36 @@ def _shown(value: Any) -> str:
             return f"{float(value):.6g}"
         except jax.errors.ConcretizationTypeError:
             pass
+    return eqx.tree_pformat(value)
+
+
+# Entries of an array that `readable` still shows one by one.
+_FEW = 16
+
+
+def readable(record: Any) -> str:
+    """A record of results with its numbers; the `__repr__` of statistics.
+
+    Args:
+        record: a module or a named tuple, perhaps of other ones.
+
+    Returns:
+        Such as `SolveStats(iterations=12, converged=True)`. Traced and long arrays show their
+        types.
+    """
+    if isinstance(record, eqx.Module):
+        names = [field.name for field in dataclasses.fields(record)]
+    else:
+        names = record._fields
+    parts = (f"{name}={_readable(getattr(record, name))}" for name in names)
+    return f"{type(record).__name__}({', '.join(parts)})"
+
+
+def _readable(value: Any) -> str:
+    if isinstance(value, eqx.Module) or hasattr(value, "_fields"):
+        return readable(value)
+    if eqx.is_array(value) and not isinstance(value, Tracer) and value.size <= _FEW:
+        return np.array2string(np.asarray(value), precision=6, separator=", ", floatmode="maxprec")
     return eqx.tree_pformat(value)
 
 

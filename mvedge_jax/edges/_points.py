@@ -3,6 +3,8 @@
 import equinox as eqx
 from jaxtyping import Array, Bool, Float, Int
 
+from mvedge_jax._params import readable
+
 
 class EdgePoints(eqx.Module):
     """A padded set of points of the centre view, each on an edge that is seen in many views.
@@ -45,6 +47,9 @@ class EdgeStats(eqx.Module):
     overflow: Int[Array, ""]
     consistent: Int[Array, ""]
     valid: Int[Array, ""]
+
+    def __repr__(self) -> str:
+        return readable(self)
 
 
 class Edges(eqx.Module):

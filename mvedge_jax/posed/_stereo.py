@@ -9,7 +9,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from mvedge_jax._compiler import lean_jit
 from mvedge_jax._fence import staged
-from mvedge_jax._params import cast
+from mvedge_jax._params import cast, readable
 from mvedge_jax.centre import map_problems, sharpen
 from mvedge_jax.centre.error import standard_error
 from mvedge_jax.centre.solves import Labels, dense_map
@@ -46,6 +46,9 @@ class StereoStats(NamedTuple):
     noise: Noise
     gain: Float[Array, " n"]
     searched: Float[Array, "2"]
+
+    def __repr__(self) -> str:
+        return readable(self)
 
 
 class StereoResult(NamedTuple):
