@@ -1,7 +1,7 @@
 """Levenberg-Marquardt for the losses of the model, by Optimistix; matrix-free, by Lineax."""
 
 from collections.abc import Callable
-from typing import Any, NamedTuple, Protocol, runtime_checkable
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -14,7 +14,7 @@ from mvedge_jax._compiler import lean_jit
 
 from .._host import warn_of_cuts
 from .._model import DepthModel
-from ._optimise import Objective
+from ..objectives import SquaredObjective
 from ._state import parts_of, with_parts
 
 # Steps of CG per step, at most: a system that is not solved by then ends the search.
@@ -22,17 +22,6 @@ _LINEAR_STEPS = 300
 # A step that achieves this share of what was expected of it lets the next go further. Optimistix
 # asks for .99, which absolute errors never give: then the damping of the start is kept throughout.
 _GOOD = 0.75
-
-
-@runtime_checkable
-class SquaredObjective(Objective, Protocol):
-    """An objective that is, but for terms that have no squares, half a sum of squares."""
-
-    def residuals(
-        self, model: DepthModel, start: Float[Array, "y x"]
-    ) -> tuple[tuple[Array, ...], Float[Array, "y x"]]:
-        """What is squared, and the map; `start` is a map near it."""
-        ...
 
 
 class Minimised(NamedTuple):
