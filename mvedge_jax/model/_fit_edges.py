@@ -5,6 +5,7 @@ from collections.abc import Callable
 import equinox as eqx
 import jax
 
+from mvedge_jax._params import accepts_numpy
 from mvedge_jax.lightfield import GroundTruth
 from mvedge_jax.losses import SupervisedWeights
 
@@ -36,6 +37,7 @@ class FitParams(eqx.Module):
     iterations: int = eqx.field(static=True, default=40)
 
 
+@accepts_numpy
 def fit_edges(
     truth: GroundTruth,
     start: Start,

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jax.core import Tracer
 from jaxtyping import Array, Bool, Float
 
-from mvedge_jax._params import cast, number
+from mvedge_jax._params import accepts_numpy, cast, jax_array, number
 from mvedge_jax.color import srgb_to_lab
 from mvedge_jax.diffusion import (
     AbstractSolver,
@@ -21,8 +21,6 @@ from mvedge_jax.diffusion import (
     edge_weights,
 )
 from mvedge_jax.splatting import Splat, SplatParams, SplatSizes, splat
-
-_UNSOLVED = ("the diffusion stopped before its tolerance.",)
 
 
 class DepthModel(eqx.Module):
@@ -36,11 +34,11 @@ class DepthModel(eqx.Module):
         valid: points that take part; the others are free capacity.
     """
 
-    disparity: Float[Array, "n"]
-    xy: Float[Array, "n 2"]
-    log_weight: Float[Array, "n"]
-    roughness: Float[Array, "y x"]
-    valid: Bool[Array, "n"]
+    disparity: Float[Array, "n"] = eqx.field(converter=jax_array)
+    xy: Float[Array, "n 2"] = eqx.field(converter=jax_array)
+    log_weight: Float[Array, "n"] = eqx.field(converter=jax_array)
+    roughness: Float[Array, "y x"] = eqx.field(converter=jax_array)
+    valid: Bool[Array, "n"] = eqx.field(converter=jax_array)
 
 
 class ModelParams(eqx.Module):
@@ -158,8 +156,8 @@ class Rendered(eqx.Module):
 
     def problems(self) -> tuple[str, ...]:
         """What the splat and the solve say against the map, one sentence each; on the host."""
-        unsolved = () if bool(self.stats.converged) else _UNSOLVED
-        return *self.splat.problems(), *unsolved
+        unsolved = "the diffusion stopped before its tolerance."
+        return self.splat.problems() + (() if bool(self.stats.converged) else (unsolved,))
 
 
 def upsample(image: Float[Array, "y x"], scale: int) -> Float[Array, "y2 x2"]:
@@ -252,6 +250,7 @@ def warn_where_known(maps: Splat, *, level: int = 2) -> None:
             warnings.warn(problem, stacklevel=level + 1)
 
 
+@accepts_numpy
 def render_model(
     model: DepthModel,
     params: ModelParams,
@@ -279,7 +278,7 @@ def render_model(
     params = cast(params, model.disparity.dtype)
     weight = jnp.exp(-model.log_weight)
     maps = splat_model(model, weight, opacities(model, params, sizes), params, sizes)
-    warn_where_known(maps)
+    warn_where_known(maps, level=3)
     smoothness = jnp.exp(-upsample(model.roughness, scale))
     tx, ty = edge_weights(smoothness, pairing=sizes.pairing)
     label = maps.label if sizes.normalised else maps.label_sum

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from mvedge_jax._params import cast
+from mvedge_jax._params import accepts_numpy, cast
 
 from ._composite import Physics, Rays, composite
 from ._params import MOST_LOST, SplatParams, SplatSizes
@@ -82,6 +82,7 @@ def normalise(
     return jnp.where(covered, label_sum / jnp.where(covered, coverage, 1), 0)
 
 
+@accepts_numpy
 def splat(
     xy: Float[Array, "n 2"],
     label: Float[Array, "n"],
