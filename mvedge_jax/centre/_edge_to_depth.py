@@ -8,7 +8,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from mvedge_jax._checks import checked_jit, expect, sound, with_numbers
 from mvedge_jax._fence import staged
-from mvedge_jax._params import cast
+from mvedge_jax._params import cast, readable
 from mvedge_jax.color import srgb_to_gray
 from mvedge_jax.diffusion import AutoSolver
 from mvedge_jax.edges import EdgePoints, EdgeStats, measured_edges, share
@@ -59,6 +59,9 @@ class DepthStats(NamedTuple):
     exposure: Exposure
     sound: Bool[Array, ""]
     searched: Float[Array, "2"]
+
+    def __repr__(self) -> str:
+        return readable(self)
 
 
 class DepthResult(NamedTuple):

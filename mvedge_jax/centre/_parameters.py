@@ -123,6 +123,7 @@ class Sizes:
             Sizes for `edge_to_depth`.
 
         Raises:
+            TypeError: under `jit`, where the range is traced.
             ValueError: the light field has one view only, or a choice is out of range.
 
         Example:

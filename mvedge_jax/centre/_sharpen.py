@@ -6,7 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from mvedge_jax._params import cast, number
+from mvedge_jax._params import accepts_numpy, cast, number
 
 from ._median import weighted_median
 
@@ -25,6 +25,7 @@ class MedianParams(eqx.Module):
     slack: Float[Array, ""] = number(0.03, "px")
 
 
+@accepts_numpy
 def sharpen(
     disparity: Float[Array, "y x"],
     guide: Float[Array, "c y x"],

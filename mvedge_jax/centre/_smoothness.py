@@ -4,7 +4,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from mvedge_jax._params import cast, number
+from mvedge_jax._params import accepts_numpy, cast, number
 from mvedge_jax.image import gaussian
 
 # The least smoothness, so that every pixel keeps a tie to its neighbours.
@@ -25,6 +25,7 @@ class SmoothnessParams(eqx.Module):
     depth: Float[Array, ""] = number(0.05, "px")
 
 
+@accepts_numpy
 def edge_smoothness(
     lab: Float[Array, "c y x"],
     disparity: Float[Array, "y x"],

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from mvedge_jax._checks import untraced
 from mvedge_jax._params import as_number, at_least, described, one_of, positive
 from mvedge_jax.centre import CentreParams, MedianParams, Sharpening, SmoothnessParams
 from mvedge_jax.photometry import PhotometricParams, VolumeParams
@@ -227,9 +228,11 @@ class StereoSizes:
             Sizes for `stereo`.
 
         Raises:
+            TypeError: the reference is traced.
             ValueError: a choice is out of range, or the range of depths asks for too many
                 hypotheses.
         """
+        untraced("reference", reference.disparity_range)
         low, high = np.asarray(reference.disparity_range, np.float64)
         wanted = _PER_PX * _STEPS * (high - low) + 1
         count = _ROUND * max(1, math.ceil(wanted / _ROUND))

@@ -9,6 +9,7 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int
 
+from mvedge_jax._params import accepts_numpy
 from mvedge_jax._product import product
 from mvedge_jax.photometry.photographs import Projection
 
@@ -210,6 +211,7 @@ class Photographs(eqx.Module):
         return local[inside, 2]
 
 
+@accepts_numpy
 def projections(
     poses: Float[Array, "n 4 4"],
     intrinsics: Float[Array, "n 3 3"],

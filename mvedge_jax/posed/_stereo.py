@@ -11,7 +11,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from mvedge_jax._compiler import lean_jit
 from mvedge_jax._fence import staged
-from mvedge_jax._params import cast
+from mvedge_jax._params import cast, readable
 from mvedge_jax.centre import map_problems, sharpen
 from mvedge_jax.centre.error import standard_error
 from mvedge_jax.centre.solves import Labels, dense_map
@@ -55,6 +55,9 @@ class StereoStats(NamedTuple):
     gain: Float[Array, " n"]
     searched: Float[Array, "2"]
     labelled: Float[Array, ""]
+
+    def __repr__(self) -> str:
+        return readable(self)
 
 
 class StereoResult(NamedTuple):

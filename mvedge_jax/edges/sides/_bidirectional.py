@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
-from mvedge_jax._params import cast, number
+from mvedge_jax._params import accepts_numpy, cast, number
 from mvedge_jax._root import root
 from mvedge_jax.diffusion import AbstractSolver, AutoSolver, System, diffuse, edge_weights
 
@@ -54,6 +54,7 @@ class Bidirectional(NamedTuple):
     iterations: Array
 
 
+@accepts_numpy
 def bidirectional(
     points: EdgePoints,
     gray: Float[Array, "y x"],
