@@ -62,7 +62,7 @@ def test_statistics_print_their_numbers():
     assert "iterations=[7, 9], converged=True, noise=Noise(deviation=0.004, alpha=0.5" in shown
     assert "gain=f64[9,9]" in shown
     assert "searched=[-1.,  1.]" in shown
-    stereo = StereoStats(steps, ~yes, noise, searched, searched)
+    stereo = StereoStats(steps, ~yes, noise, searched, searched, exposure.scale)
     assert "converged=False, noise=Noise(deviation=0.004" in repr(stereo)
 
 
