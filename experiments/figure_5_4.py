@@ -3,6 +3,7 @@
 python experiments/figure_5_4.py --scenes demo edges --sizes 15 20 25 30 35 40
 python experiments/figure_5_4.py --scenes edges --sweep colour 3.5 7 14   (as Figs. A.1 to A.3)
 python experiments/figure_5_4.py --scenes edges --methods ours --sweep thesis.colour 1 2 4
+python experiments/figure_5_4.py --scenes edges --methods ours --sweep k-means.colour 1 2 4
 python experiments/figure_5_4.py --scenes edges --strides 1 2 4           (Fig. A.4)
 python experiments/figure_5_4.py --scenes edges --methods thesis --bugs   (faults, one by one)
 python experiments/figure_5_4.py --scenes edges --methods ours --noise 0.02
@@ -16,7 +17,8 @@ once per scene and kept under --out. Where only the centre view has true ids, th
 
 import argparse
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -39,6 +41,13 @@ from mvedge_jax.superpixels import SuperpixelParams, SuperpixelSizes, superpixel
 from mvedge_jax.warping import forward_warp, holes
 
 METHODS = ("ours", "thesis", "k-means", "SLIC projected", "grid and true ids")
+AnyParams = SuperpixelParams | LfspParams | KMeansParams
+# The methods with parameters; those of the others are sizes or none at all.
+SWEPT: dict[str, type[AnyParams]] = {
+    "ours": SuperpixelParams,
+    "thesis": LfspParams,
+    "k-means": KMeansParams,
+}
 
 
 class Case(NamedTuple):
@@ -60,12 +69,16 @@ def main() -> None:
     parser.add_argument("--sizes", type=float, nargs="+", default=[20.0])
     parser.add_argument("--methods", nargs="+", default=METHODS, choices=METHODS)
     parser.add_argument("--strides", type=int, nargs="+", default=[1], help="views left out")
-    help_ = "parameter of ours, or thesis.position, .disparity, .colour, and its values"
+    help_ = "parameter of ours, or thesis. or k-means.position, .disparity, .colour, and its values"
     parser.add_argument("--sweep", nargs="+", default=[], help=help_)
     parser.add_argument("--bugs", action="store_true", help="those of the authors, one by one")
     parser.add_argument("--noise", type=float, help="standard deviation in one view, sRGB")
     parser.add_argument("--repeats", type=int, default=1, help="the least time of so many")
     arguments = parser.parse_args()
+    if len(arguments.sweep) == 1:
+        parser.error("--sweep needs values behind the name of the parameter.")
+    if arguments.sweep:
+        _swept(arguments.sweep[0], arguments.sweep[1:])
     arguments.out.mkdir(parents=True, exist_ok=True)
     rows = []
     for name in arguments.scenes:
@@ -111,7 +124,7 @@ def _timed(repeats: int, method: str, *given: Any) -> tuple[Array, float]:
     return labels, min(times)
 
 
-def _runs(arguments: Any) -> Iterator[tuple[str, float, str, SuperpixelParams | LfspParams]]:
+def _runs(arguments: Any) -> Iterator[tuple[str, float, str, AnyParams]]:
     """Name, size, method and parameters of every row."""
     for size in arguments.sizes:
         for method in arguments.methods:
@@ -120,14 +133,29 @@ def _runs(arguments: Any) -> Iterator[tuple[str, float, str, SuperpixelParams | 
             yield f"thesis, {bug}", size, f"thesis, {bug}", SuperpixelParams()
         if arguments.sweep:
             field, *values = arguments.sweep
-            kind, field = field.split(".") if "." in field else ("ours", field)
-            for value in values:
-                chosen: dict[str, Any] = {field: jnp.asarray(float(value))}
-                if kind == "ours":
-                    params = SuperpixelParams(**{"size": jnp.asarray(size), **chosen})
-                else:
-                    params = LfspParams(**chosen)
-                yield f"{kind}, {field} {value}", size, kind, params
+            for label, kind, params in _swept(field, values, size=size):
+                yield label, size, kind, params
+
+
+def _swept(
+    field: str, values: Sequence[str], *, size: float = 20.0
+) -> list[tuple[str, str, AnyParams]]:
+    """Name, method and parameters for every value of one of a method's parameters.
+
+    Raises:
+        SystemExit: no such method has such a parameter.
+    """
+    kind, name = field.rsplit(".", 1) if "." in field else ("ours", field)
+    if kind not in SWEPT:
+        raise SystemExit(f"--sweep {field}: a method must be one of {list(SWEPT)}, got {kind!r}.")
+    plain = SuperpixelParams(size=jnp.asarray(size)) if kind == "ours" else SWEPT[kind]()
+    names = [each for each, value in vars(plain).items() if isinstance(value, Array)]
+    if name not in names:
+        raise SystemExit(f"--sweep {field}: {kind} has {', '.join(names)}; got {name!r}.")
+    return [
+        (f"{kind}, {name} {value}", kind, replace(plain, **{name: jnp.asarray(float(value))}))
+        for value in values
+    ]
 
 
 def _case(arguments: Any, name: str, stride: int) -> Case:
@@ -177,7 +205,7 @@ def _scene(arguments: Any, name: str) -> tuple[LightField, np.ndarray, np.ndarra
     return light_field, np.asarray(truth.view_ids), np.asarray(truth.view_disparity)
 
 
-def _cut(method: str, case: Case, size: float, params: SuperpixelParams | LfspParams) -> Array:
+def _cut(method: str, case: Case, size: float, params: AnyParams) -> Array:
     """Labels of all views."""
     light_field, depths = case.light_field, case.depths
     centre = depths.disparity[light_field.centre]
@@ -186,8 +214,8 @@ def _cut(method: str, case: Case, size: float, params: SuperpixelParams | LfspPa
         bugs = tuple(method.split(", ")[1:])
         return thesis_superpixels(light_field, chosen, LfspSizes(round(size), bugs=bugs))
     if method == "k-means":
-        sizes = KMeansSizes(size=round(size))
-        return kmeans_superpixels(light_field, centre, KMeansParams(), sizes)
+        weights = params if isinstance(params, KMeansParams) else KMeansParams()
+        return kmeans_superpixels(light_field, centre, weights, KMeansSizes(size=round(size)))
     if method == "SLIC projected":
         return _projected(_slic(light_field.centre_view, size), centre, light_field.steps)
     if method == "grid and true ids":

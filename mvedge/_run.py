@@ -5,13 +5,18 @@ import signal
 import sys
 import threading
 
+from ._help import answer
+
 
 def run() -> int:
-    """Runs the command line.
+    """Runs the command line; the overview of commands and the version need no library.
 
     Returns:
         The exit code, see `mvedge_jax.cli.main`.
     """
+    code = answer(sys.argv[1:])
+    if code is not None:
+        return code
     listen()
     from mvedge_jax.cli import main
 

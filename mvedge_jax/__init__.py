@@ -7,6 +7,7 @@ from typing import Any as _Any
 
 from ._cache import compilation_cache as compilation_cache
 from ._compiler import compiler_options as compiler_options, lean_jit as lean_jit
+from ._export import register as _register
 from ._paths import describe as describe
 from .angular import (
     ViewDepths as ViewDepths,
@@ -36,6 +37,8 @@ from .model import (
 )
 from .model.approaches import ByEvidence as ByEvidence, ByReprojection as ByReprojection
 from .model.optimisation import Growth as Growth
+
+_register(__name__)
 
 
 def __getattr__(name: str) -> _Any:

@@ -124,6 +124,24 @@ def expect(name: str, value: Any, kind: type, advice: str) -> None:
         raise TypeError(f"`{name}` must be {kind.__name__}, got {_described(value)}; {advice}.")
 
 
+def untraced(name: str, value: Any) -> None:
+    """Refuses traced values where sizes are chosen from numbers.
+
+    Args:
+        name: of the argument.
+        value: any pytree.
+
+    Raises:
+        TypeError: naming it.
+    """
+    if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(value)):
+        raise TypeError(
+            f"`{name}` is traced, as everything within `jit`, `vmap` or `grad` is, but sizes are "
+            "chosen from its numbers: choose them outside, and close over them or pass them as a "
+            "static argument."
+        )
+
+
 def _described(value: Any) -> str:
     if value is None or isinstance(value, bool | int | float | str):
         return repr(value)[:60]

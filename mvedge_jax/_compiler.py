@@ -4,6 +4,7 @@ import contextlib
 import ctypes
 import functools
 import gc
+import inspect
 from collections.abc import Callable, Iterator
 from typing import Any, Generic, ParamSpec, TypeVar
 
@@ -98,6 +99,29 @@ def release_memory() -> None:
         ctypes.CDLL("libc.so.6").malloc_trim(0)
 
 
+def _devices(value: Any) -> set[frozenset[Any]]:
+    """Where the arrays of a value were put; those that were put nowhere go along."""
+    leaves = (leaf for leaf in jax.tree.leaves(value) if not isinstance(leaf, Tracer))
+    return {frozenset(x.sharding.device_set) for x in leaves if getattr(x, "committed", False)}
+
+
+def _check_devices(function: Callable[..., Any], arguments: Any, options: Any) -> None:
+    """Refuses arguments that were put on different devices.
+
+    Raises:
+        ValueError: naming them and their devices.
+    """
+    if len(_devices((arguments, options))) < 2:
+        return
+    named = inspect.signature(function).bind(*arguments, **options).arguments
+    found = ((name, sorted({str(d) for x in _devices(v) for d in x})) for name, v in named.items())
+    places = ", ".join(f"`{name}` on {' and '.join(devices)}" for name, devices in found if devices)
+    raise ValueError(
+        f"Arguments of `{function.__name__}` are on different devices: {places}. Put all of them "
+        "on one, as by `jax.device_put(params, device)`."
+    )
+
+
 class LeanJit(Generic[_P, _T]):
     """What `lean_jit` returns."""
 
@@ -114,6 +138,7 @@ class LeanJit(Generic[_P, _T]):
         program = self._program(arguments, options)
         if program is self._nested:
             return program(*arguments, **options)
+        _check_devices(self._function, arguments, options)
         leaves, structure = jax.tree.flatten((arguments, options))
         kind = structure, *(jax.typeof(x) if hasattr(x, "dtype") else x for x in leaves)
         if kind not in self._known:
@@ -125,6 +150,7 @@ class LeanJit(Generic[_P, _T]):
 
     def lower(self, *arguments: _P.args, **options: _P.kwargs) -> Any:
         """See `equinox.filter_jit`."""
+        _check_devices(self._function, arguments, options)
         with _no_collections():
             return self._program(arguments, options).lower(*arguments, **options)
 

@@ -4,7 +4,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from mvedge_jax._params import as_number
+from mvedge_jax._params import accepts_numpy, as_number, jax_array
 
 
 class Camera(eqx.Module):
@@ -23,6 +23,7 @@ class Camera(eqx.Module):
     baseline: Float[Array, ""] = eqx.field(converter=as_number)
     focus_distance: Float[Array, ""] = eqx.field(converter=as_number)
 
+    @accepts_numpy
     def depth(self, disparity: Float[Array, "*s"]) -> Float[Array, "*s"]:
         """Distance along the optical axis, metres, of a disparity in px per view step.
 
@@ -33,6 +34,7 @@ class Camera(eqx.Module):
         inverse = disparity / scale + (1.0 / self.focus_distance).astype(dtype)
         return jnp.where(inverse > 0, 1.0 / jnp.where(inverse > 0, inverse, 1.0), jnp.inf)
 
+    @accepts_numpy
     def disparity(self, depth: Float[Array, "*s"]) -> Float[Array, "*s"]:
         """Disparity, px per view step, of a distance in metres."""
         dtype = depth.dtype
@@ -55,11 +57,11 @@ class GroundTruth(eqx.Module):
         view_ids: `object_ids` of every view.
     """
 
-    disparity: Float[Array, "y x"]
-    valid: Bool[Array, "y x"]
-    object_ids: Int[Array, "y x"] | None = None
-    view_disparity: Float[Array, "v u y x"] | None = None
-    view_ids: Int[Array, "v u y x"] | None = None
+    disparity: Float[Array, "y x"] = eqx.field(converter=jax_array)
+    valid: Bool[Array, "y x"] = eqx.field(converter=jax_array)
+    object_ids: Int[Array, "y x"] | None = eqx.field(converter=jax_array, default=None)
+    view_disparity: Float[Array, "v u y x"] | None = eqx.field(converter=jax_array, default=None)
+    view_ids: Int[Array, "v u y x"] | None = eqx.field(converter=jax_array, default=None)
 
     def crop_views(self, window: tuple[slice, slice]) -> "GroundTruth":
         """What is true of the views `[v, u]` within a window of the grid."""

@@ -1,13 +1,19 @@
 """Traced hyperparameters: declaring them, and matching them to the data's precision."""
 
+import dataclasses
+import functools
 from collections.abc import Callable
-from typing import Any, TypeVar
+from typing import Any, ParamSpec, TypeVar
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
 
 _Tree = TypeVar("_Tree")
+_P = ParamSpec("_P")
+_T = TypeVar("_T")
 
 
 def as_number(value: Any) -> Any:
@@ -20,9 +26,47 @@ def as_number(value: Any) -> Any:
         return jnp.asarray(value, dtype=jnp.result_type(float))
     if isinstance(value, tuple | list):
         return jnp.asarray(value, dtype=jnp.result_type(float))
+    if isinstance(value, np.ndarray | np.generic):
+        return jax_array(value)
     if isinstance(value, jax.Array) and value.weak_type:
         return jnp.asarray(value, dtype=value.dtype)
     return value
+
+
+def jax_array(value: Any) -> Any:
+    """A NumPy array as one of JAX, without a request for 64 bits, which JAX may warn of."""
+    numeric = isinstance(value, np.ndarray | np.generic) and value.dtype.kind in "biufc"
+    return jnp.asarray(value) if numeric else value
+
+
+def accepts_numpy(function: Callable[_P, _T]) -> Callable[_P, _T]:
+    """Has a public function take NumPy arrays, wherever they are among its arguments.
+
+    They become JAX arrays of the precision that is switched on: float64, NumPy's default, becomes
+    float32 unless `jax_enable_x64` is set.
+
+    Args:
+        function: what asks its arguments for their dtype.
+
+    Returns:
+        The same for JAX arrays.
+
+    Example:
+        >>> @accepts_numpy
+        ... def same(values):
+        ...     return values
+        >>> isinstance(same(np.zeros(3)), jax.Array)
+        True
+    """
+
+    @functools.wraps(function)
+    def converted(*arguments: _P.args, **options: _P.kwargs) -> _T:
+        given = arguments, options
+        if any(isinstance(leaf, np.ndarray | np.generic) for leaf in jax.tree.leaves(given)):
+            arguments, options = jax.tree.map(jax_array, given)
+        return function(*arguments, **options)
+
+    return converted
 
 
 def number(
@@ -104,6 +148,36 @@ def one_of(sizes: Any, **options: tuple[Any, ...]) -> None:
         value = getattr(sizes, name)
         if value not in known:
             raise ValueError(f"`{name}` must be one of {known}, got {value!r}.")
+
+
+# Entries of an array that `readable` still shows one by one.
+_FEW = 16
+
+
+def readable(record: Any) -> str:
+    """A record of results with its numbers; the `__repr__` of statistics.
+
+    Args:
+        record: a module or a named tuple, perhaps of other ones.
+
+    Returns:
+        Such as `SolveStats(iterations=12, converged=True)`. Traced and long arrays show their
+        types.
+    """
+    if isinstance(record, eqx.Module):
+        names = [field.name for field in dataclasses.fields(record)]
+    else:
+        names = record._fields
+    parts = (f"{name}={_readable(getattr(record, name))}" for name in names)
+    return f"{type(record).__name__}({', '.join(parts)})"
+
+
+def _readable(value: Any) -> str:
+    if isinstance(value, eqx.Module) or hasattr(value, "_fields"):
+        return readable(value)
+    if eqx.is_array(value) and not isinstance(value, Tracer) and value.size <= _FEW:
+        return np.array2string(np.asarray(value), precision=6, separator=", ", floatmode="maxprec")
+    return eqx.tree_pformat(value)
 
 
 def cast(tree: _Tree, dtype: Any) -> _Tree:

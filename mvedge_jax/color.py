@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from mvedge_jax._params import accepts_numpy
 from mvedge_jax._product import product
 
 # IEC 61966-2-1 primaries with the D65 white point of the 2 degree observer.
@@ -29,6 +30,7 @@ def _require_rgb(image: Array, name: str) -> None:
         )
 
 
+@accepts_numpy
 def srgb_to_linear(image: Float[Array, "*s"]) -> Float[Array, "*s"]:
     """Undoes the sRGB transfer curve.
 
@@ -51,6 +53,7 @@ def srgb_to_linear(image: Float[Array, "*s"]) -> Float[Array, "*s"]:
     return jnp.where(toe, image / 12.92, curve).astype(image.dtype)
 
 
+@accepts_numpy
 def srgb_to_lab(image: Float[Array, "*s c"]) -> Float[Array, "*s c"]:
     """Converts sRGB to CIE Lab (L*, a*, b*; D65).
 
@@ -81,6 +84,7 @@ def srgb_to_lab(image: Float[Array, "*s c"]) -> Float[Array, "*s c"]:
     return jnp.stack([116.0 * y - 16.0, 500.0 * (x - y), 200.0 * (y - z)], axis=-1)
 
 
+@accepts_numpy
 def planes_to_lab(planes: Float[Array, "*s c y x"]) -> Float[Array, "*s c y x"]:
     """Converts channel planes from sRGB to CIE Lab, see `srgb_to_lab`.
 
@@ -101,6 +105,7 @@ def planes_to_lab(planes: Float[Array, "*s c y x"]) -> Float[Array, "*s c y x"]:
     return jnp.moveaxis(srgb_to_lab(jnp.moveaxis(planes, -3, -1)), -1, -3)
 
 
+@accepts_numpy
 def srgb_to_gray(image: Float[Array, "*s c"]) -> Float[Array, "*s"]:
     """Rec. 601 luma of an sRGB image.
 

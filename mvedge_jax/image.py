@@ -8,8 +8,10 @@ from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
 from mvedge_jax._linear_map import linear_map
+from mvedge_jax._params import accepts_numpy
 
 
+@accepts_numpy
 def window_sum(image: Array, radius: int, axis: int, *, border: str = "edge") -> Array:
     """Sum over `2 radius + 1` neighbours along an axis, by sums of doubling width.
 
@@ -57,6 +59,7 @@ def _whole_windows(radius: int, axis: int, _: None, image: Array) -> Array:
     return total
 
 
+@accepts_numpy
 def box_mean(image: Float[Array, "*c y x"], radius: int) -> Float[Array, "*c y x"]:
     """Mean over a square of `2 radius + 1` px a side, borders repeated.
 
@@ -71,6 +74,7 @@ def box_mean(image: Float[Array, "*c y x"], radius: int) -> Float[Array, "*c y x
     return window_sum(window_sum(image, radius, -2 % image.ndim), radius, image.ndim - 1) / area
 
 
+@accepts_numpy
 def gaussian_taps(sigma: Float[Array, ""], radius: int) -> Float[Array, " k"]:
     """Taps of a Gaussian, which sum to 1.
 
@@ -88,6 +92,7 @@ def gaussian_taps(sigma: Float[Array, ""], radius: int) -> Float[Array, " k"]:
     return taps / jnp.sum(taps)
 
 
+@accepts_numpy
 def convolved(image: Array, taps: Float[Array, " k"], axis: int) -> Array:
     """Image filtered along an axis, borders repeated.
 
@@ -111,6 +116,7 @@ def convolved(image: Array, taps: Float[Array, " k"], axis: int) -> Array:
     return sum(parts[1:], parts[0])
 
 
+@accepts_numpy
 def gaussian(
     image: Float[Array, "*c y x"], sigma: Float[Array, ""], radius: int
 ) -> Float[Array, "*c y x"]:
@@ -128,6 +134,7 @@ def gaussian(
     return convolved(convolved(image, taps, -2), taps, -1)
 
 
+@accepts_numpy
 def highest(image: Float[Array, "y x"], radius: int) -> Float[Array, "y x"]:
     """Largest value within a square of `2 radius + 1` px a side.
 
@@ -153,6 +160,7 @@ def highest(image: Float[Array, "y x"], radius: int) -> Float[Array, "y x"]:
     return image
 
 
+@accepts_numpy
 def unit_gradient(image: Float[Array, "y x"]) -> Float[Array, "y x 2"]:
     """Unit direction of the smoothed gradient.
 
@@ -190,6 +198,7 @@ class Pixels(NamedTuple):
         return self.row * width + self.column
 
 
+@accepts_numpy
 def nearest_pixels(xy: Float[Array, "n 2"], shape: tuple[int, int]) -> Pixels:
     """The pixels that points are on.
 

@@ -5,6 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from mvedge_jax._params import accepts_numpy
+
 _POLE = np.sqrt(3.0) - 2.0
 # The inverse filter decays by 0.27 per sample; 1e-7 of it is left at this radius.
 _RADIUS = 12
@@ -13,6 +15,7 @@ _RADIUS = 12
 _FLAT = 1e-3
 
 
+@accepts_numpy
 def keys_taps(fraction: Array) -> tuple[Array, Array, Array, Array]:
     """Taps of Keys' cubic interpolation.
 
@@ -33,6 +36,7 @@ def keys_taps(fraction: Array) -> tuple[Array, Array, Array, Array]:
     )
 
 
+@accepts_numpy
 def spline_coefficients(values: Float[Array, "*s"], *, axis: int) -> Float[Array, "*s"]:
     """Coefficients of the cubic B-spline through `values` along an axis, mirrored at the ends.
 
@@ -61,6 +65,7 @@ def spline_coefficients(values: Float[Array, "*s"], *, axis: int) -> Float[Array
     return jnp.moveaxis(total, -1, axis)
 
 
+@accepts_numpy
 def cubic_taps(fraction: Float[Array, "*s"]) -> tuple[tuple[Array, ...], tuple[Array, ...]]:
     """Weights of the four coefficients around a position, and their derivatives.
 
@@ -100,6 +105,7 @@ def vertex(below: Array, middle: Array, above: Array) -> Array:
     return jnp.clip(offset, -1, 1)
 
 
+@accepts_numpy
 def sample(image: Float[Array, "y x"], xy: Float[Array, "n 2"]) -> Float[Array, " n"]:
     """Bilinear samples of an image; outside, the border repeats.
 

@@ -1,5 +1,6 @@
 """The light field: a grid of views, what is known about it, and the slices the method reads."""
 
+from collections.abc import Iterable
 from typing import Any
 
 import equinox as eqx
@@ -21,7 +22,8 @@ class LightField(eqx.Module):
     larger `d` is nearer.
 
     Construction checks shapes, and, outside of `jit`, values. Not every view has to be there: the
-    crosshair (the centre row and the centre column of views) is enough for the centre view.
+    crosshair (the centre row and the centre column of views) is enough for the centre view, and
+    it may have gaps.
 
     Attributes:
         views: sRGB in [0, 1]; zero where a view is missing.
@@ -33,8 +35,8 @@ class LightField(eqx.Module):
 
     Raises:
         ValueError: on a wrong rank, an even number of views per side, values that are not finite or
-            lie outside [0, 1], a missing crosshair view, an empty disparity range, or ground truth
-            of another size.
+            lie outside [0, 1], a centre view that is missing or alone on its row and column, an
+            empty disparity range, or ground truth of another size.
 
     Example:
         >>> import jax.numpy as jnp
@@ -119,12 +121,15 @@ class LightField(eqx.Module):
     def _check_values(self) -> None:
         available = np.asarray(self.available)
         vc, uc = self.centre
-        missing = [(vc, u) for u in range(available.shape[1]) if not available[vc, u]]
-        missing += [(v, uc) for v in range(available.shape[0]) if not available[v, uc]]
-        if missing:
+        if not available[vc, uc]:
             raise ValueError(
-                "`available` must include the crosshair, the centre row and column of views; "
-                f"view (v, u) = {missing[0]} is missing ({len(missing)} in all)."
+                f"`available` must include the centre view, (v, u) = ({vc}, {uc}), which is "
+                "missing."
+            )
+        if available.size > 1 and available[vc].sum() + available[:, uc].sum() == 2:
+            raise ValueError(
+                "`available` must include a view of the crosshair, the centre row and column of "
+                f"views, besides the centre view; all {sum(available.shape) - 2} are missing."
             )
         # Minimum and maximum do not tell: XLA drops NaN from them in large arrays on some CPUs.
         finite = jnp.isfinite(self.views)
@@ -246,6 +251,41 @@ class LightField(eqx.Module):
             available=self.available[window],
             disparity_range=self.disparity_range,
             truth=None if self.truth is None else self.truth.crop_views(window),
+            camera=self.camera,
+            name=self.name,
+        )
+
+    def without_views(self, places: Iterable[tuple[int, int]]) -> "LightField":
+        """The same light field in which some views are missing.
+
+        Args:
+            places: `(v, u)` of each, such as `datasets.find_dead_views` finds.
+
+        Raises:
+            ValueError: a place is not in the grid, or what is left has no centre view or nothing
+                else on the crosshair.
+
+        Example:
+            >>> import jax.numpy as jnp
+            >>> light_field = LightField(jnp.ones((3, 3, 8, 8, 3))).without_views([(1, 2)])
+            >>> bool(light_field.available[1, 2]), float(light_field.views[1, 2].max())
+            (False, 0.0)
+        """
+        gone = np.zeros(self.available.shape, bool)
+        for v, u in places:
+            if not (0 <= v < gone.shape[0] and 0 <= u < gone.shape[1]):
+                raise ValueError(
+                    f"`places` names view (v, u) = ({v}, {u}), which is not in the grid of "
+                    f"{gone.shape[0]}x{gone.shape[1]} views."
+                )
+            gone[v, u] = True
+        if not gone.any():
+            return self
+        return LightField(
+            jnp.where(gone[..., None, None, None], jnp.zeros((), self.views.dtype), self.views),
+            available=self.available & ~gone,
+            disparity_range=self.disparity_range,
+            truth=self.truth,
             camera=self.camera,
             name=self.name,
         )

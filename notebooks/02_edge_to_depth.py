@@ -107,14 +107,16 @@ print(f"MSE*100 {float(scores.mse):.3g}, BadPix(0.07) {float(scores.bad_07):.3g}
 # ## A gradient through the chain
 #
 # Points, hypotheses and sides are chosen; everything computed from the choice is differentiable.
-# `jax.grad` reaches every parameter and every pixel of every view. There are twenty parameters:
+# `jax.grad` reaches every parameter and every pixel of the views that are read: by default those of
+# the centre row and column, with `views="all"` all of them. In views that are not read, it is
+# exactly 0. There are twenty parameters:
 
 # %%
 print(Parameters())
 
 # %% [markdown]
 # These are the derivatives in the nine of the diffusion. In all twenty and in the views, the
-# program takes twice as long to compile: `jax.grad` of the same loss, with more in `logs`. Forward
+# program takes longer to compile: `jax.grad` of the same loss, with more in `logs`. Forward
 # mode, one number in and a map out, is in notebook 05.
 
 # %%

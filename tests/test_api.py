@@ -161,7 +161,7 @@ def test_no_file_is_too_long_to_be_one_idea():
 
 
 _FLOORS = (
-    ("_compiler", "_params", "_fence", "_linear_map", "_product", "_root"),
+    ("_compiler", "_export", "_params", "_fence", "_linear_map", "_product", "_root"),
     ("_known", "_unstack", "color", "image", "interpolation"),
     ("_checks", "lightfield"),
     ("_crosshair",),

@@ -2,6 +2,8 @@
 
 import functools
 import gc
+import subprocess
+import sys
 
 import jax
 import jax.numpy as jnp
@@ -173,3 +175,37 @@ def test_programs_of_one_function_are_compiled_once():
     for _ in range(3):
         assert float(lean_jit(counted)(jnp.asarray(1.0))) == 2
     assert len(traces) == 1
+
+
+_TWO_DEVICES = """
+import jax
+jax.config.update("jax_num_cpu_devices", 2)
+import jax.numpy as jnp
+import mvedge_jax as mv
+here, there = jax.devices()
+views = jax.device_put(jnp.zeros((3, 3, 8, 8, 3)), here)
+light_field = mv.LightField(views, disparity_range=(-1.0, 1.0))
+params, sizes = mv.Parameters(), mv.Sizes.for_light_field(light_field)
+for call in (mv.edge_to_depth, mv.edge_to_depth.lower):
+    try:
+        call(light_field, jax.device_put(params, there), sizes)
+    except ValueError as error:
+        print(error)
+total = mv.lean_jit(lambda a, b: a + b)
+print(total(jax.device_put(1.0, there), 2.0))  # what was put nowhere goes along
+spread = jax.sharding.NamedSharding(jax.make_mesh((2,), ("x",)), jax.sharding.PartitionSpec("x"))
+a = jax.device_put(jnp.ones(2), spread)
+print(total(a, jax.device_put(jnp.ones(2), spread)))
+"""
+
+
+def test_arguments_on_different_devices_are_named():
+    run = subprocess.run(
+        [sys.executable, "-c", _TWO_DEVICES], capture_output=True, text=True, check=True
+    )
+    *refused, alone, together = run.stdout.splitlines()
+    assert refused == 2 * [
+        "Arguments of `edge_to_depth` are on different devices: `light_field` on cpu:0, "
+        "`params` on cpu:1. Put all of them on one, as by `jax.device_put(params, device)`."
+    ]
+    assert (alone, together) == ("3.0", "[2. 2.]")

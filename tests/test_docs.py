@@ -1,10 +1,11 @@
-"""The table from equations to functions names things and files that are there."""
+"""Pages name what is there: the table of equations, and code that runs."""
 
 import importlib
 import inspect
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import mvedge_jax
@@ -34,3 +35,13 @@ def test_a_row_of_the_equations_names_what_is_there(row):
         assert _file_of(target) in sources, target
     for step in re.findall(r"`(\w+)`, run by", functions):
         assert any(f"def {step}(" in source for source in sources.values()), step
+
+
+def test_the_loss_of_ones_own_runs():
+    page = (_PAGE.parent / "objectives.md").read_text(encoding="utf-8")
+    (code,) = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
+    names: dict = {"__name__": "page"}
+    exec(compile(code.replace("print(", "("), "objectives.md", "exec"), names)  # noqa: S102
+    history, found = names["history"], names["state"].best.disparity
+    assert float(history.loss[-1]) < 0.5 * float(history.loss[0])
+    np.testing.assert_allclose(found, 0.2, atol=0.05)

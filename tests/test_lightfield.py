@@ -138,8 +138,13 @@ def test_passes_through_jit_and_vmap():
         (jnp.zeros((3, 3, 4, 4, 3)), {"available": jnp.ones((3, 5))}, "shape of the view grid"),
         (
             jnp.zeros((3, 3, 4, 4, 3)),
-            {"available": jnp.ones((3, 3)).at[1, 2].set(0)},
-            r"crosshair.*\(1, 2\) is missing",
+            {"available": jnp.ones((3, 3)).at[1, 1].set(0)},
+            r"the centre view, \(v, u\) = \(1, 1\), which is missing",
+        ),
+        (
+            jnp.zeros((3, 5, 4, 4, 3)),
+            {"available": jnp.zeros((3, 5)).at[0].set(1).at[0, 2].set(0).at[1, 2].set(1)},
+            "a view of the crosshair.*all 6 are missing",
         ),
         (
             jnp.zeros((3, 3, 4, 4, 3)),

@@ -3,6 +3,8 @@
 Rooms: `kmeans` (superpixels by k-means), `lfsp` (the thesis' superpixels).
 """
 
+from mvedge_jax._export import register
+
 from ._joint_filter import joint_filter as joint_filter
 from ._reproject import reproject_views as reproject_views
 from ._sparse_depth import (
@@ -19,3 +21,5 @@ from ._thesis_depth import thesis_depth as thesis_depth
 from ._thesis_edges import thesis_edges as thesis_edges
 from ._thesis_params import ThesisParams as ThesisParams, ThesisSizes as ThesisSizes
 from ._thesis_views import thesis_views as thesis_views
+
+register(__name__)

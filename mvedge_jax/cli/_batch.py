@@ -9,7 +9,6 @@ from typing import Annotated, Any, NamedTuple
 import jax
 import tyro
 
-from mvedge_jax.datasets import load_light_field
 from mvedge_jax.depth import DepthResult, Parameters, Sizes, edge_to_depth
 from mvedge_jax.edges import scene_range
 from mvedge_jax.lightfield import LightField
@@ -18,7 +17,7 @@ from ._common import compiled, finite, missing_views, note, stage, warn
 from ._depth import depth_report, score_depth, write_depth
 from ._output import MARKER, output_folder, refuse_inputs, write_json
 from ._paths import scenes_and_out
-from ._source import read_json, source_of
+from ._source import read_json, read_scene, source_of
 
 _SCORES = ("mse", "q25", "bad_01", "bad_03", "bad_07")
 
@@ -92,7 +91,7 @@ def batch(
             continue
         try:
             with stage(f"reading {scene}"):
-                found = load_light_field(scene, views=views, scale=scale).without_truth()
+                found = read_scene(scene, views=views, scale=scale)[0].without_truth()
             kind = _Kind(found.views.shape, str(found.views.dtype))
             ends = range or (ranges.get(kind) if options.video else None) or scene_range(found)
         except (ValueError, OSError, MemoryError) as reason:
@@ -132,7 +131,7 @@ def _run(
     for name, scene in members:
         try:
             with stage(f"reading {scene}"):
-                found = load_light_field(scene, views=options.views, scale=options.scale)
+                found, said = read_scene(scene, views=options.views, scale=options.scale)
             result, sizes, seconds = estimate(found, name)
             # What is there is an earlier result of ours, or the folder refuses.
             with output_folder(out / name, inputs=[scene], overwrite=True) as folder:
@@ -141,6 +140,7 @@ def _run(
                 report["scores"] = score_depth(folder, found, result)
                 report["source"] = source_of(scene, views=options.views, scale=options.scale)
                 report["warnings"] = [
+                    *said,
                     *result.problems(),
                     *(missing_views(found) if options.all_views else []),
                 ]

@@ -12,7 +12,7 @@ import numpy as np
 import tyro
 
 from mvedge_jax import plotting, viewer
-from mvedge_jax.datasets import load_light_field, write_pfm
+from mvedge_jax.datasets import write_pfm
 from mvedge_jax.depth import DepthResult, DepthStats, Parameters, Sizes, edge_to_depth
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.metrics import boundary_scores, calibration, depth_scores
@@ -20,7 +20,7 @@ from mvedge_jax.metrics import boundary_scores, calibration, depth_scores
 from ._common import compiled, missing_views, note, stage, warn
 from ._output import output_folder, write_json
 from ._points import valid_points, write_points
-from ._source import source_of
+from ._source import read_scene, source_of
 from ._view import show
 
 _COLUMNS = {
@@ -41,6 +41,7 @@ def depth(
     scale: float = 1.0,
     flip_u: bool = False,
     flip_v: bool = False,
+    swap_axes: bool = False,
     range: tuple[float, float] | None = None,
     all_views: bool = False,
     view: bool = False,
@@ -60,16 +61,16 @@ def depth(
         scale: shrink the views by this factor, at most 1.
         flip_u: reverse the columns of views.
         flip_v: reverse the rows of views.
+        swap_axes: exchange rows and columns of views, before they are reversed.
         range: lowest and highest disparity, px per view step; measured if not given or known.
         all_views: measure disparity in all views at the end, not in the central row and column
             alone: more accurate, twice as slow.
         view: show the result in a browser until Ctrl-C, as `mvedge view` does.
         overwrite: replace OUT if it is an earlier result of mvedge, with nothing else in it.
     """
+    order = {"flip_u": flip_u, "flip_v": flip_v, "swap_axes": swap_axes}
     with stage(f"reading {scene}"):
-        light_field = load_light_field(
-            scene, views=views, scale=scale, flip_u=flip_u, flip_v=flip_v
-        )
+        light_field, said = read_scene(scene, views=views, scale=scale, **order)
     if range is not None:
         light_field = _within(light_field, range)
     params = Parameters()
@@ -93,10 +94,8 @@ def depth(
             write_depth(folder, light_field, result)
             scores = score_depth(folder, light_field, result)
             report["scores"] = scores
-            report["source"] = source_of(
-                scene, views=views, scale=scale, flip_u=flip_u, flip_v=flip_v
-            )
-            doubts = [*result.problems(), *(missing_views(light_field) if all_views else [])]
+            report["source"] = source_of(scene, views=views, scale=scale, **order)
+            doubts = [*said, *result.problems(), *(missing_views(light_field) if all_views else [])]
             report["warnings"] = doubts
             write_json(folder / "report.json", report)
     for doubt in doubts:

@@ -9,13 +9,13 @@ import numpy as np
 import tyro
 
 from mvedge_jax import plotting
-from mvedge_jax.datasets import load_light_field
 from mvedge_jax.edges import EdgeParams, Edges, EdgeSizes, multiview_edges
 from mvedge_jax.lightfield import LightField
 
 from ._common import compiled, note, stage, warn
 from ._output import output_folder, write_json
 from ._points import valid_points, write_points
+from ._source import read_scene
 
 
 def edges(
@@ -27,6 +27,7 @@ def edges(
     scale: float = 1.0,
     flip_u: bool = False,
     flip_v: bool = False,
+    swap_axes: bool = False,
     range: tuple[float, float] | None = None,
     overwrite: bool = False,
 ) -> None:
@@ -43,13 +44,15 @@ def edges(
         scale: shrink the views by this factor, at most 1.
         flip_u: reverse the columns of views.
         flip_v: reverse the rows of views.
+        swap_axes: exchange rows and columns of views, before they are reversed.
         range: lowest and highest disparity, px per view step; measured if not given or known.
         overwrite: replace OUT if it is an earlier result of mvedge, with nothing else in it.
     """
     with stage(f"reading {scene}"):
-        light_field = load_light_field(
-            scene, views=views, scale=scale, flip_u=flip_u, flip_v=flip_v
-        ).without_truth()
+        read, said = read_scene(
+            scene, views=views, scale=scale, flip_u=flip_u, flip_v=flip_v, swap_axes=swap_axes
+        )
+        light_field = read.without_truth()
     if range is not None:
         light_field = LightField(
             light_field.views,
@@ -80,7 +83,7 @@ def edges(
                 "seconds": seconds,
                 "counts": {name: int(value) for name, value in vars(found.stats).items()},
                 "sizes": repr(sizes),
-                "warnings": (doubts := _doubts(found)),
+                "warnings": (doubts := [*said, *_doubts(found)]),
             }
             write_json(folder / "report.json", report)
     for doubt in doubts:

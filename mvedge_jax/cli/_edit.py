@@ -9,12 +9,13 @@ import numpy as np
 import tyro
 
 from mvedge_jax import plotting
-from mvedge_jax.datasets import load_light_field, write_hci
+from mvedge_jax.datasets import read_raw, write_hci
 from mvedge_jax.edit import insert_picture, paint, remove
 
 from ._common import finite, in_unit_range, note, stage, warn
 from ._every_view import every_view
 from ._output import output_folder, write_json
+from ._source import read_scene
 
 # How far around what is removed pixels blend with it, px.
 _BLENDED = 2
@@ -59,7 +60,8 @@ def edit(
     finite(at=at, disparity=disparity, slant=slant)
     in_unit_range(colour)
     with stage("reading"):
-        light_field = load_light_field(scene).without_truth()
+        read, said = read_scene(scene)
+        light_field = read.without_truth()
         given = _read(insert or mask)
     inputs = [scene, *(path for path in (insert, mask) if path is not None)]
     shape = light_field.views.shape[2:4]
@@ -70,6 +72,7 @@ def edit(
         )
     with output_folder(out, inputs=inputs, overwrite=overwrite) as folder:
         found, _, doubts = every_view(light_field)
+        doubts = [*said, *doubts]
         depths = found.disparity
         with stage("editing"):
             white = jnp.asarray(given[..., :3].mean(-1) > 0.5)
@@ -97,7 +100,10 @@ def edit(
 
 def _read(path: Path | None) -> np.ndarray:
     """A picture as sRGB and alpha in [0, 1]."""
-    image = None if path is None else cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+    if path is not None and path.suffix.lower() in (".png", ".jpg", ".jpeg", ".bmp"):
+        image = read_raw(path)
+    else:
+        image = None if path is None else cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
     if image is None:
         raise ValueError(f"{path} could not be read as a picture.")
     levels = {np.dtype(np.uint8): 255, np.dtype(np.uint16): 65535}.get(image.dtype, 1)

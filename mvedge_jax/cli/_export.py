@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import tyro
 
-from mvedge_jax.datasets.exchange import write_colmap, write_nerfstudio, write_ply
+from mvedge_jax.datasets.exchange import from_origin, write_colmap, write_nerfstudio, write_ply
 from mvedge_jax.posed import Photographs
 from mvedge_jax.posed.cloud import surface_of
 
@@ -62,7 +62,23 @@ def export(
         else:
             report["points"] = _dense(folder, found)
         write_json(folder / "report.json", report)
-    note(f"{len(found.photographs.names)} views; written to {out}")
+    note(f"{_written(found, report)}; written to {out}")
+
+
+def _written(found: Gathered, report: dict[str, Any]) -> str:
+    """What there is in the folder, in words."""
+    counts = report.get("points")
+    if counts is not None:
+        clouds = "1 point cloud" if len(counts) == 1 else f"{len(counts)} point clouds"
+        return f"{clouds} ({_files(counts)}), {sum(counts.values())} points"
+    views, points = found.photographs.names, found.photographs.points
+    text = f"{len(views)} views with their cameras, {0 if points is None else len(points)} points"
+    return text + f", depth of {len(found.depth)}" if report["form"] == "nerfstudio" else text
+
+
+def _files(counts: dict[str, int]) -> str:
+    names = [f"{stem}.ply" for stem in counts]
+    return ", ".join(names[:3]) + (", ..." if len(names) > 3 else "")
 
 
 def _dense(folder: Path, found: Gathered) -> dict[str, int]:
@@ -78,7 +94,7 @@ def _dense(folder: Path, found: Gathered) -> dict[str, int]:
         error = found.error.get(index)
         write_ply(
             folder / f"{stem}.ply",
-            np.asarray(surface.points)[keep],
+            from_origin(np.asarray(surface.points)[keep], views.origin),
             colours=colours[keep],
             normals=np.asarray(surface.normals)[keep],
             error=None if error is None else error[keep],
@@ -102,7 +118,7 @@ def _edges(folder: Path, found: Gathered, source: Path) -> dict[str, int]:
     colours = np.round(255 * np.asarray(views.images[index])).astype(np.uint8)
     write_ply(
         folder / "edges.ply",
-        np.asarray(views.points),
+        from_origin(np.asarray(views.points), views.origin),
         colours=colours[row, column],
         normals=np.asarray(surface.normals)[row, column],
         error=found.point_error,

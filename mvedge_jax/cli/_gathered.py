@@ -114,8 +114,10 @@ def _of_depth(path: Path, field: LightField, camera: Camera) -> Gathered:
         points=world[keep],
         observed=observed[:, keep],
         depth=photographs.depth,
+        mask=photographs.mask,
         names=photographs.names,
         name=photographs.name,
+        origin=photographs.origin,
     )
     return Gathered(dense, {index: depth}, {index: error}, doubt[keep])
 

@@ -10,13 +10,13 @@ from mvedge_jax.datasets import (
     ConventionCheck,
     camera_spacing,
     check_convention,
-    load_light_field,
     open_source,
 )
 from mvedge_jax.lightfield import Camera, GroundTruth, LightField
 from mvedge_jax.photometry.brightness import rough_brightness
 
 from ._common import note, stage, warn
+from ._source import read_scene
 
 # A camera that is off by more than this many steps moves a point of disparity 1 as many pixels.
 _IRREGULAR = 0.05
@@ -30,6 +30,7 @@ def info(
     scale: float = 1.0,
     flip_u: bool = False,
     flip_v: bool = False,
+    swap_axes: bool = False,
     quick: bool = False,
 ) -> None:
     """Says what is in a light field and checks that its views are the right way round.
@@ -43,12 +44,17 @@ def info(
         scale: shrink the views by this factor as they are read.
         flip_u: reverse the view columns.
         flip_v: reverse the view rows.
+        swap_axes: exchange view rows and columns, before they are reversed.
         quick: leave out the look at the occlusions, which takes some seconds.
     """
     with open_source(path) as source:
         layout = source.layout
     with stage(f"reading {path}"):
-        light_field = load_light_field(path, views=views, scale=scale, flip_u=flip_u, flip_v=flip_v)
+        light_field, said = read_scene(
+            path, views=views, scale=scale, flip_u=flip_u, flip_v=flip_v, swap_axes=swap_axes
+        )
+    for doubt in said:
+        warn(doubt)
     lines = [
         ("light field", f"{light_field.name} ({layout})"),
         ("views", _views(light_field)),
@@ -75,7 +81,7 @@ def info(
     lines.append(("convention", _verdict(result)))
     _print(lines)
     if result.holds is False:
-        warn(_advice(result, flip_u, flip_v))
+        warn(_advice(result, flip_u, flip_v, swap_axes))
 
 
 def _print(lines: list[tuple[str, str]]) -> None:
@@ -90,7 +96,9 @@ def _views(light_field: LightField) -> str:
     text = f"{rows}x{columns} of {width}x{height} px (width x height), "
     if present.all():
         return text + "all there"
-    if present.sum() == rows + columns - 1:
+    cross = np.zeros_like(present)
+    cross[rows // 2] = cross[:, columns // 2] = True
+    if (present == cross).all():
         return text + f"the {int(present.sum())} of the crosshair only"
     missing = [f"({v}, {u})" for v, u in np.argwhere(~present)]
     shown = ", ".join(missing[:6]) + (", ..." if len(missing) > 6 else "")
@@ -170,19 +178,28 @@ def _votes(result: ConventionCheck) -> str:
 def _verdict(result: ConventionCheck) -> str:
     if result.holds:
         return "holds: near covers far along both axes"
+    order = "rows and columns EXCHANGED; after that, " if result.swap_axes else ""
     words = {None: "cannot be told", True: "REVERSED", False: "right"}
-    return f"columns (u) {words[result.flip_u]}, rows (v) {words[result.flip_v]}"
+    return f"{order}columns (u) {words[result.flip_u]}, rows (v) {words[result.flip_v]}"
 
 
-def _advice(result: ConventionCheck, flip_u: bool, flip_v: bool) -> str:
-    changes = []
-    for reversed_, used, option in (
-        (result.flip_u, flip_u, "--flip-u"),
-        (result.flip_v, flip_v, "--flip-v"),
-    ):
-        if reversed_:
-            changes.append(f"without {option}" if used else f"with {option}")
-    return (
-        "the views disagree with the convention: far things cover near ones. Load them "
-        f"{' and '.join(changes)}."
+def _advice(result: ConventionCheck, flip_u: bool, flip_v: bool, swap_axes: bool) -> str:
+    used = {"--swap-axes": swap_axes, "--flip-u": flip_u, "--flip-v": flip_v}
+    # What was reversed along one axis is so along the other one, once they are exchanged.
+    across, down = (flip_v, flip_u) if result.swap_axes else (flip_u, flip_v)
+    wanted = {
+        "--swap-axes": swap_axes != result.swap_axes,
+        "--flip-u": across != bool(result.flip_u),
+        "--flip-v": down != bool(result.flip_v),
+    }
+    changes = [
+        f"{'with' if wanted[option] else 'without'} {option}"
+        for option in used
+        if used[option] != wanted[option]
+    ]
+    reason = (
+        "what moves along the rows of views moves up and down"
+        if result.swap_axes
+        else "far things cover near ones"
     )
+    return f"the views disagree with the convention: {reason}. Load them {' and '.join(changes)}."

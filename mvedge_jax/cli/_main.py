@@ -13,39 +13,15 @@ from typing import Any
 import cv2
 import tyro
 
+from mvedge._help import COMMANDS, list_commands, tolerate_locales
 from mvedge_jax._cache import compilation_cache
 
 from ._common import note, printable, warn
 from ._interruption import GUARD
 
-# Command -> module, function. Only the module of the command that runs is imported.
-_COMMANDS = {
-    "info": ("._info", "info"),
-    "render": ("._render", "render"),
-    "eval": ("._eval", "evaluate"),
-    "edges": ("._edges", "edges"),
-    "depth": ("._depth", "depth"),
-    "view": ("._view", "view"),
-    "views": ("._views", "views"),
-    "stereo": ("._stereo", "stereo"),
-    "edit": ("._edit", "edit"),
-    "superpixels": ("._superpixels", "superpixels"),
-    "optimize": ("._optimize", "optimize"),
-    "batch": ("._batch", "batch"),
-    "sweep": ("._sweep", "sweep"),
-    "export": ("._export", "export"),
-    "demo": ("._demo", "demo"),
-}
-_DESCRIPTION = (
-    "Multi-view edges and dense, occlusion-correct depth from light fields.\n\n"
-    "`mvedge COMMAND --help` explains a command. Options for all commands: --debug shows the "
-    "traceback of an error; --no-cache does without JAX's persistent compilation cache; "
-    "--max-gb N lifts the limit of 8 GB that a light field may take; --version tells the version."
-)
-
 
 def _load(name: str) -> Callable:
-    module, function = _COMMANDS[name]
+    module, function = COMMANDS[name]
     return getattr(importlib.import_module(module, __package__), function)
 
 
@@ -60,9 +36,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         files that it names, 130 interrupted.
     """
     words = list(sys.argv[1:] if arguments is None else arguments)
-    for stream in (sys.stdout, sys.stderr):  # a locale without a letter shows its code instead
-        with contextlib.suppress(AttributeError, ValueError):
-            stream.reconfigure(errors="backslashreplace")  # pyright: ignore
+    tolerate_locales()
     if words == ["--version"]:
         note(f"mvedge {version('mvedge_jax')}")
         return 0
@@ -100,19 +74,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _run(words: list[str]) -> int:
-    # A flag is --overwrite, without a --no-overwrite beside it.
-    config = (tyro.conf.FlagCreatePairsOff,)
-    if words and words[0] in _COMMANDS:
+    if words and words[0] in COMMANDS:
         command = _load(words[0])
+        # A flag is --overwrite, without a --no-overwrite beside it.
+        config = (tyro.conf.FlagCreatePairsOff,)
         result = tyro.cli(command, prog=f"mvedge {words[0]}", args=words[1:], config=config)
     else:  # --help, or a mistake that the list of commands answers
-        result = tyro.extras.subcommand_cli_from_dict(
-            {name: _load(name) for name in _COMMANDS},
-            prog="mvedge",
-            description=_DESCRIPTION,
-            args=words,
-            config=config,
-        )
+        result = list_commands(words, {name: _load(name) for name in COMMANDS})
     return result if isinstance(result, int) else 0
 
 

@@ -11,7 +11,7 @@ import tyro
 from matplotlib.figure import Figure
 
 from mvedge_jax import plotting
-from mvedge_jax.datasets import load_light_field, write_pfm
+from mvedge_jax.datasets import write_pfm
 from mvedge_jax.depth import Parameters, Sizes, edge_to_depth
 from mvedge_jax.lightfield import GroundTruth, LightField
 from mvedge_jax.losses.features import Colours, FilterBank, load_vgg16
@@ -41,6 +41,7 @@ from mvedge_jax.model.optimisation import (
 
 from ._common import compiled, missing_views, note, stage, warn
 from ._output import output_folder, write_json
+from ._source import read_scene
 
 _COLUMNS = {
     "mse": "MSE*100",
@@ -110,7 +111,7 @@ def optimize(
     fit = FitParams()
     sizes = ModelSizes.on_raster(raster)
     table = _table(routine, iterations, fit if supervised else approach)
-    light_field = _read(scene, views, scale, needs_truth=supervised)
+    light_field, said = _read(scene, views, scale, needs_truth=supervised)
     earlier = None if state is None else State.load(state)
     options: dict[str, Any] = {"routine": table, "state": earlier, "progress": _tell}
     inputs = [path for path in (scene, vgg16, state) if path is not None]
@@ -126,7 +127,7 @@ def optimize(
                 key = jax.random.key(seed)
                 result = optimize_edges(light_field, start, approach, sizes, key=key, **options)
         seconds = time.perf_counter() - clock
-        doubts += [*missing_views(light_field), *_doubts(result)]
+        doubts = [*said, *doubts, *missing_views(light_field), *_doubts(result)]
         scores = _write(folder, light_field, start, result, seconds, doubts)
     for doubt in doubts:
         warn(doubt)
@@ -161,12 +162,15 @@ def _table(routine: str, iterations: int | None, params: FitParams | Approach) -
     return all_at_once(params.rates, iterations=iterations or params.iterations)
 
 
-def _read(scene: Path, views: int | None, scale: float, *, needs_truth: bool) -> LightField:
+def _read(
+    scene: Path, views: int | None, scale: float, *, needs_truth: bool
+) -> tuple[LightField, list[str]]:
+    """The light field, and what its reader warns of."""
     with stage(f"reading {scene}"):
-        light_field = load_light_field(scene, views=views, scale=scale)
+        light_field, said = read_scene(scene, views=views, scale=scale)
     if needs_truth and light_field.truth is None:
         raise ValueError(f"{scene} has no ground truth, which --supervised needs.")
-    return light_field
+    return light_field, said
 
 
 def _start(blind: LightField) -> tuple[Start, list[str]]:

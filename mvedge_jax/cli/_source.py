@@ -1,8 +1,12 @@
 """What a result says it was made from; nothing in it is taken for granted."""
 
 import json
+import warnings
 from pathlib import Path
 from typing import Any
+
+from mvedge_jax.datasets import load_light_field
+from mvedge_jax.lightfield import LightField
 
 # Bytes that a report may have.
 _MOST = 10**8
@@ -12,6 +16,7 @@ _READING: dict[str, tuple[type, ...]] = {
     "scale": (int, float),
     "flip_u": (bool,),
     "flip_v": (bool,),
+    "swap_axes": (bool,),
 }
 
 
@@ -35,6 +40,22 @@ def read_json(path: Path) -> dict[str, Any]:
     except (OSError, ValueError, RecursionError):
         pass
     raise ValueError(f"{path} could not be read as a report of mvedge.")
+
+
+def read_scene(scene: Path, **reading: Any) -> tuple[LightField, list[str]]:
+    """Reads a light field.
+
+    Args:
+        scene: folder or file.
+        reading: options of `load_light_field`.
+
+    Returns:
+        It, and what the reader warns of, for the user and the report.
+    """
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", UserWarning)
+        light_field = load_light_field(scene, **reading)
+    return light_field, [str(one.message) for one in caught if one.category is UserWarning]
 
 
 def source_of(scene: Path, **reading: Any) -> dict[str, Any]:

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import tyro
 
@@ -46,8 +47,9 @@ def stereo(
 
     MODEL is a COLMAP model, a transforms.json of nerfstudio, or a folder of images with a list of
     poses. OUT gets, for every photograph NAME, NAME_depth.pfm and NAME_error.pfm (its standard
-    error) in the unit of the model, NAME_depth.png and NAME_error.png, and report.json. Where true
-    depth lies beside the images: scores.
+    error) in the unit of the model, NAME_depth.png and NAME_error.png (the disparity and its
+    standard error, px), and report.json. Where true depth lies beside the images: scores.
+    Transparent pixels take no part; their depth is NaN.
 
     Args:
         model: folder or file with the cameras.
@@ -92,6 +94,7 @@ def stereo(
             "method": method,
             "layout": source.layout,
             "scale": scale,
+            "origin": list(source.origin),
             "images": None if images is None else str(images.resolve()),
             "intrinsics": None if intrinsics is None else list(intrinsics),
             "photographs": rows,
@@ -119,7 +122,8 @@ def _dense(
     row = _written(base, photographs, chosen, result.depth, result.disparity)
     row |= {
         "seconds, compilation included": round(seconds, 3),
-        "standard error, median": float(np.median(np.asarray(result.error))),
+        "standard error, median": float(np.median(_shown(result.error, photographs, chosen))),
+        "pixels without an accepted label, %": 100 * (1 - float(result.stats.labeled)),
         "noise of 255": 255 * float(result.stats.noise.deviation),
         "gains": dict(zip(photographs.names, np.asarray(result.stats.gain).tolist(), strict=True)),
         "hypotheses": sizes.hypotheses,
@@ -157,6 +161,14 @@ def _points(
 _METHODS = {"dense": _dense, "points": _points}
 
 
+def _shown(
+    values: jax.Array | np.ndarray, photographs: Photographs, chosen: Reference
+) -> np.ndarray:
+    """Values of a map at the pixels of its photograph that are not transparent."""
+    values, mask = np.asarray(values), photographs.mask
+    return values.ravel() if mask is None else values[np.asarray(mask[int(chosen.index)])]
+
+
 def _file(base: Path, end: str) -> Path:
     """A file of a photograph."""
     return base.with_name(f"{base.name}_{end}")
@@ -176,18 +188,31 @@ def _written(
     """Writes a map of depth; what the report says of it, by either method."""
     index = int(chosen.index)
     name = photographs.names[index]
-    write_pfm(_file(base, "depth.pfm"), np.asarray(depth))
-    figure = plotting.plot_disparity(np.asarray(disparity), label="disparity (px per baseline)")
+    mask = None if photographs.mask is None else np.asarray(photographs.mask[index])
+    depths, disparities = (
+        np.asarray(values) if mask is None else np.where(mask, np.asarray(values), np.nan)
+        for values in (depth, disparity)
+    )
+    write_pfm(_file(base, "depth.pfm"), depths)
+    figure = plotting.plot_disparity(disparities, label="disparity (px per baseline)")
     figure.savefig(_file(base, "depth.png"))
     row: dict[str, Any] = {
         "baseline": float(chosen.baseline),
         "disparity range": np.asarray(chosen.disparity_range).tolist(),
-        "depth, 5, 50 and 95 %": np.quantile(np.asarray(depth), (0.05, 0.5, 0.95)).tolist(),
+        "depth, 5, 50 and 95 %": np.quantile(
+            _shown(depths, photographs, chosen), (0.05, 0.5, 0.95)
+        ).tolist(),
         "measured in": list(photographs.names),
         "points": 0 if photographs.points is None else int(photographs.points.shape[0]),
     }
-    if photographs.depth is not None and bool((photographs.depth[index] > 0).any()):
-        scores = depth_errors(depth, photographs.depth[index])
+    if mask is not None and not mask.all():
+        row["transparent, without depth %"] = 100 * float(1 - mask.mean())
+        note(f"{name}: {100 * (1 - mask.mean()):.1f} % is transparent and has no depth (NaN)")
+    truth = None if photographs.depth is None else np.asarray(photographs.depth[index])
+    if truth is not None and mask is not None:
+        truth = np.where(mask, truth, 0)
+    if truth is not None and bool((truth > 0).any()):
+        scores = depth_errors(jnp.asarray(depths), jnp.asarray(truth))
         row["scores"] = {
             "median relative error %": float(scores.median),
             "above 2 %": float(scores.above),

@@ -11,7 +11,7 @@ import tyro
 from PIL import Image
 
 from mvedge_jax import plotting
-from mvedge_jax.datasets import load_light_field, write_hci
+from mvedge_jax.datasets import write_hci
 from mvedge_jax.edit import paint
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.metrics.superpixels import labels_per_pixel, superpixel_scores
@@ -25,6 +25,7 @@ from mvedge_jax.superpixels import (
 from ._common import compiled, in_unit_range, note, stage, warn
 from ._every_view import every_view
 from ._output import output_folder, write_json
+from ._source import read_scene
 
 
 def superpixels(
@@ -59,7 +60,7 @@ def superpixels(
     """
     in_unit_range(colour)
     with stage("reading"):
-        light_field = load_light_field(scene, views=views)
+        light_field, said = read_scene(scene, views=views)
     height, width = light_field.views.shape[2:4]
     if count is not None:
         if count < 1:
@@ -75,6 +76,7 @@ def superpixels(
     blind = light_field.without_truth()
     with output_folder(out, inputs=[scene], overwrite=overwrite) as folder:
         depths, _, doubts = every_view(blind)
+        doubts = [*said, *doubts]
         room = max(SuperpixelSizes.for_depths(depths).capacity, int(4 * height * width / size**2))
         sizes = SuperpixelSizes.for_depths(depths, capacity=min(room, 32000))
         params = SuperpixelParams(size=jnp.asarray(size))

@@ -13,8 +13,9 @@ from mvedge_jax.datasets import load_light_field
 from mvedge_jax.lightfield import LightField
 
 from ._common import note, stage
+from ._gathered import gather
 from ._interruption import unfinished
-from ._source import scene_of
+from ._source import read_json, scene_of
 from ._view_maps import view_maps
 
 # What tells a folder of results from a light field.
@@ -27,6 +28,7 @@ def view(
     *,
     other: Annotated[Path | None, tyro.conf.arg(metavar="RESULT")] = None,
     scene: Annotated[Path | None, tyro.conf.arg(metavar="SCENE")] = None,
+    reference: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None,
     superpixels: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")] = None,
     hidden: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")] = None,
     html: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
@@ -45,9 +47,11 @@ def view(
     elsewhere; without --html it is served to this machine alone until Ctrl-C.
 
     Args:
-        path: folder or file of a light field, or what `mvedge depth` or `optimize` wrote.
-        other: a second result of the same scene, to compare; a folder or a .pfm map.
+        path: folder or file of a light field, or what `mvedge depth`, `optimize` or `stereo` wrote.
+        other: a second result of the same scene, to compare; a folder or, of a light field, a .pfm
+            map.
         scene: the light field, where the result does not tell or it has moved.
+        reference: of what `mvedge stereo` wrote, the photograph to show; by default the first one.
         superpixels: what `mvedge superpixels` wrote of the scene, to show as colours.
         hidden: what `mvedge views` wrote of the scene: surfaces that the centre view does not show.
         html: write one self-contained file, .html, instead of serving it.
@@ -61,6 +65,16 @@ def view(
     """
     if html is not None:
         _refuse(html, overwrite)
+    page = {"html": html, "quality": quality, "host": host, "port": port, "quiet": no_browser}
+    if _is_stereo(path):
+        given = {"--scene": scene, "--superpixels": superpixels, "--hidden": hidden}
+        if wrong := [option for option, value in given.items() if value is not None]:
+            raise ValueError(f"{wrong[0]} is for light fields; {path} is what `stereo` wrote.")
+        with stage(f"reading {path}"):
+            light_field, results = _photograph(path, other, reference)
+        return show(light_field, results, **page)
+    if reference is not None:
+        raise ValueError(f"--reference is for what `stereo` wrote, which {path} is not.")
     is_result = path.suffix == ".pfm" or (path / _MAP).is_file()
     reading = {"views": views, "scale": scale}
     source = path if scene is None else scene
@@ -71,7 +85,56 @@ def view(
         results = _results([path] if is_result else [], other)
         added = _added(superpixels, hidden, light_field, results)
         results = [result._replace(**added) for result in results]
-    show(light_field, results, html=html, quality=quality, host=host, port=port, quiet=no_browser)
+    return show(light_field, results, **page)
+
+
+def _is_stereo(path: Path) -> bool:
+    """Whether a folder is what `mvedge stereo` wrote."""
+    file = path / "report.json"
+    if not file.is_file():
+        return False
+    try:
+        report = read_json(file)
+    except ValueError:  # what needs it will say so
+        return False
+    return "model" in report and "photographs" in report
+
+
+def _photograph(
+    path: Path, other: Path | None, reference: str | None
+) -> tuple[LightField, list[viewer.Result]]:
+    """A photograph, and its depth by one or two results."""
+    field, results = None, []
+    for folder in [path, *([] if other is None else [other])]:
+        if not _is_stereo(folder):
+            raise ValueError(
+                f"--other must be what `mvedge stereo` wrote, as {path}; got {folder}."
+            )
+        found = gather(folder, None)
+        names = {index: found.photographs.names[index] for index in found.depth}
+        reference = next(iter(names.values()), "") if reference is None else reference
+        index = found.photographs.index(reference)
+        if index not in names:
+            shown = ", ".join(list(names.values())[:8])
+            raise ValueError(f"{folder} has no depth of {reference!r}; it has that of {shown}.")
+        rows = read_json(folder / "report.json")["photographs"]
+        row = next(row for name, row in rows.items() if found.photographs.index(name) == index)
+        baseline = row.get("baseline") if isinstance(row, dict) else None
+        if not isinstance(baseline, int | float):
+            raise ValueError(f"{folder / 'report.json'} does not tell the baseline of {reference}.")
+        label = folder.name if other is None or folder.name != other.name else str(folder)
+        view, result = viewer.result_of_photograph(
+            found.photographs,
+            index,
+            found.depth[index],
+            error=found.error.get(index),
+            baseline=baseline,
+            name=label,
+        )
+        field = view if field is None else field
+        results.append(result)
+    assert field is not None
+    return field, results
 
 
 def show(

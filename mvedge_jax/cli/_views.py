@@ -10,7 +10,7 @@ from PIL import Image
 
 from mvedge_jax import plotting
 from mvedge_jax.angular import ViewDepths
-from mvedge_jax.datasets import load_light_field, write_pfm
+from mvedge_jax.datasets import write_pfm
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.metrics import view_consistency
 from mvedge_jax.metrics.depth import bad_pixels, mse
@@ -18,7 +18,7 @@ from mvedge_jax.metrics.depth import bad_pixels, mse
 from ._common import note, stage, warn
 from ._every_view import every_view
 from ._output import output_folder, write_json
-from ._source import source_of
+from ._source import read_scene, source_of
 
 
 def views(
@@ -43,7 +43,7 @@ def views(
         overwrite: replace OUT if it is an earlier result of mvedge, with nothing else in it.
     """
     with stage("reading"):
-        light_field = load_light_field(scene, views=views)
+        light_field, said = read_scene(scene, views=views)
     with output_folder(out, inputs=[scene], overwrite=overwrite) as folder:
         found, seconds, doubts = every_view(light_field.without_truth())
         with stage("writing"):
@@ -51,7 +51,7 @@ def views(
             report = {"scene": light_field.name, "seconds": round(seconds, 3), **_report(found)}
             report["scores"] = _score(folder, light_field, found)
             report["source"] = source_of(scene, views=views)
-            report["warnings"] = doubts
+            report["warnings"] = doubts = [*said, *doubts]
             write_json(folder / "report.json", report)
     for doubt in doubts:
         warn(doubt)

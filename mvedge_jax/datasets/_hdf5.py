@@ -43,6 +43,13 @@ def _source(file: h5py.File, path: Path, limit: float) -> Source:
             f"`LF` in {path} has {views.shape[4]} colour channels (shape {views.shape}); "
             "expected [v, u, y, x, c] with 3."
         )
+    if min(views.shape[:2]) > max(views.shape[2:4]):
+        one, other = (f"{a}x{b}" for a, b in (views.shape[:2], views.shape[2:4]))
+        raise ValueError(
+            f"`LF` in {path} has {one} views of {other} px (shape {views.shape}, [v, u, y, x, c]); "
+            f"expected views with more pixels than there are views along a side. If it has {other} "
+            f"views of {one} px, store it as [v, u, y, x, c]."
+        )
     check_grid(path, *views.shape[:2])
     truth = _truth_reader(file, path, views.shape[:4], limit)
     flip_v, flip_u = (False, True) if truth is None else _view_order(views, truth())

@@ -1,27 +1,42 @@
 """Image files, checked: what OpenCV would read as half a picture is an error here."""
 
+import contextlib
 import io
 import struct
 import warnings
-import zlib
+from collections.abc import Iterator
 from pathlib import Path
 
 import cv2
 import numpy as np
-from jaxtyping import Shaped
+from jaxtyping import Bool, Shaped
 from PIL import Image
 
+from ._png import SIGNATURE, DamagedPng, plain_png
+
+_JPEG = b"\xff\xd8"
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp")
-_PNG = b"\x89PNG\r\n\x1a\n"
 # Bytes within which a header tells the size; profiles and thumbnails of a JPEG come before it.
 _HEAD = 4_000_000
+# What the numbers of EXIF's tag 0x112 ask a viewer for.
+_ORIENTATION = 0x112
+_TURNS = {
+    2: Image.Transpose.FLIP_LEFT_RIGHT,
+    3: Image.Transpose.ROTATE_180,
+    4: Image.Transpose.FLIP_TOP_BOTTOM,
+    5: Image.Transpose.TRANSPOSE,
+    6: Image.Transpose.ROTATE_270,
+    7: Image.Transpose.TRANSVERSE,
+    8: Image.Transpose.ROTATE_90,
+}
 
 
-def read_image(path: Path) -> Shaped[np.ndarray, "y x 3"]:
+def read_image(path: Path, *, upright: bool = True) -> Shaped[np.ndarray, "y x 3"]:
     """Reads an 8 or 16 bit image as RGB; grey becomes RGB, an alpha channel is dropped.
 
     Args:
         path: a PNG, JPEG or BMP file.
+        upright: turn a JPEG as its EXIF orientation asks for, which is how viewers show it.
 
     Returns:
         uint8 or uint16.
@@ -30,7 +45,35 @@ def read_image(path: Path) -> Shaped[np.ndarray, "y x 3"]:
         FileNotFoundError: if there is no such file.
         ValueError: if it is truncated, damaged, not an image, or of another depth.
     """
-    pixels = read_raw(path)
+    return _rgb(read_raw(path, upright=upright))
+
+
+def read_cutout(
+    path: Path, *, upright: bool = True
+) -> tuple[Shaped[np.ndarray, "y x 3"], Bool[np.ndarray, "y x"] | None]:
+    """Reads an image as RGB, and which of its pixels are opaque.
+
+    Args:
+        path: see `read_image`.
+        upright: see there.
+
+    Returns:
+        uint8 or uint16; and where alpha is at least one half, None if that is everywhere.
+
+    Raises:
+        FileNotFoundError: if there is no such file.
+        ValueError: as `read_image`, or all of it is transparent.
+    """
+    pixels = read_raw(path, upright=upright)
+    if pixels.ndim == 2 or pixels.shape[2] < 4:
+        return _rgb(pixels), None
+    opaque = pixels[..., 3] > np.iinfo(pixels.dtype).max // 2
+    if not opaque.any():
+        raise ValueError(f"{path} is transparent everywhere; expected pixels that show something.")
+    return _rgb(pixels), None if opaque.all() else opaque
+
+
+def _rgb(pixels: np.ndarray) -> Shaped[np.ndarray, "y x 3"]:
     if pixels.ndim == 2:
         return cv2.cvtColor(pixels, cv2.COLOR_GRAY2RGB)
     if pixels.shape[2] == 4:
@@ -38,11 +81,14 @@ def read_image(path: Path) -> Shaped[np.ndarray, "y x 3"]:
     return cv2.cvtColor(pixels, cv2.COLOR_BGR2RGB)
 
 
-def read_raw(path: Path) -> np.ndarray:
+def read_raw(path: Path, *, upright: bool = True) -> np.ndarray:
     """Reads the stored channels of an image file as they are (`[y, x]` or `[y, x, bgr(a)]`).
+
+    Of a JPEG with more behind its end marker (motion photographs, MPO), the first image is read.
 
     Args:
         path: a PNG, JPEG or BMP file.
+        upright: see `read_image`.
 
     Returns:
         uint8 or uint16.
@@ -55,10 +101,14 @@ def read_raw(path: Path) -> np.ndarray:
         raise FileNotFoundError(f"{path} is missing; expected an image.")
     data = path.read_bytes()
     _size(path, data)
-    problem = _damage(data)
-    if problem:
+    problem, pixels = _damage(data), None
+    if problem is None:
+        try:
+            pixels = _decoded(data, upright)
+        except (DamagedPng, _TruncatedError) as damage:
+            problem = str(damage)
+    if problem is not None:
         raise ValueError(f"{path} cannot be read: {problem}; expected a complete image.")
-    pixels = _decoded(data)
     if pixels is None:
         raise ValueError(f"{path} cannot be decoded; expected a PNG, JPEG or BMP image.")
     if pixels.dtype not in (np.uint8, np.uint16):
@@ -66,31 +116,77 @@ def read_raw(path: Path) -> np.ndarray:
     return pixels
 
 
-def _decoded(data: bytes) -> np.ndarray | None:
+class _TruncatedError(ValueError):
+    """What the decoder says of a file that ends too early."""
+
+
+def _decoded(data: bytes, upright: bool) -> np.ndarray | None:
     """The pixels, blue first as OpenCV has them; None if there are none.
 
     OpenCV reads PNG at any depth. Of other damaged files it would write to the terminal.
     """
-    if data.startswith(_PNG):
+    if data.startswith(SIGNATURE):
         try:
-            return cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+            return cv2.imdecode(np.frombuffer(plain_png(data), np.uint8), cv2.IMREAD_UNCHANGED)
         except cv2.error:
             return None
+    if data.startswith(_JPEG):
+        # A download that was cut off is filled with zeros, which decode as pixels.
+        data = data.rstrip(b"\0\r\n ")
+    turn = _TURNS.get(_orientation(data)) if upright else None
     try:
-        with warnings.catch_warnings(), Image.open(io.BytesIO(data)) as image:
-            warnings.simplefilter("ignore")
+        with _opened(data) as image:
             grey = image.mode in ("1", "L")
-            pixels = np.asarray(image.convert("L" if grey else "RGB"))
-    except (OSError, ValueError, SyntaxError, ArithmeticError, Image.DecompressionBombError):
+            plain = image.convert("L" if grey else "RGB")
+            pixels = np.asarray(plain if turn is None else plain.transpose(turn))
+    except (OSError, ValueError, SyntaxError, ArithmeticError, Image.DecompressionBombError) as no:
+        ended = "truncated" not in str(no) and data.endswith(b"\xff\xd9")
+        if data.startswith(_JPEG) and not ended:
+            raise _TruncatedError("it is truncated (a JPEG)") from no
         return None
     return pixels if grey else np.ascontiguousarray(pixels[..., ::-1])
 
 
-def image_size(path: Path) -> tuple[int, int]:
+@contextlib.contextmanager
+def _opened(data: bytes) -> Iterator[Image.Image]:
+    """An image opened by Pillow, whose warnings are nothing that a user could act on."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        with Image.open(io.BytesIO(data)) as image:
+            yield image
+
+
+def image_orientation(path: Path) -> int:
+    """The EXIF orientation of a JPEG file.
+
+    Args:
+        path: an image file.
+
+    Returns:
+        1 to 8; 1, as it is, where the file does not say.
+    """
+    with path.open("rb") as stream:
+        return _orientation(stream.read(_HEAD))
+
+
+def _orientation(data: bytes) -> int:
+    if not data.startswith(_JPEG) or b"Exif\0\0" not in data[:_HEAD]:
+        return 1
+    try:
+        with _opened(data) as image:
+            found = image.getexif().get(_ORIENTATION, 1)
+    # Broken EXIF data asks for nothing.
+    except (OSError, ValueError, SyntaxError, ArithmeticError, KeyError, TypeError, struct.error):
+        return 1
+    return found if isinstance(found, int) and found in _TURNS else 1
+
+
+def image_size(path: Path, *, upright: bool = True) -> tuple[int, int]:
     """Height and width of an image from its header; nothing is decoded.
 
     Args:
         path: a PNG, JPEG or BMP file.
+        upright: see `read_image`.
 
     Returns:
         In px.
@@ -102,7 +198,10 @@ def image_size(path: Path) -> tuple[int, int]:
     if not path.is_file():
         raise FileNotFoundError(f"{path} is missing; expected an image.")
     with path.open("rb") as stream:
-        return _size(path, stream.read(_HEAD))
+        data = stream.read(_HEAD)
+    height, width = _size(path, data)
+    # From 5 on, rows become columns.
+    return (width, height) if upright and _orientation(data) > 4 else (height, width)
 
 
 def write_image(path: Path, pixels: np.ndarray) -> None:
@@ -121,10 +220,10 @@ def write_image(path: Path, pixels: np.ndarray) -> None:
 def _size(path: Path, data: bytes) -> tuple[int, int]:
     """Height and width from the beginning of a file."""
     found = None
-    if data.startswith(_PNG):
+    if data.startswith(SIGNATURE):
         width, height = struct.unpack(">II", data[16:24]) if len(data) >= 24 else (0, 0)
         found = height, width
-    elif data.startswith(b"\xff\xd8"):
+    elif data.startswith(_JPEG):
         found = _jpeg_size(data)
     elif data.startswith(b"BM"):
         kind = "<HH" if data[14:18] == b"\x0c\0\0\0" else "<ii"
@@ -155,37 +254,11 @@ def _jpeg_size(data: bytes) -> tuple[int, int] | None:
 
 
 def _damage(data: bytes) -> str | None:
-    """What is wrong with the file, None if nothing is or the format is unknown.
-
-    OpenCV fills the missing part of a truncated file with grey and only prints a warning.
-    """
-    if not data:
-        return "it is empty"
-    if data.startswith(_PNG):
-        return _png_damage(data)
-    if data.startswith(b"\xff\xd8"):
-        complete = data.rstrip(b"\0\r\n ").endswith(b"\xff\xd9")
-        return None if complete else "it is truncated (a JPEG without its end marker)"
-    if data.startswith(b"BM"):
-        size = struct.unpack("<I", data[2:6])[0] if len(data) >= 6 else 26
-        return f"it is truncated ({len(data)} of {size} bytes)" if len(data) < size else None
-    return None
-
-
-def _png_damage(data: bytes) -> str | None:
-    position = 8
-    while position + 12 <= len(data):
-        length = struct.unpack(">I", data[position : position + 4])[0]
-        end = position + 12 + length
-        if end > len(data):
-            return f"it is truncated at byte {len(data)} (a PNG)"
-        chunk = memoryview(data)[position + 4 : end - 4]
-        if zlib.crc32(chunk) != struct.unpack(">I", data[end - 4 : end])[0]:
-            return f"it is damaged at byte {position} (a PNG checksum is wrong)"
-        if chunk[:4] == b"IEND":
-            return None
-        position = end
-    return f"it is truncated at byte {len(data)} (a PNG without its end)"
+    """What is wrong with a file that its decoder would not say, None if nothing is."""
+    if not data.startswith(b"BM"):
+        return None
+    size = struct.unpack("<I", data[2:6])[0] if len(data) >= 6 else 26
+    return f"it is truncated ({len(data)} of {size} bytes)" if len(data) < size else None
 
 
 def picked(values: np.ndarray, size: tuple[int, int], ratio: tuple[float, float]) -> np.ndarray:

@@ -1,8 +1,6 @@
 """`load_light_field`: recognises a layout, reads its views into one array, meets the convention."""
 
 import os
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import jax
@@ -11,20 +9,12 @@ import numpy as np
 
 from mvedge_jax.lightfield import Camera, GroundTruth, LightField
 
-from ._grid import is_grid, open_grid
-from ._hci import is_hci, open_hci
-from ._hdf5 import open_hdf5
+from ._dead import leave_out_dead_views
 from ._images import picked
-from ._limits import memory_limit, some
-from ._lytro import open_mat
+from ._limits import memory_limit
+from ._open import open_source
 from ._read import read_views, shrink
 from ._source import Source, Truth
-from ._stanford import is_stanford, open_stanford
-
-_LAYOUTS = (
-    "input_CamNNN.png (HCI 4D benchmark), out_RR_CC_<y>_<x>.png (Stanford archive), *_RR_CC.png, "
-    ".jpg or .bmp (any grid), a .h5 (old HCI benchmark) or a .mat file (Lytro)"
-)
 
 
 def load_light_field(
@@ -34,6 +24,7 @@ def load_light_field(
     scale: float = 1.0,
     flip_u: bool = False,
     flip_v: bool = False,
+    swap_axes: bool = False,
     disparity_range: tuple[float, float] | None = None,
     name: str | None = None,
     max_gb: float | None = None,
@@ -45,13 +36,14 @@ def load_light_field(
     | HCI 4D benchmark | `input_CamNNN.png` | `parameters.cfg`, `gt_disp_lowres.pfm`, object ids |
     | old HCI benchmark | `.h5`, `.hdf5` with `LF` | `GT_DEPTH`, `GT_LABELS` |
     | Stanford archive | `out_RR_CC_<y>_<x>.png` | `camera_spacing` tells how even the rig is |
-    | Lytro, EPFL | `.mat` with a 5-D `LF` | |
+    | Lytro, EPFL | `.mat` with `LF`, `[v, u, y, x, c]` or `[y, x, v, u, c]` | |
     | any grid | `*_RR_CC.png`, `.jpg` or `.bmp` | |
 
     In the first layout the ground truth may also be there for every view, as
     `gt_disp_lowres_CamNNN.pfm` and `objectids_lowres_CamNNN.png`. A folder that holds a single
     `.h5` or `.mat` file and no views stands for that file. Views outside the crosshair may be
-    missing; they are then not `available`.
+    missing; they are then not `available`. Nor are views that do not show the scene, wherever
+    they are (`find_dead_views`): these are named in a warning.
 
     **Which way round.** By the convention a point of disparity `d` moves by `(u_c - u) d` and
     `(v_c - v) d` px, and larger `d` is nearer: as `u` grows, near things move left, as `v` grows,
@@ -59,7 +51,8 @@ def load_light_field(
     the other way round on either axis. All disparities then come out with the wrong sign, and so
     nothing shows but at occlusions: what is estimated as near is covered by what is estimated as
     far. `check_convention` and `mvedge info` look for that and say which flip is needed; by eye,
-    flick through the views of a row, then of a column.
+    flick through the views of a row, then of a column. They also find out where rows and columns of
+    the grid have changed places, as of files named by column and row.
 
     Args:
         path: a folder or a file.
@@ -70,6 +63,7 @@ def load_light_field(
             disparities, range and camera shrink alike.
         flip_u: reverses the view columns, on top of what the layout needs by itself.
         flip_v: reverses the view rows, likewise.
+        swap_axes: exchanges view rows and columns, before they are reversed.
         disparity_range: `(low, high)` in px per view step of the stored size, where the files do
             not tell or tell wrongly.
         name: what to call the scene; by default the name of the folder or file.
@@ -84,8 +78,11 @@ def load_light_field(
             crosshair is missing.
         ValueError: if files are truncated, unreadable, of different sizes, contradict each other,
             do not form an odd square grid or a single odd row or column, claim more than `max_gb`,
-            or hold ground truth that is not finite; or on an option out of its range. The message
-            names the file.
+            or hold ground truth that is not finite; if the centre view does not show what the
+            others show; or on an option out of its range. The message names the file.
+
+    Warns:
+        UserWarning: views do not show the scene and are left out.
 
     Example:
         >>> import tempfile
@@ -103,9 +100,11 @@ def load_light_field(
     if not 0 < scale <= 1:
         raise ValueError(f"`scale` must be in (0, 1], got {scale}.")
     limit = memory_limit(max_gb)
-    with open_source(Path(path), max_gb=max_gb) as source:
+    with open_source(Path(path), max_gb=max_gb) as opened:
+        source = opened.exchanged() if swap_axes else opened
         rows, columns = _places(source, views, flip_u, flip_v)
         images, available = read_views(source, rows, columns, scale, limit)
+        leave_out_dead_views(images, available, source, rows, columns)
         truth = None
         if source.truth is not None:
             truth = _ground_truth(source, source.truth(), rows, columns, scale, images.shape[2:4])
@@ -152,48 +151,6 @@ def load_ground_truth(path: str | os.PathLike) -> GroundTruth:
         if source.flip_u:
             columns.reverse()
         return _ground_truth(source, source.truth(), rows, columns, 1.0, _size(source, *centre))
-
-
-@contextmanager
-def open_source(path: Path, *, max_gb: float | None = None) -> Iterator[Source]:
-    """Recognises the layout of a folder or file and opens it; see `load_light_field`.
-
-    Args:
-        path: folder or file.
-        max_gb: gigabytes that it may take, see `load_light_field`.
-
-    Yields:
-        The opened source, closed on the way out.
-
-    Raises:
-        FileNotFoundError: if there is nothing at `path` or no light field in it.
-        ValueError: if the file is of an unknown kind, or what is found contradicts itself.
-    """
-    if path.is_dir():
-        names = sorted(file.name for file in path.iterdir() if not file.name.startswith("."))
-        for recognise, open_folder in (
-            (is_hci, open_hci),
-            (is_stanford, open_stanford),
-            (is_grid, open_grid),
-        ):
-            if recognise(names):
-                yield open_folder(path, names)
-                return
-        files = [path / name for name in names if Path(name).suffix.lower() in _FILES]
-        if len(files) != 1:
-            found = f"{len(names)} files, such as {some(names[:1])}" if names else "an empty folder"
-            raise FileNotFoundError(f"{path} holds no light field: {found}; expected {_LAYOUTS}.")
-        path = files[0]
-    if not path.is_file():
-        raise FileNotFoundError(f"{path} is not there; expected a folder or file: {_LAYOUTS}.")
-    opener = _FILES.get(path.suffix.lower())
-    if opener is None:
-        raise ValueError(f"{path} is not a light field that can be read; expected {_LAYOUTS}.")
-    with opener(path, memory_limit(max_gb)) as source:
-        yield source
-
-
-_FILES = {".h5": open_hdf5, ".hdf5": open_hdf5, ".mat": open_mat}
 
 
 def _places(

@@ -35,7 +35,12 @@ def read_views(
             f"{source.label(*centre)} is {side[0]}x{side[1]} px (height x width); expected "
             f"{height}x{width}, as {file} says."
         )
-    height, width = (max(1, int(length * scale + 1e-6)) for length in side)
+    height, width = (int(length * scale + 1e-6) for length in side)
+    if min(height, width) < 1:
+        raise ValueError(
+            f"`scale` of {scale:g} leaves no pixel of {source.label(*centre)}, {side[0]}x{side[1]} "
+            f"px (height x width); expected at least {1 / min(side):.3g}."
+        )
     claim = f"The light field {source.label(*centre)} belongs to"
     check_memory(claim, (len(rows), len(columns), height, width, 3), limit)
     check_memory(source.label(*centre), (*side, 3), limit / 9)  # it is read at full size

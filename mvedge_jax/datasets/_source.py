@@ -23,6 +23,14 @@ class Truth:
     view_disparity: Float[np.ndarray, "v u y x"] | None = None
     view_ids: Int[np.ndarray, "v u y x"] | None = None
 
+    def exchanged(self) -> "Truth":
+        """The same of a grid whose rows are the columns of this one."""
+        disparity, ids = (
+            None if values is None else values.swapaxes(0, 1)
+            for values in (self.view_disparity, self.view_ids)
+        )
+        return dataclasses.replace(self, view_disparity=disparity, view_ids=ids)
+
 
 @dataclasses.dataclass(frozen=True)
 class Source:
@@ -56,6 +64,20 @@ class Source:
     flip_u: bool = False
     size: tuple[int, int, str] | None = None
     header: Callable[[int, int], tuple[int, int]] | None = None
+
+    def exchanged(self) -> "Source":
+        """The same light field, whose rows of views are the columns of this one."""
+        header, truth = self.header, self.truth
+        return dataclasses.replace(
+            self,
+            available=self.available.T,
+            read=lambda row, column: self.read(column, row),
+            label=lambda row, column: self.label(column, row),
+            header=None if header is None else lambda row, column: header(column, row),
+            truth=None if truth is None else lambda: truth().exchanged(),
+            flip_v=self.flip_u,
+            flip_u=self.flip_v,
+        )
 
 
 def image_source(

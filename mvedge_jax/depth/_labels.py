@@ -7,10 +7,19 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from mvedge_jax._params import cast, number
+from mvedge_jax._paths import replaced
 from mvedge_jax.edges import EdgePoints, rasterise, share
 from mvedge_jax.edges.sides import Sides
 from mvedge_jax.photometry import Evidence
 from mvedge_jax.splatting import SplatLabels
+
+# Coverage at which a splatted label has half of its weight; below, single precision spoils it.
+_UNCOVERED = 1e-3
+
+
+def _splat() -> SplatLabels:
+    """As narrow as labels may be: wider points hide, at depth steps, what is behind them."""
+    return replaced(SplatLabels(), {"widths.sigma_label": 0.15, "widths.sigma_weight": 0.4})
 
 
 class Labels(NamedTuple):
@@ -116,13 +125,16 @@ class SplattedLabels(eqx.Module):
 
     Attributes:
         splat: widths, density and raster.
+        clearing: c; a point of weight w has the opacity $1 - e^{-c w}$, so that one that nothing is
+            known of hides nothing.
         gain: see `NearestLabels`.
         limit: see `NearestLabels`.
 
     Source: Thesis 7.1.2-7.1.3.
     """
 
-    splat: SplatLabels = eqx.field(default_factory=SplatLabels)
+    splat: SplatLabels = eqx.field(default_factory=_splat)
+    clearing: Float[Array, ""] = number(1.0)
     gain: Float[Array, ""] = number(3.0, "1/px")
     limit: Float[Array, ""] = number(4.0)
 
@@ -133,9 +145,16 @@ class SplattedLabels(eqx.Module):
         params = cast(self, points.disparity.dtype)
         weight = point_weight(sides.confidence, points, precision, params)
         maps = params.splat(
-            points.xy + sides.surface.offset, points.disparity, weight, points.valid, evidence.shape
+            points.xy + sides.surface.offset,
+            points.disparity,
+            weight,
+            points.valid,
+            evidence.shape,
+            opacity=-jnp.expm1(-params.clearing * weight),
         )
-        return Labels(maps.weight, maps.label)
+        # A label has no digits left where hardly anything covers its pixel.
+        coverage = 1 - maps.transmittance
+        return Labels(maps.weight * coverage / (coverage + _UNCOVERED), maps.label)
 
 
 def precision_weight(variance: Array, precision: Float[Array, ""]) -> Array:

@@ -22,7 +22,7 @@ from mvedge_jax.photometry.measuring import (
 from mvedge_jax.photometry.photographs import PreparedPhotographs
 
 from ._diffused import diffused
-from ._refine import Given, Map, Parts, Refine, cut_edges
+from ._refine import Given, Map, Parts, Refine, cut_edges, labeled_share
 from ._standard_error import steepest
 
 # What a turn does: a solve, measured around the last map in the crosshair or in all views; a look
@@ -50,7 +50,7 @@ def measured_map(given: Given, first: Float[Array, "y x"], parts: Parts) -> Map:
 
     # One look and one solver for all turns keep the program small: what differs between turns is a
     # branch, and the two maps that a sharpening compares are looked at in turns of their own.
-    def step(state: _State, turn: _Turn) -> tuple[_State, tuple[Array, Array]]:
+    def step(state: _State, turn: _Turn) -> tuple[_State, tuple[Array, Array, Array]]:
         if state.blurred is None:
             found = kept(_look(given, state.disparity))
         else:
@@ -60,7 +60,10 @@ def measured_map(given: Given, first: Float[Array, "y x"], parts: Parts) -> Map:
             found = lax.cond(turn.kind == _AROUND, around, lambda f, _: f, found, state.disparity)
         (disparity, error), stats = lax.cond(
             turn.kind == _BLURRED,
-            lambda: (state[:2], (jnp.zeros((), jnp.int32), jnp.asarray(True))),
+            lambda: (
+                state[:2],
+                (jnp.zeros((), jnp.int32), jnp.asarray(True), jnp.zeros_like(given.span)),
+            ),
             lambda: _solve(given, found, state.disparity, turn, parts),
         )
         return state._replace(disparity=disparity, error=error), stats
@@ -72,13 +75,15 @@ def measured_map(given: Given, first: Float[Array, "y x"], parts: Parts) -> Map:
         unseen = jax.tree.map(lambda of: jnp.zeros(of.shape, of.dtype), shapes)
         state = state._replace(blurred=_Blurred(unseen, nothing))
     turns = _turns(kinds, parts.refine, first.dtype)
-    state, (iterations, converged) = lax.scan(recomputed(step), state, turns)
+    state, (iterations, converged, labeled) = lax.scan(recomputed(step), state, turns)
     solves = np.flatnonzero(kinds != _BLURRED)
-    return Map(state.disparity, state.error, iterations[solves], jnp.all(converged))
+    return Map(
+        state.disparity, state.error, iterations[solves], jnp.all(converged), labeled[solves[-1]]
+    )
 
 
 class _Turn(NamedTuple):
-    """What is done in a turn of `dense_map`.
+    """What is done in a turn of `measured_map`.
 
     Attributes:
         kind: see `_PLAIN`.
@@ -101,7 +106,7 @@ class _Blurred(NamedTuple):
 
 
 class _State(NamedTuple):
-    """What a turn of `dense_map` hands on to the next."""
+    """What a turn of `measured_map` hands on to the next."""
 
     disparity: Array
     error: Array
@@ -201,8 +206,9 @@ def _solve(given: Given, found: Look, disparity: Array, turn: _Turn, parts: Part
         share = jnp.where(turn.kind == _AROUND, alone, 1)
         sparse = sparse._replace(weight=share * sparse.weight)
     dense = kept(measured(found, disparity))
-    return diffused(
-        parts.dense(sparse, dense, disparity, params, refine.precision, given.lit),
+    both = parts.dense(sparse, dense, disparity, params, refine.precision, given.lit)
+    solved, (iterations, converged) = diffused(
+        both,
         cut_edges(given, disparity, parts.smoothness),
         disparity,
         given.span,
@@ -211,6 +217,7 @@ def _solve(given: Given, found: Look, disparity: Array, turn: _Turn, parts: Part
         sloped=turn.sloped,
         last=turn.last,
     )
+    return solved, (iterations, converged, labeled_share(both))
 
 
 def _share_of_all(disparity: Array, parted: Array) -> Array:

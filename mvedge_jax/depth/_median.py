@@ -10,6 +10,7 @@ from jaxtyping import Array, Float
 
 from mvedge_jax._fence import fenced, kept
 from mvedge_jax._linear_map import linear_map
+from mvedge_jax._params import accepts_numpy
 from mvedge_jax.color import Factored, factored, solved
 from mvedge_jax.image import window_sum
 
@@ -17,6 +18,7 @@ from mvedge_jax.image import window_sum
 _CLOSEST = 1e-9
 
 
+@accepts_numpy
 def weighted_median(
     values: Float[Array, "y x"],
     guide: Float[Array, "c y x"],

@@ -79,7 +79,7 @@ def parts_for(light_field: LightField, preset: str, views: str) -> dict[str, Any
             "sides": ThesisSides(),
             "labels": SplattedLabels(),
             "dense": None,
-            "refine": Refine(slopes=None, outlines=False),
+            "refine": Refine(precision=0.008, solves=3, outlines=False),
         }
     return common | {
         "sides": BidirectionalSides(),

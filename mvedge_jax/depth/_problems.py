@@ -21,6 +21,11 @@ def problems(result: "DepthResult") -> tuple[str, ...]:
     if not bool(stats.sound):
         return ("a parameter is NaN, infinite or negative, so the map is NaN.",)
     found = list(map_problems(result.disparity, result.error, stats.converged, stats.searched))
+    if not np.isfinite(np.asarray(result.disparity)).all():
+        found.append(
+            "a black view may be why: `datasets.find_dead_views` names it, and "
+            "`LightField.without_views` leaves it out."
+        )
     if not int(stats.edges.valid):
         # A step between two plain surfaces may be a surface's end, and then fits any disparity.
         found.append("no edge was found: the views do not determine the map, whatever its error.")

@@ -18,6 +18,10 @@ from ._sharpen import Sharpen
 from ._slopes import Slopes
 from ._standard_error import StandardError
 
+# A label of less weight than this, against a perfect one, is not accepted: its standard error is
+# ten times `Refine.precision`, or the views disagree about its pixel.
+_ACCEPTED = 0.01
+
 
 class Refine(eqx.Module):
     """How labels become a map: weights of the diffusion, and when to sharpen and solve again.
@@ -69,12 +73,19 @@ class Map(NamedTuple):
             it that of the map.
         iterations: of every diffusion of the map.
         converged: whether all diffusions reached their tolerance.
+        labeled: share of the pixels with an accepted label in the last solve.
     """
 
     disparity: Array
     error: Array
     iterations: Array
     converged: Array
+    labeled: Array
+
+
+def labeled_share(labels: Labels) -> Array:
+    """Share of the pixels with an accepted label."""
+    return jnp.mean((labels.weight >= _ACCEPTED).astype(labels.weight.dtype))
 
 
 class Given(NamedTuple):

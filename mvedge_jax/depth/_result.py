@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 from jaxtyping import Array, Bool, Float, Int
 
+from mvedge_jax._params import readable
 from mvedge_jax.edges import EdgePoints, EdgeStats
 from mvedge_jax.edges.sides import SurfaceVectors
 from mvedge_jax.photometry import Noise
@@ -36,6 +37,9 @@ class DepthStats(NamedTuple):
     exposure: Exposure
     sound: Bool[Array, ""]
     searched: Float[Array, "2"]
+
+    def __repr__(self) -> str:
+        return readable(self)
 
 
 class DepthResult(NamedTuple):

@@ -11,7 +11,7 @@ from mvedge_jax._fence import recomputed
 from ._diffused import diffused
 from ._labels import Labels as Labels
 from ._measured_map import measured_map
-from ._refine import Given as Given, Map as Map, Parts as Parts, cut_edges
+from ._refine import Given as Given, Map as Map, Parts as Parts, cut_edges, labeled_share
 
 
 def refine_disparity(given: Given, first: Float[Array, "y x"], parts: Parts) -> Map:
@@ -50,7 +50,8 @@ def _map_of_points(given: Given, first: Array, parts: Parts) -> Map:
         )
 
     start = (first, jnp.zeros_like(first))
+    labeled = labeled_share(given.from_points)
     (disparity, error), (iterations, converged) = lax.scan(
         recomputed(step), start, jnp.arange(count)
     )
-    return Map(sharpen(disparity, given.guide), error, iterations, jnp.all(converged))
+    return Map(sharpen(disparity, given.guide), error, iterations, jnp.all(converged), labeled)

@@ -13,7 +13,7 @@ from jax import lax
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
-from mvedge_jax._params import cast
+from mvedge_jax._params import accepts_numpy, cast
 
 from ._linear import linear_operator
 from ._pcg import Iterate
@@ -23,6 +23,7 @@ from ._stencil import Coefficients, inner, largest, product, reachable, spread
 from ._system import System, check, inflow
 
 
+@accepts_numpy
 def diffuse(
     system: System,
     *,

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import lineax as lx
 from jaxtyping import Array, Bool, Float, Int
 
-from mvedge_jax._params import cast, number
+from mvedge_jax._params import cast, number, readable
 
 from ._batches import mapped
 from ._linear import SystemOperator
@@ -266,6 +266,9 @@ class SolveStats(eqx.Module):
     estimate: Float[Array, ""]
     converged: Bool[Array, ""]
     isolated: Int[Array, ""]
+
+    def __repr__(self) -> str:
+        return readable(self)
 
 
 class Diffused(eqx.Module):

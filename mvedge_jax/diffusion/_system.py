@@ -9,6 +9,8 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
+from mvedge_jax._params import accepts_numpy, jax_array
+
 from ._stencil import Coefficients, around, diagonal, differences, energy, product
 
 if TYPE_CHECKING:
@@ -27,7 +29,8 @@ class System(eqx.Module):
     is stored once; nothing is tied to anything beyond the border (Neumann).
 
     Attributes:
-        weight: data weights $w \ge 0$; 0 where a pixel has no label.
+        weight: data weights $w \ge 0$; 0 where a pixel has no label. A boolean mask counts as 1
+            and 0, in the precision of the labels.
         label: labels $s$, any unit; read only where `weight > 0`.
         tx: weights of the edges between `(y, x)` and `(y, x + 1)`, ≥ 0.
         ty: weights of the edges between `(y, x)` and `(y + 1, x)`, ≥ 0.
@@ -45,12 +48,17 @@ class System(eqx.Module):
         [[1.0, 0.0, 0.0, 1.0]]
     """
 
-    weight: Float[Array, "y x"]
-    label: Float[Array, "y x"]
-    tx: Float[Array, "y x-1"]
-    ty: Float[Array, "y-1 x"]
-    rise_x: Float[Array, "y x-1"] | None = None
-    rise_y: Float[Array, "y-1 x"] | None = None
+    weight: Float[Array, "y x"] = eqx.field(converter=jax_array)
+    label: Float[Array, "y x"] = eqx.field(converter=jax_array)
+    tx: Float[Array, "y x-1"] = eqx.field(converter=jax_array)
+    ty: Float[Array, "y-1 x"] = eqx.field(converter=jax_array)
+    rise_x: Float[Array, "y x-1"] | None = eqx.field(converter=jax_array, default=None)
+    rise_y: Float[Array, "y-1 x"] | None = eqx.field(converter=jax_array, default=None)
+
+    def __post_init__(self) -> None:
+        if getattr(self.weight, "dtype", None) == jnp.bool_ and hasattr(self.label, "dtype"):
+            # JAX's own precision for the labels of NumPy, which fields convert after this.
+            self.weight = jnp.asarray(self.weight).astype(jnp.asarray(self.label).dtype)
 
     @property
     def coefficients(self) -> Coefficients:
@@ -68,6 +76,7 @@ class System(eqx.Module):
         y, x = self.weight.shape[-2:]
         return y, x
 
+    @accepts_numpy
     def matvec(self, value: Float[Array, "y x"]) -> Float[Array, "y x"]:
         """`A D`, computed from differences along edges so that small data weights survive."""
         return product(self.coefficients, value)
@@ -81,6 +90,7 @@ class System(eqx.Module):
         counts = (self.weight != 0) | jnp.isfinite(self.label)
         return self.weight * jnp.where(counts, self.label, 0) + inflow(self)
 
+    @accepts_numpy
     def energy(self, value: Float[Array, "y x"]) -> Float[Array, ""]:
         """The quadratic at `value`."""
         label = jnp.where(self.weight > 0, self.label, 0)

@@ -5,9 +5,12 @@ from typing import Literal
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from mvedge_jax._params import accepts_numpy
+
 Pairing = Literal["min", "mean", "harmonic", "second"]
 
 
+@accepts_numpy
 def edge_weights(
     smoothness: Float[Array, "y x"], *, pairing: str = "min"
 ) -> tuple[Float[Array, "y x-1"], Float[Array, "y-1 x"]]:

@@ -3,6 +3,8 @@
 import equinox as eqx
 from jaxtyping import Array, Bool, Float, Int
 
+from mvedge_jax._params import jax_array, readable
+
 
 class EdgePoints(eqx.Module):
     """A padded set of points of the centre view, each on an edge that is seen in many views.
@@ -22,13 +24,13 @@ class EdgePoints(eqx.Module):
         valid: which slots hold a point.
     """
 
-    xy: Float[Array, "n 2"]
-    disparity: Float[Array, " n"]
-    confidence: Float[Array, " n"]
-    error: Float[Array, " n"]
-    normal: Float[Array, "n 2"]
-    visible: Bool[Array, "n s"]
-    valid: Bool[Array, " n"]
+    xy: Float[Array, "n 2"] = eqx.field(converter=jax_array)
+    disparity: Float[Array, " n"] = eqx.field(converter=jax_array)
+    confidence: Float[Array, " n"] = eqx.field(converter=jax_array)
+    error: Float[Array, " n"] = eqx.field(converter=jax_array)
+    normal: Float[Array, "n 2"] = eqx.field(converter=jax_array)
+    visible: Bool[Array, "n s"] = eqx.field(converter=jax_array)
+    valid: Bool[Array, " n"] = eqx.field(converter=jax_array)
 
 
 class EdgeStats(eqx.Module):
@@ -45,6 +47,9 @@ class EdgeStats(eqx.Module):
     overflow: Int[Array, ""]
     consistent: Int[Array, ""]
     valid: Int[Array, ""]
+
+    def __repr__(self) -> str:
+        return readable(self)
 
 
 class Edges(eqx.Module):

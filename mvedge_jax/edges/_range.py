@@ -4,6 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
+from mvedge_jax._checks import untraced
 from mvedge_jax._compiler import lean_jit
 from mvedge_jax._crosshair import crosshair
 from mvedge_jax._params import cast
@@ -54,7 +55,8 @@ def disparity_range(light_field: LightField, *, start: float = 4.0) -> tuple[flo
         Lowest and highest disparity, px per view step, with a margin.
 
     Raises:
-        ValueError: if the views show no edges at all to measure.
+        TypeError: if the views are traced.
+        ValueError: if they show no edges at all to measure.
 
     Example:
         >>> import jax.numpy as jnp
@@ -63,6 +65,7 @@ def disparity_range(light_field: LightField, *, start: float = 4.0) -> tuple[flo
         >>> low < 0 < high
         True
     """
+    untraced("light_field", light_field.views)
     side = min(light_field.views.shape[2:4])
     # 128 px keep fine structure measurable; smaller views are searched as they are.
     factor = max(1, side // 128)
@@ -114,6 +117,7 @@ def scene_range(light_field: LightField) -> tuple[float, float]:
         Lowest and highest disparity, px per view step, as numbers of the host.
 
     Raises:
+        TypeError: the range is traced, or is unknown and the views are.
         ValueError: the range is unknown, and the views show no edges to measure it from.
 
     Example:
@@ -123,5 +127,7 @@ def scene_range(light_field: LightField) -> tuple[float, float]:
         (-1.5, 2.0)
     """
     known = light_field.disparity_range
-    low, high = disparity_range(light_field) if known is None else known
+    untraced("light_field.disparity_range", known)
+    # On the host even within a `jit` that closes over the light field.
+    low, high = disparity_range(light_field) if known is None else np.asarray(known)
     return float(low), float(high)

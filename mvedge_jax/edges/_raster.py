@@ -6,6 +6,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
+from mvedge_jax._params import accepts_numpy
 from mvedge_jax.image import nearest_pixels
 
 
@@ -26,6 +27,7 @@ class Raster(NamedTuple):
         return padded[self.slot]
 
 
+@accepts_numpy
 def rasterise(
     xy: Float[Array, "n 2"],
     disparity: Float[Array, " n"],
@@ -63,6 +65,7 @@ def rasterise(
     return Raster(jnp.where(hit, chosen, count).reshape(shape), hit.reshape(shape))
 
 
+@accepts_numpy
 def share(
     xy: Float[Array, "n 2"],
     disparity: Float[Array, " n"],

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from mvedge_jax._crosshair import view_steps
+from mvedge_jax._params import accepts_numpy
 
 
 class FilterBank(eqx.Module):
@@ -97,6 +98,7 @@ def line_taps(disparity: Float[Array, " k"], views: int, radius: int) -> Float[A
     return jnp.maximum(hat, 0) / views
 
 
+@accepts_numpy
 def prewitt_bank(disparity: Float[Array, " k"], views: int, radius: int) -> FilterBank:
     """The bank of oriented Prewitt filters: the average along the line at `x + 1` minus at `x - 1`.
 

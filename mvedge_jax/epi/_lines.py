@@ -8,6 +8,7 @@ from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
 from mvedge_jax._crosshair import view_steps
+from mvedge_jax._params import accepts_numpy
 from mvedge_jax._root import root
 
 from ._bank import FilterBank
@@ -39,6 +40,7 @@ def _local_deviation(epi: Float[Array, "u x c"]) -> Float[Array, "u x c"]:
     return root(((stack - stack.mean(0)[None]) ** 2).mean(0))
 
 
+@accepts_numpy
 def epi_edge_map(
     epi: Float[Array, "u x c"],
     bank: FilterBank,
@@ -120,6 +122,7 @@ def _vertex(
     return disparity[best] + jnp.abs(offset) * (disparity[beside] - disparity[best])
 
 
+@accepts_numpy
 def fit_lines(
     confidence: Float[Array, "u x"],
     disparity: Float[Array, "u x"],
@@ -171,6 +174,7 @@ def _ends(lines: EpiLines, views: int) -> tuple[Array, Array]:
     return lines.position + first * lines.disparity, lines.position + last * lines.disparity
 
 
+@accepts_numpy
 def merge_scales(
     fine: EpiLines, coarse: EpiLines, radius: Float[Array, ""], *, views: int
 ) -> EpiLines:

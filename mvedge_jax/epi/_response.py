@@ -8,6 +8,7 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from mvedge_jax._linear_map import linear_map
+from mvedge_jax._params import accepts_numpy
 from mvedge_jax._product import FULL
 from mvedge_jax._root import root
 
@@ -100,6 +101,7 @@ def bank_response(arm: Float[Array, "u y x c"], bank: FilterBank) -> Float[Array
     return in_row_blocks(block, jnp.transpose(padded, (1, 3, 2, 0)))
 
 
+@accepts_numpy
 def strongest_response(arm: Float[Array, "u y x c"], bank: FilterBank) -> Float[Array, "y x"]:
     """The largest response over the filters, Euclidean norm over the channels, at every pixel.
 

@@ -8,6 +8,8 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 from scipy.optimize import linear_sum_assignment
 
+from mvedge_jax._params import accepts_numpy
+
 # Edge pixels this far from a crossing, in rows and columns, tell which side is hidden.
 _REACH = 10
 # Shares of slope and place in the affinity (4.7), and what keeps equal lines apart from infinity.
@@ -122,6 +124,7 @@ def opening_sides(
     return jnp.where(jnp.any(front, axis=1), sides, 0).astype(jnp.int32)
 
 
+@accepts_numpy
 def match_segments(
     position: Float[Array, " m"],
     disparity: Float[Array, " m"],

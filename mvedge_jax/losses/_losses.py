@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from mvedge_jax._params import cast, number
+from mvedge_jax._params import accepts_numpy, cast, number
 from mvedge_jax.warping import visible as exact_visible, visible_binned
 
 from ._views import Views
@@ -73,6 +73,7 @@ class LossTerms(NamedTuple):
         )
 
 
+@accepts_numpy
 def occlusion_masks(
     disparity: Float[Array, "y x"], views: Views, *, binned: bool = False
 ) -> Bool[Array, "k y x"]:
@@ -91,6 +92,7 @@ def occlusion_masks(
     return seen & views.available[:, None, None]
 
 
+@accepts_numpy
 def self_supervised_loss(
     disparity: Float[Array, "y x"],
     views: Views,
@@ -149,6 +151,7 @@ class SupervisedWeights(eqx.Module):
     square: Float[Array, ""] = number(3.0)
 
 
+@accepts_numpy
 def supervised_loss(
     disparity: Float[Array, "y x"],
     truth: Float[Array, "y x"],

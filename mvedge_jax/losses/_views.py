@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from mvedge_jax._params import jax_array
 from mvedge_jax.lightfield import LightField
 
 
@@ -20,10 +21,10 @@ class Views(eqx.Module):
         available: views that take part.
     """
 
-    centre: Float[Array, "c y x"]
-    others: Float[Array, "k c y x"]
-    steps: Float[Array, "k 2"]
-    available: Bool[Array, "k"]
+    centre: Float[Array, "c y x"] = eqx.field(converter=jax_array)
+    others: Float[Array, "k c y x"] = eqx.field(converter=jax_array)
+    steps: Float[Array, "k 2"] = eqx.field(converter=jax_array)
+    available: Bool[Array, "k"] = eqx.field(converter=jax_array)
 
     def take(self, index: Int[Array, "m"]) -> "Views":
         """The views at `index`."""

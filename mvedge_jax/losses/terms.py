@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from mvedge_jax._params import accepts_numpy
 from mvedge_jax._product import FULL
 from mvedge_jax.warping import warp_planes
 
@@ -25,6 +26,7 @@ def _sobel(planes: Float[Array, "*k y x"]) -> tuple[Float[Array, "*k y x"], Floa
     return gx, gy
 
 
+@accepts_numpy
 def warp_views(
     disparity: Float[Array, "y x"], views: Views, visible: Bool[Array, "k y x"]
 ) -> Float[Array, "k c y x"]:
@@ -46,6 +48,7 @@ def warp_views(
     return jax.vmap(one)(views.others, views.steps, visible)
 
 
+@accepts_numpy
 def reprojection_error(
     disparity: Float[Array, "y x"],
     views: Views,
@@ -86,6 +89,7 @@ def reprojection_error(
     return total / jnp.maximum(count, 1)
 
 
+@accepts_numpy
 def gradient_reward(error: Float[Array, "y x"]) -> Float[Array, "y x"]:
     """Magnitude of the gradient of the reprojection error.
 
@@ -104,6 +108,7 @@ def gradient_reward(error: Float[Array, "y x"]) -> Float[Array, "y x"]:
     return jnp.sqrt(64 * (gx**2 + gy**2) + 1e-10)
 
 
+@accepts_numpy
 def edge_aware_smoothness(
     disparity: Float[Array, "y x"], centre: Float[Array, "c y x"]
 ) -> Float[Array, "y x"]:
@@ -122,6 +127,7 @@ def edge_aware_smoothness(
     return jnp.sum(jnp.abs(edge_aware_slopes(disparity, centre)), axis=0)
 
 
+@accepts_numpy
 def edge_aware_slopes(
     disparity: Float[Array, "y x"], centre: Float[Array, "c y x"]
 ) -> Float[Array, "2 y x"]:
@@ -140,6 +146,7 @@ def edge_aware_slopes(
     )
 
 
+@accepts_numpy
 def ssim(
     a: Float[Array, "c y x"], b: Float[Array, "c y x"], *, sigma: float = 1.5, radius: int = 5
 ) -> Float[Array, "y x"]:

@@ -3,6 +3,8 @@
 Rooms: `depth` (the single figures that `depth_scores` gathers), `superpixels` (Thesis 5.2.3).
 """
 
+from mvedge_jax._export import register
+
 from ._boundary import BoundaryScores as BoundaryScores, boundary_scores as boundary_scores
 from ._calibration import Calibration as Calibration, calibration as calibration
 from ._consistency import (
@@ -13,3 +15,5 @@ from ._consistency import (
 from ._region import edge_band as edge_band
 from ._reprojection import Reprojection as Reprojection, reprojection_error as reprojection_error
 from .depth import DepthScores as DepthScores, depth_scores as depth_scores
+
+register(__name__)

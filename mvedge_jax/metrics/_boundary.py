@@ -7,6 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from mvedge_jax._params import accepts_numpy
+
 from ._region import check_maps, counted_pixels, cropped, depth_steps, disc_maximum
 
 
@@ -37,6 +39,7 @@ def default_thresholds() -> Float[np.ndarray, " t"]:
     return np.geomspace(0.02, 2.0, 41)
 
 
+@accepts_numpy
 def boundary_scores(
     disparity: Float[Array, "y x"],
     truth: Float[Array, "y x"],

@@ -11,6 +11,8 @@ from jax import lax
 from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int
 
+from mvedge_jax._params import accepts_numpy
+
 from ._region import cropped
 
 # Positions that rounding leaves this far below a whole pixel are that pixel, px.
@@ -51,6 +53,7 @@ def _check(disparities: Array, available: Array | None, crop: int) -> Array:
     return jnp.ones(disparities.shape[:2], bool) if available is None else available
 
 
+@accepts_numpy
 def view_consistency(
     disparities: Float[Array, "v u y x"],
     *,
@@ -106,6 +109,7 @@ def view_consistency(
     return _per_view(disparities, available, limit, crop=crop, stride=stride)
 
 
+@accepts_numpy
 def view_consistency_map(
     disparities: Float[Array, "v u y x"],
     view: tuple[int, int] | Int[Array, "2"],

@@ -7,6 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from mvedge_jax._params import accepts_numpy
+
 
 def check_maps(
     disparity: Float[Array, "..."],
@@ -79,6 +81,7 @@ def disc_maximum(values: Float[Array, "y x"], radius: float) -> Float[Array, "y 
     return jax.lax.scan(widen, values, jnp.asarray(offsets, jnp.int32))[0]
 
 
+@accepts_numpy
 def edge_band(
     truth: Float[Array, "y x"],
     *,

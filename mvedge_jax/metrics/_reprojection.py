@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from mvedge_jax._params import accepts_numpy
 from mvedge_jax._root import root
 from mvedge_jax.color import srgb_to_lab
 from mvedge_jax.lightfield import LightField
@@ -35,6 +36,7 @@ class Reprojection(NamedTuple):
     covered: Float[Array, " t"]
 
 
+@accepts_numpy
 def reprojection_error(
     disparity: Float[Array, "y x"],
     light_field: LightField,

@@ -6,6 +6,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from mvedge_jax._params import accepts_numpy
+
 from ._region import check_maps, counted_pixels, cropped, edge_band
 
 
@@ -29,6 +31,7 @@ def _mean(values: Float[Array, "i j"], counted: Bool[Array, "i j"]) -> Float[Arr
     return jnp.where(number > 0, total / jnp.maximum(number, 1), jnp.nan)
 
 
+@accepts_numpy
 def mse(
     disparity: Float[Array, "y x"],
     truth: Float[Array, "y x"],
@@ -64,6 +67,7 @@ def mse(
     return 100 * _mean(error**2, counted)
 
 
+@accepts_numpy
 def mae(
     disparity: Float[Array, "y x"],
     truth: Float[Array, "y x"],
@@ -90,6 +94,7 @@ def mae(
     return _mean(jnp.abs(error), counted)
 
 
+@accepts_numpy
 def error_percentile(
     disparity: Float[Array, "y x"],
     truth: Float[Array, "y x"],
@@ -127,6 +132,7 @@ def error_percentile(
     return jnp.where(number > 0, value, jnp.nan)
 
 
+@accepts_numpy
 def q25(
     disparity: Float[Array, "y x"],
     truth: Float[Array, "y x"],
@@ -153,6 +159,7 @@ def q25(
     return 100 * error_percentile(disparity, truth, 25.0, mask=mask, crop=crop)
 
 
+@accepts_numpy
 def bad_pixels(
     disparity: Float[Array, "y x"],
     truth: Float[Array, "y x"],
@@ -218,6 +225,7 @@ class DepthScores(NamedTuple):
     pixels: Int[Array, ""]
 
 
+@accepts_numpy
 def depth_scores(
     disparity: Float[Array, "y x"],
     truth: Float[Array, "y x"],

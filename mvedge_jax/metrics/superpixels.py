@@ -8,6 +8,8 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
+from mvedge_jax._params import accepts_numpy
+
 from ._label_consistency import agreement
 from ._segments import overlap, recalled, shape_of, table
 
@@ -74,6 +76,7 @@ class SuperpixelScores(NamedTuple):
     size: Float[Array, ""]
 
 
+@accepts_numpy
 def superpixel_scores(
     labels: Int[Array, "v u y x"],
     object_ids: Int[Array, "v u y x"] | None,
@@ -118,6 +121,7 @@ def superpixel_scores(
     return _scores(labels, object_ids, disparity, available, count=count, kinds=kinds)
 
 
+@accepts_numpy
 def labels_per_pixel(
     labels: Int[Array, "v u y x"],
     disparity: Float[Array, "v u y x"],

@@ -5,11 +5,13 @@ from collections.abc import Callable
 import equinox as eqx
 import jax
 
+from mvedge_jax._params import accepts_numpy
 from mvedge_jax.lightfield import GroundTruth
 from mvedge_jax.losses import SupervisedWeights
 
 from ._capacity import without_free_places
-from ._model import ModelParams, ModelSizes, compiled_render
+from ._host import compiled_render
+from ._model import ModelParams, ModelSizes
 from ._result import Optimised
 from ._start import Start
 from .objectives import Supervised, unlimited
@@ -35,6 +37,7 @@ class FitParams(eqx.Module):
     iterations: int = eqx.field(static=True, default=40)
 
 
+@accepts_numpy
 def fit_edges(
     truth: GroundTruth,
     start: Start,

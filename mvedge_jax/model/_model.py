@@ -1,14 +1,15 @@
 """The differentiable model: points and a smoothness map that render to a disparity map."""
 
+import warnings
 from dataclasses import dataclass, field
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jax.core import Tracer
 from jaxtyping import Array, Bool, Float
 
-from mvedge_jax._compiler import lean_jit
-from mvedge_jax._params import cast, number
+from mvedge_jax._params import accepts_numpy, cast, jax_array, number
 from mvedge_jax.color import srgb_to_lab
 from mvedge_jax.diffusion import (
     AbstractSolver,
@@ -33,11 +34,11 @@ class DepthModel(eqx.Module):
         valid: points that take part; the others are free capacity.
     """
 
-    disparity: Float[Array, "n"]
-    xy: Float[Array, "n 2"]
-    log_weight: Float[Array, "n"]
-    roughness: Float[Array, "y x"]
-    valid: Bool[Array, "n"]
+    disparity: Float[Array, "n"] = eqx.field(converter=jax_array)
+    xy: Float[Array, "n 2"] = eqx.field(converter=jax_array)
+    log_weight: Float[Array, "n"] = eqx.field(converter=jax_array)
+    roughness: Float[Array, "y x"] = eqx.field(converter=jax_array)
+    valid: Bool[Array, "n"] = eqx.field(converter=jax_array)
 
 
 class ModelParams(eqx.Module):
@@ -153,6 +154,11 @@ class Rendered(eqx.Module):
     splat: Splat
     stats: SolveStats
 
+    def problems(self) -> tuple[str, ...]:
+        """What the splat and the solve say against the map, one sentence each; on the host."""
+        unsolved = "the diffusion stopped before its tolerance."
+        return self.splat.problems() + (() if bool(self.stats.converged) else (unsolved,))
+
 
 def upsample(image: Float[Array, "y x"], scale: int) -> Float[Array, "y2 x2"]:
     """Interpolates linearly onto a raster with `scale` (1 or 2) pixels per pixel and axis.
@@ -237,6 +243,14 @@ def splat_model(
     )
 
 
+def warn_where_known(maps: Splat, *, level: int = 2) -> None:
+    """Warns of `Splat.problems`, unless they are traced; `level` frames above the caller."""
+    if not any(isinstance(number, Tracer) for number in (maps.cut_off, maps.overflow)):
+        for problem in maps.problems():
+            warnings.warn(problem, stacklevel=level + 1)
+
+
+@accepts_numpy
 def render_model(
     model: DepthModel,
     params: ModelParams,
@@ -254,6 +268,8 @@ def render_model(
 
     Returns:
         The map. Differentiable with respect to the floating leaves of `model` and `params.splat`.
+        Points that the splat cuts off or leaves out raise a warning, and too wide ones an error.
+        Under `jit` neither is seen: ask `Rendered.problems` there.
 
     Source:
         Thesis 7.1, Eq. 7.2-7.14.
@@ -262,6 +278,7 @@ def render_model(
     params = cast(params, model.disparity.dtype)
     weight = jnp.exp(-model.log_weight)
     maps = splat_model(model, weight, opacities(model, params, sizes), params, sizes)
+    warn_where_known(maps, level=3)
     smoothness = jnp.exp(-upsample(model.roughness, scale))
     tx, ty = edge_weights(smoothness, pairing=sizes.pairing)
     label = maps.label if sizes.normalised else maps.label_sum
@@ -269,10 +286,6 @@ def render_model(
     guess = None if start is None else upsample(start, scale)
     solved = diffuse(system, start=guess, solver=params.solver)
     return Rendered(downsample(solved.value, scale), maps, solved.stats)
-
-
-# For the host, where the map is rendered outside of the optimisation.
-compiled_render = lean_jit(render_model)
 
 
 def image_roughness(centre: Float[Array, "y x c"], gain: Float[Array, ""]) -> Float[Array, "y x"]:

@@ -5,6 +5,7 @@ from collections.abc import Callable
 import jax
 from jaxtyping import PRNGKeyArray
 
+from mvedge_jax._params import accepts_numpy
 from mvedge_jax.lightfield import LightField
 
 from ._model import ModelSizes
@@ -16,6 +17,7 @@ from .optimisation._routine import Routine, all_at_once
 from .optimisation._state import State, begin, resumed
 
 
+@accepts_numpy
 def optimize_edges(
     light_field: LightField,
     start: Start,

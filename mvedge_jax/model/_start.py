@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from mvedge_jax._params import cast, number
+from mvedge_jax._params import accepts_numpy, cast, number
 from mvedge_jax.depth import DepthResult
 from mvedge_jax.image import nearest_pixels
 from mvedge_jax.lightfield import LightField
@@ -77,6 +77,7 @@ def start_from_depth(
     )
 
 
+@accepts_numpy
 def start_from_image(start: Start, centre: Float[Array, "y x c"]) -> Start:
     """The smoothness of the thesis' start: Q from the image gradient instead of a map's steps.
 

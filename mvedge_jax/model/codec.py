@@ -14,7 +14,8 @@ from mvedge_jax.losses import SupervisedWeights
 from mvedge_jax.splatting import SplatParams
 
 from ._format import Parts, pack, unpack
-from ._model import DepthModel, ModelParams, ModelSizes, compiled_render
+from ._host import compiled_render
+from ._model import DepthModel, ModelParams, ModelSizes
 from .objectives import Supervised, unlimited
 from .optimisation._grow import worst_pixels
 from .optimisation._optimise import advance

@@ -1,5 +1,7 @@
 """What the optimisation minimises: losses of the rendered map, priors on the parameters."""
 
+from typing import Protocol, runtime_checkable
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -29,6 +31,63 @@ def _rooted(error: Array, absolute: Array, square: Array, blunt: Array | float) 
     """What half of the square of is `absolute |error| + square error²`, smooth where it is 0."""
     bent = jnp.sqrt(1 + (error / blunt) ** 2)
     return error * root(2 * (square + absolute / (blunt * (1 + bent))))
+
+
+@runtime_checkable
+class Objective(Protocol):
+    """What `optimise` minimises: a pytree that is called with the model; a protocol.
+
+    Any `equinox.Module` with these two methods is one. It is an argument of a compiled loop, so its
+    arrays are traced, and what is no array must be a static field. Where it has `params`
+    (`ModelParams`) and `sizes` (`ModelSizes`), `optimise` warns of points that the rendering cuts
+    off.
+
+    Example:
+        >>> from mvedge_jax.model.optimisation import Rates, all_at_once, begin, optimise
+        >>> class Mean(eqx.Module):
+        ...     target: Float[Array, ""]
+        ...     sizes: ModelSizes = eqx.field(static=True)
+        ...     def __call__(self, model, start, *, key):
+        ...         params = ModelParams.narrow(self.sizes.splat.scale)
+        ...         disparity = render_model(model, params, self.sizes, start=start).disparity
+        ...         return (jnp.mean(disparity) - self.target) ** 2, disparity
+        ...     def project(self, model):
+        ...         return model
+        >>> one, image = jnp.ones(1), jnp.zeros((4, 6))
+        >>> model = DepthModel(0 * one, jnp.array([[3.0, 2.0]]), 0 * one, image, one > 0)
+        >>> goal = Mean(jnp.asarray(0.1), ModelSizes.on_raster(1))
+        >>> routine = all_at_once(Rates.supervised(), iterations=20)
+        >>> state, _ = optimise(begin(model, image, key=jax.random.key(0)), routine, goal)
+        >>> bool(abs(state.best.disparity - 0.1).max() < 0.02)
+        True
+    """
+
+    def __call__(
+        self, model: DepthModel, start: Float[Array, "y x"], *, key: PRNGKeyArray
+    ) -> tuple[Float[Array, ""], Float[Array, "y x"]]:
+        """Loss of `model`, differentiable in it, and the map it renders.
+
+        `start` is the previous map, where a solve may start from; `key` is new in every iteration.
+        """
+        ...
+
+    def project(self, model: DepthModel) -> DepthModel:
+        """The nearest model that is allowed; called after every step."""
+        ...
+
+
+@runtime_checkable
+class SquaredObjective(Objective, Protocol):
+    """An objective that is, but for terms that have no squares, half a sum of squares; a protocol.
+
+    `minimise_least_squares` needs one.
+    """
+
+    def residuals(
+        self, model: DepthModel, start: Float[Array, "y x"]
+    ) -> tuple[tuple[Array, ...], Float[Array, "y x"]]:
+        """What is squared, and the map; `start` is a map near it."""
+        ...
 
 
 class Trust(eqx.Module):

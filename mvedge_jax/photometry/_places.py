@@ -162,6 +162,27 @@ class Projection(NamedTuple):
         return moved, ((e[0] - x * e[2]) * over, (e[1] - y * e[2]) * over)
 
 
+def shown_at(
+    shown: Float[Array, "y x"], x: Float[Array, "*p"], y: Float[Array, "*p"]
+) -> Bool[Array, "*p"]:
+    """Whether the pixels nearest to positions show the scene.
+
+    Args:
+        shown: of a photograph, 1 or 0.
+        x: columns, px; those outside of the frame are moved to its border.
+        y: rows.
+
+    Returns:
+        One per position; no gradient passes through it.
+    """
+    height, width = shown.shape
+    column, row = (
+        jnp.clip(jnp.round(lax.stop_gradient(p)), 0, most - 1).astype(jnp.int32)
+        for p, most in ((x, width), (y, height))
+    )
+    return shown.reshape(-1)[row * width + column] > 0
+
+
 def _closed(front: Float[Array, "y x"]) -> Float[Array, "y x"]:
     """An image without gaps of one pixel along its rows: both sides of a gap are nearer."""
     padded = jnp.pad(front, ((0, 0), (1, 1)), constant_values=-jnp.inf)

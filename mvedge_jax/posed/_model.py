@@ -8,6 +8,7 @@ import equinox as eqx
 import lineax as lx
 import numpy as np
 
+from mvedge_jax._checks import untraced
 from mvedge_jax._params import at_least
 from mvedge_jax._paths import described, replaced
 from mvedge_jax.depth import DenseLabels, MeasuredLabels, Refine
@@ -85,9 +86,11 @@ class StereoDepth(eqx.Module):
             The model for `stereo`.
 
         Raises:
+            TypeError: the reference is traced.
             ValueError: a choice is out of range, or the range of depths asks for too many
                 hypotheses.
         """
+        untraced("reference", reference.disparity_range)
         low, high = np.asarray(reference.disparity_range, np.float64)
         choices = dict(choices or {})
         count = choices.pop("hypotheses", None)

@@ -9,6 +9,7 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int
 
+from mvedge_jax._params import accepts_numpy
 from mvedge_jax._product import product
 from mvedge_jax.photometry.photographs import Projection
 
@@ -31,8 +32,12 @@ class Photographs(eqx.Module):
         observed: which photographs saw which of the points, if known.
         depth: true distance along the optical axis of the pixels' centres, 0 where unknown; never
             read by the method.
+        mask: pixels that show something of the scene; None for all. The others, which are those
+            of a transparent background, take no part and get no depth.
         names: one per photograph.
         name: of the scene, for tables and figures.
+        origin: what was subtracted from the places of cameras and points, in float64, and is added
+            again by `mvedge_jax.datasets.exchange`: 0 unless they are given in a map's coordinates.
 
     Raises:
         ValueError: on wrong shapes, fewer than two photographs, values that are not finite or lie
@@ -54,8 +59,10 @@ class Photographs(eqx.Module):
     points: Float[Array, "m 3"] | None
     observed: Bool[Array, "n m"] | None
     depth: Float[Array, "n y x"] | None
+    mask: Bool[Array, "n y x"] | None
     names: tuple[str, ...] = eqx.field(static=True)
     name: str = eqx.field(static=True)
+    origin: tuple[float, float, float] = eqx.field(static=True)
 
     def __init__(
         self,
@@ -66,8 +73,10 @@ class Photographs(eqx.Module):
         points: Any = None,
         observed: Any = None,
         depth: Any = None,
+        mask: Any = None,
         names: tuple[str, ...] | None = None,
         name: str = "photographs",
+        origin: tuple[float, float, float] = (0.0, 0.0, 0.0),
     ):
         self.images = jnp.asarray(images)
         dtype = self.images.dtype
@@ -79,9 +88,11 @@ class Photographs(eqx.Module):
         self.points = None if points is None else jnp.asarray(points, dtype)
         self.observed = None if observed is None else jnp.asarray(observed, bool)
         self.depth = None if depth is None else jnp.asarray(depth, dtype)
+        self.mask = None if mask is None else jnp.asarray(mask, bool)
         count = self.images.shape[0] if self.images.ndim else 0
         self.names = tuple(str(i) for i in range(count)) if names is None else tuple(names)
         self.name = name
+        self.origin = origin
 
     def __check_init__(self):
         images = self.images
@@ -97,6 +108,8 @@ class Photographs(eqx.Module):
         wanted: dict[str, tuple[int, ...]] = {"poses": (n, 4, 4), "intrinsics": (n, 3, 3)}
         if self.depth is not None:
             wanted["depth"] = (n, height, width)
+        if self.mask is not None:
+            wanted["mask"] = (n, height, width)
         if self.points is not None:
             wanted["points"] = (self.points.shape[0], 3) if self.points.ndim else (0, 3)
             if self.observed is not None:
@@ -198,6 +211,7 @@ class Photographs(eqx.Module):
         return local[inside, 2]
 
 
+@accepts_numpy
 def projections(
     poses: Float[Array, "n 4 4"],
     intrinsics: Float[Array, "n 3 3"],

@@ -12,6 +12,8 @@ from ._photographs import Photographs
 # The farthest photograph is this many view steps away, as in a light field of 9x9 views: the
 # parameters' px per view step then mean the same.
 STEPS = 4.0
+# Depths below this share of the distance to the farthest camera are no photograph's.
+_LEAST = 1e-6
 # Without points or a range, no surface is nearer than this many times the largest baseline.
 _NEAREST = 8.0
 # How far beyond the points' range surfaces are looked for: share of the range of inverse depths.
@@ -108,6 +110,12 @@ def _inverse_range(
         near, far = depth_range
         if not 0 < near < far:
             raise ValueError(f"`depth_range` must be 0 < near < far, got ({near:.4g}, {far:.4g}).")
+        least = _LEAST * farthest
+        if near < least:
+            raise ValueError(
+                f"`depth_range` must begin at {least:.3g} or more, a millionth of the distance "
+                f"to the farthest camera, got {near:.4g}."
+            )
         return 1 / near, 1 / far
     if photographs.points is None:
         return 1 / (_NEAREST * farthest), 0.0

@@ -1,17 +1,21 @@
 """Dense depth of a photograph from others around it: the light field's measurement, posed."""
 
+from functools import partial
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
 from mvedge_jax._compiler import lean_jit
 from mvedge_jax._fence import staged
-from mvedge_jax._params import cast
+from mvedge_jax._params import cast, readable
 from mvedge_jax.color import srgb_to_lab
 from mvedge_jax.depth import map_problems
 from mvedge_jax.depth.solves import Given, Labels, Parts, refine_disparity
+from mvedge_jax.image import highest
 from mvedge_jax.photometry import Noise
 from mvedge_jax.photometry.photographs import (
     Projection,
@@ -22,10 +26,13 @@ from mvedge_jax.photometry.photographs import (
 
 from ._model import StereoDepth
 from ._photographs import Photographs, projections
+from ._problems import depth_problems
 from ._reference import Reference
 
 # The least disparity that depth is made of, as a share of the range's upper end.
 _FARTHEST = 1e-6
+# How far from a pixel a color between pixels is mostly made of, px.
+_INTERPOLATED = 2
 
 
 class StereoStats(NamedTuple):
@@ -38,6 +45,8 @@ class StereoStats(NamedTuple):
         gain: brightness of each photograph relative to the reference, which was taken out; in the
             order of `Photographs`.
         searched: lowest and highest disparity that was tried, px per baseline.
+        labeled: share of the pixels with an accepted label: at least a hundredth of the weight of
+            a perfect one, in the last solve. The other pixels are diffused from these.
     """
 
     iterations: Int[Array, " solves"]
@@ -45,18 +54,24 @@ class StereoStats(NamedTuple):
     noise: Noise
     gain: Float[Array, " n"]
     searched: Float[Array, "2"]
+    labeled: Float[Array, ""]
+
+    def __repr__(self) -> str:
+        return readable(self)
 
 
 class StereoResult(NamedTuple):
     """Depth of a photograph.
 
     Attributes:
-        depth: distance along the optical axis, in the unit of the poses, `[y, x]`.
+        depth: distance along the optical axis, in the unit of the poses, `[y, x]`; NaN where the
+            photograph is transparent.
         error: its standard error, in the same unit; infinite where there is no label at all.
-        disparity: px per baseline, larger is nearer, `[y, x]`; see `Reference`.
+        disparity: px per baseline, larger is nearer, `[y, x]`; see `Reference`; NaN as depth is.
         disparity_error: its standard error, px.
         first: the disparities that the measurement started from.
         stats: counts.
+        mask: pixels that are not transparent; None for all.
     """
 
     depth: Float[Array, "y x"]
@@ -65,11 +80,15 @@ class StereoResult(NamedTuple):
     disparity_error: Float[Array, "y x"]
     first: Float[Array, "y x"]
     stats: StereoStats
+    mask: Bool[Array, "y x"] | None = None
 
     def problems(self) -> tuple[str, ...]:
         """What the statistics say against the depth, one sentence each; on the host."""
-        stats = self.stats
-        return map_problems(self.disparity, self.disparity_error, stats.converged, stats.searched)
+        stats, asked = self.stats, slice(None) if self.mask is None else np.asarray(self.mask)
+        maps = (self.disparity, self.disparity_error, self.depth, self.error)
+        disparity, disparity_error, depth, error = (np.asarray(one)[asked] for one in maps)
+        found = map_problems(disparity, disparity_error, stats.converged, stats.searched)
+        return (*found, *depth_problems(depth, error, stats.labeled))
 
 
 def stereo(photographs: Photographs, reference: Reference, model: StereoDepth) -> StereoResult:
@@ -113,24 +132,26 @@ def stereo(photographs: Photographs, reference: Reference, model: StereoDepth) -
     """
     # Names are static, and the number of points is a shape: neither is read, and each would ask
     # for a program of its own.
-    read = photographs.images, photographs.poses, photographs.intrinsics
+    read = photographs.images, photographs.poses, photographs.intrinsics, photographs.mask
     return _stereo(read, reference, model)
 
 
 @lean_jit
 def _stereo(
-    read: tuple[Array, Array, Array],
+    read: tuple[Array, Array, Array, Array | None],
     reference: Reference,
     model: StereoDepth,
 ) -> StereoResult:
-    photographs = Photographs(*read)
+    photographs = Photographs(*read[:3], mask=read[3])
     model = cast(model, photographs.images.dtype)
     setup = _set_up(photographs, reference, model)
-    scene = prepare_photographs(*setup[:4], model.matching, window=model.window)
+    shown = setup.shown
+    scene = prepare_photographs(*setup[:4], model.matching, window=model.window, shown=shown)
     views = staged(posed_sight)(scene, model.measurement)
     nothing = jnp.zeros_like(scene.first)
     span = setup.disparities[-1] - setup.disparities[0]
-    given = Given(Labels(nothing, nothing), views, scene.lab, scene.guide, span, nothing)
+    lit = None if shown is None else shown[0]
+    given = Given(Labels(nothing, nothing), views, scene.lab, scene.guide, span, nothing, lit)
     parts = Parts(model.dense, model.smoothness, model.solver, model.refine)
     found = refine_disparity(given, scene.first, parts)
     stats = StereoStats(
@@ -139,10 +160,20 @@ def _stereo(
         scene.noise,
         jnp.ones_like(scene.gain).at[setup.order].set(scene.gain),
         jnp.stack([setup.disparities[0], setup.disparities[-1]]),
+        found.labeled if lit is None else found.labeled / jnp.mean(lit.astype(found.error.dtype)),
     )
     disparity_error = model.refine.error(found.error, found.disparity)
     depth, error = _depth(found.disparity, disparity_error, setup.scale, reference)
-    return StereoResult(depth, error, found.disparity, disparity_error, scene.first, stats)
+    mask = setup.mask
+    return StereoResult(
+        _where_opaque(depth, mask, jnp.nan),
+        _where_opaque(error, mask, jnp.inf),
+        _where_opaque(found.disparity, mask, jnp.nan),
+        _where_opaque(disparity_error, mask, jnp.inf),
+        scene.first,
+        stats,
+        mask,
+    )
 
 
 def _depth(
@@ -154,8 +185,24 @@ def _depth(
     return depth, error * depth**2 / scale
 
 
+def _where_opaque(values: Array, mask: Array | None, nothing: float) -> Array:
+    """Values of a map, and what stands for none where the photograph is transparent."""
+    return values if mask is None else jnp.where(mask, values, nothing)
+
+
 class _SetUp(NamedTuple):
-    """The photographs with the reference first, and what to try."""
+    """The photographs with the reference first, and what to try.
+
+    Attributes:
+        images: the reference first.
+        places: where each of them shows the reference's pixels.
+        available: those that are to be read.
+        disparities: what to try.
+        scale: disparity times depth.
+        order: indices of the photographs.
+        shown: 1 where a photograph, and all that it is interpolated from, is opaque.
+        mask: the opaque pixels of the reference; None, like `shown`, where all are.
+    """
 
     images: Array
     places: Projection
@@ -163,6 +210,8 @@ class _SetUp(NamedTuple):
     disparities: Array
     scale: Array
     order: Array
+    shown: Array | None
+    mask: Array | None
 
 
 def _set_up(photographs: Photographs, reference: Reference, model: StereoDepth) -> _SetUp:
@@ -176,7 +225,11 @@ def _set_up(photographs: Photographs, reference: Reference, model: StereoDepth) 
     limits = reference.disparity_range.astype(dtype)
     shares = jnp.linspace(0, 1, model.hypotheses, dtype=dtype)
     disparities = limits[0] + (limits[1] - limits[0]) * shares
-    return _SetUp(photographs.images[order], places, available, disparities, scale, order)
+    images, mask, shown = photographs.images[order], photographs.mask, None
+    if mask is not None:
+        clear = (~mask[order]).astype(dtype)
+        shown, mask = 1 - jax.vmap(partial(highest, radius=_INTERPOLATED))(clear), mask[order[0]]
+    return _SetUp(images, places, available, disparities, scale, order, shown, mask)
 
 
 class PosedSweep(NamedTuple):
@@ -219,6 +272,8 @@ def posed_sweep(photographs: Photographs, reference: Reference, model: StereoDep
         noise=Noise.of(jnp.zeros((), dtype)),
         window=model.window,
         paths=False,
+        shown=given.shown,
     )
     depth, _ = _depth(disparity, jnp.zeros_like(disparity), given.scale, reference)
+    depth, disparity = (_where_opaque(v, given.mask, jnp.nan) for v in (depth, disparity))
     return PosedSweep(depth, disparity)

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from mvedge_jax._params import accepts_numpy
 from mvedge_jax._product import product
 from mvedge_jax.lightfield import Camera, LightField
 
@@ -27,6 +28,7 @@ class Surface(NamedTuple):
     whole: Bool[Array, "y x"]
 
 
+@accepts_numpy
 def surface_of(
     depth: Float[Array, "y x"], pose: Float[Array, "4 4"], intrinsics: Float[Array, "3 3"]
 ) -> Surface:
@@ -89,6 +91,7 @@ def _neighbours(values: Array, axis: int) -> tuple[Array, Array]:
     )
 
 
+@accepts_numpy
 def camera_of_view(
     camera: Camera, away: Float[Array, "2"], shape: tuple[int, int]
 ) -> tuple[Float[Array, "4 4"], Float[Array, "3 3"]]:

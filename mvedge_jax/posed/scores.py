@@ -6,6 +6,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
+from mvedge_jax._params import accepts_numpy
+
 # Pixels at which the thesis fits a scale.
 _SAMPLES = 500
 
@@ -26,6 +28,7 @@ class DepthErrors(NamedTuple):
     q25: Float[Array, ""]
 
 
+@accepts_numpy
 def depth_errors(depth: Float[Array, "y x"], truth: Float[Array, "y x"]) -> DepthErrors:
     """Compares a depth map with the truth.
 
@@ -64,6 +67,7 @@ def depth_errors(depth: Float[Array, "y x"], truth: Float[Array, "y x"]) -> Dept
     )
 
 
+@accepts_numpy
 def scale_to(
     depth: Float[Array, "y x"], truth: Float[Array, "y x"], *, key: PRNGKeyArray
 ) -> Float[Array, ""]:

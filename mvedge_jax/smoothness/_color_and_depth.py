@@ -4,7 +4,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from mvedge_jax._params import cast, number
+from mvedge_jax._params import accepts_numpy, cast, number
 from mvedge_jax.image import gaussian
 
 # The least smoothness, so that every pixel keeps a tie to its neighbors.
@@ -42,6 +42,7 @@ class ColorAndDepth(eqx.Module):
         return edge_smoothness(guide, smooth, self)
 
 
+@accepts_numpy
 def edge_smoothness(
     lab: Float[Array, "c y x"], disparity: Float[Array, "y x"], params: ColorAndDepth
 ) -> tuple[Float[Array, "y x-1"], Float[Array, "y-1 x"]]:

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
@@ -12,7 +13,7 @@ from mvedge_jax._params import number
 
 # Optical thickness, or share of the weight, that may be left where a point is cut off; the thesis'
 # widths leave 4e-4.
-_MOST_LOST = 1e-3
+MOST_LOST = 1e-3
 
 
 class SplatParams(eqx.Module):
@@ -83,6 +84,8 @@ class SplatSizes:
     def check(self, params: SplatParams) -> None:
         """Refuses widths too large for `radius`, and what is not positive; not where traced.
 
+        Where widths are traced, `Splat.cut_off` has the number.
+
         Args:
             params: of the points.
 
@@ -103,9 +106,25 @@ class SplatSizes:
             if not width > 0:
                 raise ValueError(f"`{name}` must be positive, got {width}.")
             lost = whole * math.exp(-((0.5 * (self.radius / width) ** 2) ** order))
-            if lost > _MOST_LOST:
+            if lost > MOST_LOST:
                 raise ValueError(
                     f"Points of `{name}` = {width:.3g} px still count {lost:.2g} at `radius` = "
                     f"{self.radius} px, where they are cut off: ask for a larger radius "
                     "(`SplatSizes`), or narrower points."
                 )
+
+    def cut_off(self, params: SplatParams) -> Float[Array, ""]:
+        """How much a point still counts at `radius`, where it is cut off.
+
+        Args:
+            params: of the points, traced or not.
+
+        Returns:
+            The larger of the optical thickness and the share of the data weight there. `check`
+            refuses more than 1e-3. Without derivative.
+        """
+        params = jax.lax.stop_gradient(params)
+        thickness = params.density * params.sigma_depth * math.sqrt(2 * math.pi)
+        label = thickness * jnp.exp(-0.5 * (self.radius / params.sigma_label) ** 2)
+        half = 0.5 * (self.radius / params.sigma_weight) ** 2
+        return jnp.maximum(label, jnp.exp(-jax.lax.integer_pow(half, self.order)))

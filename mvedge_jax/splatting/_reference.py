@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from mvedge_jax._params import cast
+from mvedge_jax._params import accepts_numpy, cast
 
 from ._params import SplatParams, SplatSizes
 from ._profile import absorption, super_gaussian
@@ -12,6 +12,7 @@ from ._splat import Splat
 from ._tiles import depth_order
 
 
+@accepts_numpy
 def splat_reference(
     xy: Float[Array, "n 2"],
     label: Float[Array, "n"],
@@ -65,4 +66,5 @@ def splat_reference(
         jnp.exp(-jnp.sum(optical, axis=0)),
         zero,
         zero,
+        jnp.zeros((), xy.dtype),
     )

@@ -1,5 +1,7 @@
 """Superpixels: one label per surface patch in every view (Thesis Ch. 5)."""
 
+from mvedge_jax._export import register
+
 from ._parameters import SuperpixelParams as SuperpixelParams, SuperpixelSizes as SuperpixelSizes
 from ._soft import (
     SoftSuperpixels as SoftSuperpixels,
@@ -7,3 +9,5 @@ from ._soft import (
     through_superpixels as through_superpixels,
 )
 from ._superpixels import Superpixels as Superpixels, superpixels as superpixels
+
+register(__name__)

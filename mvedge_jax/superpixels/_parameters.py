@@ -10,7 +10,7 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
-from mvedge_jax._checks import expect, with_numbers
+from mvedge_jax._checks import expect, untraced, with_numbers
 from mvedge_jax._params import at_least, described, number
 from mvedge_jax.angular import ViewDepths
 from mvedge_jax.lightfield import LightField
@@ -90,6 +90,7 @@ class SuperpixelSizes:
             Sizes for `superpixels`, with room for superpixels of 8 px and more.
 
         Raises:
+            TypeError: the depths are traced.
             ValueError: a choice is out of range.
 
         Example:
@@ -98,6 +99,7 @@ class SuperpixelSizes:
             >>> SuperpixelSizes.for_depths(depths).margin
             2
         """
+        untraced("depths", depths.disparity)
         rows, columns, height, width = depths.disparity.shape
         most = float(np.nanmax(np.abs(np.asarray(depths.disparity)), initial=0.0))
         defaults = {

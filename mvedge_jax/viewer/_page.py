@@ -92,6 +92,7 @@ def _content(light_field: LightField, results: Sequence[Result], quality: int) -
         "typical": float(np.median(spread)),
         "camera": camera
         and [float(camera.focal_px), float(camera.baseline), 1 / float(camera.focus_distance)],
+        "unit": results[0].unit if results else "m",
         "lut": text_of(_tables().tobytes()),
         "notes": _notes(light_field, results),
     }
@@ -163,7 +164,8 @@ def _tables() -> np.ndarray:
 def _notes(light_field: LightField, results: Sequence[Result]) -> list[str]:
     rows, columns, height, width = light_field.views.shape[:4]
     there = int(np.asarray(light_field.available).sum())
-    notes = [f"{columns}x{rows} views of {width}x{height} px"]
+    single = rows * columns == 1
+    notes = [f"{'a view' if single else f'{columns}x{rows} views'} of {width}x{height} px"]
     if there < rows * columns:
         notes.append(f"{rows * columns - there} views are missing; the nearest stands in for them.")
     if not results and light_field.truth is None:

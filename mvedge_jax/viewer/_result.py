@@ -8,7 +8,8 @@ from jaxtyping import Float, Int
 
 from mvedge_jax.datasets import columns_of, read_pfm
 from mvedge_jax.depth import DepthResult
-from mvedge_jax.lightfield import LightField
+from mvedge_jax.lightfield import Camera, LightField
+from mvedge_jax.posed import Photographs
 
 
 class Result(NamedTuple):
@@ -25,6 +26,7 @@ class Result(NamedTuple):
         states: maps of an optimisation, first to last; `disparity` is the last.
         labels: superpixels of the centre view, 0 for none.
         hidden: surfaces that the centre view does not show, from `hidden_surfaces`.
+        unit: of lengths, where the camera is known.
     """
 
     name: str
@@ -37,6 +39,7 @@ class Result(NamedTuple):
     states: Float[np.ndarray, "k y x"] | None = None
     labels: Int[np.ndarray, "y x"] | None = None
     hidden: Float[np.ndarray, "m 7"] | None = None
+    unit: str = "m"
 
 
 def result_of(depth: DepthResult, *, name: str = "result") -> Result:
@@ -59,6 +62,53 @@ def result_of(depth: DepthResult, *, name: str = "result") -> Result:
         np.asarray(points.normal)[keep],
         np.asarray(depth.surface.offset)[keep],
     )
+
+
+def result_of_photograph(
+    photographs: Photographs,
+    index: int,
+    depth: Float[np.ndarray, "y x"],
+    *,
+    error: Float[np.ndarray, "y x"] | None = None,
+    baseline: float = 1.0,
+    name: str = "result",
+) -> tuple[LightField, Result]:
+    """What `stereo` gives, for the page: one photograph as a light field of a single view.
+
+    The optical axis is taken to be in the middle of the photograph, and its pixels to be square.
+
+    Args:
+        photographs: with their cameras.
+        index: of the photograph whose depth it is.
+        depth: along the optical axis, in the unit of the poses; not shown where it is not a
+            positive number.
+        error: its standard error, in the same unit.
+        baseline: what disparity is counted by, see `Reference`.
+        name: what to call it.
+
+    Returns:
+        The photograph, and its map in px per baseline.
+
+    Raises:
+        ValueError: the map is not of the size of the photograph, or `baseline` is not a positive
+            number.
+    """
+    image, focal = photographs.images[index], float(photographs.intrinsics[index, 0, 0])
+    if not (np.isfinite(baseline) and baseline > 0):
+        raise ValueError(f"`baseline` must be a positive number, got {baseline}.")
+    for label, values in (("depth", depth), ("error", error)):
+        if values is not None and values.shape != image.shape[:2]:
+            raise ValueError(
+                f"`{label}` must have the size of the photograph, {image.shape[:2]}, got "
+                f"{values.shape}."
+            )
+    known = np.isfinite(depth) & (depth > 0)
+    inverse = 1 / np.where(known, depth, 1)
+    disparity = np.where(known, focal * baseline * inverse, np.nan)
+    spread = None if error is None else disparity * inverse * error
+    camera = Camera(focal, baseline, np.inf)
+    field = LightField(image[None, None], camera=camera, name=photographs.names[index])
+    return field, Result(name, disparity, spread, unit="units of the model")
 
 
 def hidden_surfaces(

@@ -4,7 +4,10 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from mvedge_jax._params import accepts_numpy
 
+
+@accepts_numpy
 def backward_warp(
     image: Float[Array, "h w c"],
     disparity: Float[Array, "y x"],

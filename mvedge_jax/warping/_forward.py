@@ -6,6 +6,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from mvedge_jax._params import accepts_numpy
+
 
 class ForwardWarp(NamedTuple):
     """A reprojected image.
@@ -21,6 +23,7 @@ class ForwardWarp(NamedTuple):
     hit: Bool[Array, "y x"]
 
 
+@accepts_numpy
 def landing(
     disparity: Float[Array, "y x"], step: Float[Array, "2"]
 ) -> tuple[Int[Array, "y x"], Bool[Array, "y x"]]:
@@ -49,6 +52,7 @@ def landing(
     return index, stays
 
 
+@accepts_numpy
 def z_buffer(order: Float[Array, "y x"], index: Int[Array, "y x"]) -> Float[Array, "_"]:
     """What is nearest of all that lands on each pixel.
 
@@ -63,6 +67,7 @@ def z_buffer(order: Float[Array, "y x"], index: Int[Array, "y x"]) -> Float[Arra
     return buffer.at[index.ravel()].max(order.ravel(), mode="promise_in_bounds")
 
 
+@accepts_numpy
 def forward_warp(
     image: Float[Array, "y x c"], disparity: Float[Array, "y x"], step: Float[Array, "2"]
 ) -> ForwardWarp:

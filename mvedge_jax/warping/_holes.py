@@ -6,6 +6,8 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
+from mvedge_jax._params import accepts_numpy
+
 
 class Holes(NamedTuple):
     """What lies around the holes of a map.
@@ -25,6 +27,7 @@ class Holes(NamedTuple):
     crack: Bool[Array, "y x"]
 
 
+@accepts_numpy
 def holes(
     disparity: Float[Array, "y x"],
     hit: Bool[Array, "y x"],

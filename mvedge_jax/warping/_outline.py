@@ -7,6 +7,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float, Int
 
+from mvedge_jax._params import accepts_numpy
 from mvedge_jax.color import factored, solved, srgb_to_linear
 
 from ._blocks import in_blocks
@@ -30,6 +31,7 @@ _OFFSETS = tuple(
 _PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 
 
+@accepts_numpy
 def outline(
     disparity: Float[Array, "y x"],
     view: Float[Array, "c y x"],

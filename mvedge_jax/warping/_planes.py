@@ -8,6 +8,8 @@ import jax.numpy as jnp
 from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Array, Float
 
+from mvedge_jax._params import accepts_numpy
+
 
 def _corners(planes: Array, x: Array, y: Array) -> tuple[list[Array], Array, Array, Array, Array]:
     """The four pixels around each position, per channel, and the position between them."""
@@ -44,7 +46,7 @@ def _interpolate(planes: Array, disparity: Array, step: Array) -> tuple[Array, A
     return top + fy * (bottom - top), slope
 
 
-@jax.custom_jvp
+@accepts_numpy
 def warp_planes(
     planes: Float[Array, "c y x"], disparity: Float[Array, "y x"], step: Float[Array, "2"]
 ) -> Float[Array, "c y x"]:
@@ -65,10 +67,15 @@ def warp_planes(
     Source:
         Thesis 7.1.4, the warping operator of Eq. 7.15.
     """
+    return _warped(planes, disparity, step)
+
+
+@jax.custom_jvp
+def _warped(planes: Array, disparity: Array, step: Array) -> Array:
     return _interpolate(planes, disparity, step)[0]
 
 
-@partial(warp_planes.defjvp, symbolic_zeros=True)
+@partial(_warped.defjvp, symbolic_zeros=True)
 def _tangent(primals: Any, tangents: Any) -> tuple[Array, Array]:
     planes, disparity, step = primals
     warped, slope = _interpolate(planes, disparity, step)

@@ -4,9 +4,12 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from mvedge_jax._params import accepts_numpy
+
 from ._forward import landing, z_buffer
 
 
+@accepts_numpy
 def visible(
     disparity: Float[Array, "y x"],
     step: Float[Array, "2"],
@@ -38,6 +41,7 @@ def visible(
     return stays & (nearest <= key + jnp.asarray(tolerance).astype(key.dtype))
 
 
+@accepts_numpy
 def visible_binned(
     disparity: Float[Array, "y x"],
     step: Float[Array, "2"],

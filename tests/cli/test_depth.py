@@ -85,3 +85,20 @@ def test_nothing_is_left_behind_when_interrupted(scene, tmp_path, monkeypatch):
     monkeypatch.setattr(_depth, "compiled", lambda *_: interrupt)
     assert _main.main(["depth", str(scene), str(tmp_path / "out"), "--range", "0", "1"]) == 130
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_black_view_is_named_and_costs_little(tmp_path, capsys):
+    """Its gain was 0, and all of the map NaN."""
+    views = textured_plane()
+    views[1, 2] = 0
+    folder = write_hci(tmp_path / "plane", views, disparity=np.full((32, 40), 0.4, np.float32))
+    words = ["depth", str(folder), str(tmp_path / "out"), "--range", "-0.5", "1"]
+    assert _main.main(words) == 0
+    found = read_pfm(tmp_path / "out" / "disparity.pfm")
+    assert np.median(np.abs(found - 0.4)) < 0.01
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    assert report["warnings"] == [
+        "plane: 1 of 9 views left out as missing, as they do not show the scene: input_Cam005.png "
+        "is black."
+    ]
+    assert report["warnings"][0] in capsys.readouterr().err

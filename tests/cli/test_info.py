@@ -93,6 +93,22 @@ def test_a_reversed_axis_is_warned_of(tmp_path, capsys):
     assert "without --flip-v." in " ".join(captured.err.split())
 
 
+def test_exchanged_axes_are_warned_of(tmp_path, capsys):
+    views = _cards()[:, ::-1].swapaxes(0, 1)
+    folder = write_grid(tmp_path / "cards", views)
+    info(folder)
+    captured = capsys.readouterr()
+    assert _lines(captured.out)["convention"] == (
+        "rows and columns EXCHANGED; after that, columns (u) REVERSED, rows (v) right"
+    )
+    assert "moves up and down. Load them with --swap-axes and with --flip-u." in captured.err
+    info(folder, swap_axes=True, flip_u=True)
+    assert _lines(capsys.readouterr().out)["convention"].startswith("holds")
+    info(folder, flip_v=True)  # reverses what will be the columns
+    said = capsys.readouterr().err
+    assert "Load them with --swap-axes and with --flip-u and without --flip-v." in said
+
+
 def test_what_is_too_small_is_not_checked(tmp_path, capsys):
     info(write_grid(tmp_path / "toy", random_views()))
     assert "not checked" in _lines(capsys.readouterr().out)["convention"]
@@ -107,3 +123,12 @@ def test_command_line(tmp_path, capsys, monkeypatch):
     error = capsys.readouterr().err
     assert "nowhere is not there" in error
     assert "Traceback" not in error
+
+
+def test_a_view_that_shows_nothing_is_named(tmp_path, capsys):
+    views = _cards()
+    views[2, 4] = 0
+    info(write_grid(tmp_path / "toy", views, pattern="v_{}_{}.png"), quick=True)
+    captured = capsys.readouterr()
+    assert "1 of 25 missing: (v, u) = (2, 4)" in _lines(captured.out)["views"]
+    assert "v_3_5.png is black." in captured.err

@@ -44,6 +44,39 @@ def test_debug_shows_the_traceback(monkeypatch, capsys):
     assert "Traceback" in capsys.readouterr().err
 
 
+_LIGHT = """
+import sys
+from mvedge import run
+code = run()
+heavy = {"cv2", "jax", "mvedge_jax", "numpy"} & set(sys.modules)
+assert not heavy, heavy
+sys.exit(code)
+"""
+_WHOLE = "import sys; from mvedge_jax.cli import main; sys.exit(main())"
+
+
+@pytest.mark.parametrize("words", [["--help"], ["--version"], []])
+def test_the_overview_is_the_same_without_the_libraries(words):
+    """`mvedge --help` reads docstrings from sources; the command line itself imports them."""
+    environment = {**os.environ, "COLUMNS": "100", "MVEDGE_CACHE": "off"}
+    light, whole = (
+        subprocess.run(
+            [sys.executable, "-c", code, *words],
+            capture_output=True,
+            text=True,
+            env=environment,
+            check=False,
+        )
+        for code in (_LIGHT, _WHOLE)
+    )
+    assert (light.returncode, light.stdout, light.stderr) == (
+        whole.returncode,
+        whole.stdout,
+        whole.stderr,
+    )
+    assert words != ["--help"] or all(command in light.stdout for command in _main.COMMANDS)
+
+
 def test_help_names_every_command():
     environment = {**os.environ, "MVEDGE_CACHE": "off"}
     run = subprocess.run(
@@ -53,7 +86,7 @@ def test_help_names_every_command():
         check=True,
         env=environment,
     )
-    for command in _main._COMMANDS:
+    for command in _main.COMMANDS:
         assert command in run.stdout
 
 

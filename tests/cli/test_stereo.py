@@ -2,6 +2,7 @@
 
 import json
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from datasets.layouts import write_hci
@@ -13,7 +14,8 @@ from mvedge_jax.datasets import read_pfm, synthetic, write_hci as write_scene, w
 from mvedge_jax.datasets.exchange import read_ply, write_colmap
 from mvedge_jax.datasets.photographs import load_photographs
 from mvedge_jax.lightfield import LightField
-from mvedge_jax.posed import Photographs
+from mvedge_jax.photometry import Noise
+from mvedge_jax.posed import Photographs, StereoResult, StereoStats
 from mvedge_jax.posed.cloud import photographs_of
 from mvedge_jax.posed.sparse import SparseStereoSizes
 
@@ -48,6 +50,32 @@ def test_stereo_and_its_export(model, tmp_path):
     again = load_photographs(tmp_path / "nerf")
     assert again.depth is not None
     np.testing.assert_allclose(again.depth[1], depth, atol=1e-4)
+
+
+def test_a_depth_that_failed_is_said_on_the_screen_and_in_the_report(
+    model, tmp_path, capsys, monkeypatch
+):
+    depth = jnp.full(DEPTHS[1].shape, 2.0)
+    stats = StereoStats(
+        iterations=jnp.asarray([9]),
+        converged=jnp.asarray(True),
+        noise=Noise.of(jnp.zeros(())),
+        gain=jnp.ones(4),
+        searched=jnp.asarray([0.0, 9.0]),
+        labelled=jnp.asarray(0.25),
+    )
+    failed = StereoResult(depth, 0.2 * depth, depth, 0.2 * depth, depth, stats)
+    monkeypatch.setattr("mvedge_jax.cli._stereo.estimate", lambda *_: failed)
+    out = tmp_path / "out"
+    words = ["stereo", str(model), str(out), "--range", "1.2", "3.5", "--reference", "1"]
+    assert _main.main(words) == 0
+    row = json.loads((out / "report.json").read_text())["photographs"]["1"]
+    assert row["pixels without an accepted label, %"] == 75
+    assert row["warnings"] == list(failed.problems())
+    assert "75 % of the pixels have no accepted label" in row["warnings"][0]
+    assert "above 20 % of their depth" in row["warnings"][1]
+    said = " ".join(capsys.readouterr().err.split())
+    assert all(f"1: {text}" in said for text in row["warnings"])
 
 
 @pytest.mark.slow

@@ -3,11 +3,14 @@ import json
 import h5py
 import numpy as np
 import pytest
+from posed.walls import MATRIX, POSES, wall
 from viewer.scenes import disparity, square_field
 
 from mvedge_jax import viewer
 from mvedge_jax.cli import _main, _view
 from mvedge_jax.datasets import write_hci, write_pfm
+from mvedge_jax.datasets.exchange import write_colmap
+from mvedge_jax.posed import Photographs
 
 
 @pytest.fixture(scope="module")
@@ -113,3 +116,54 @@ def test_it_is_served_until_it_is_stopped(scene, monkeypatch, capsys):
     assert "until Ctrl-C" in capsys.readouterr().out
     assert _main.main(["view", str(scene), "--port", "0", "--no-browser"]) == 130
     assert len(opened) == 1
+
+
+@pytest.fixture
+def stereo(tmp_path):
+    """What `mvedge stereo` writes of two of four photographs."""
+    images, depths = wall(POSES)
+    names = tuple(f"{i}.png" for i in range(4))
+    posed = Photographs(images.astype(np.float32), POSES, MATRIX, names=names)
+    write_colmap(tmp_path / "model", posed)
+    folder = tmp_path / "stereo"
+    folder.mkdir()
+    for name in ("1", "3"):
+        write_pfm(folder / f"{name}_depth.pfm", depths[int(name)])
+        write_pfm(folder / f"{name}_error.pfm", 0.01 * depths[int(name)])
+    rows = {name: {"baseline": 0.2} for name in ("1", "3.png")}
+    report = {"model": str(tmp_path / "model"), "method": "dense", "scale": 1.0}
+    report |= {"images": None, "intrinsics": None, "photographs": rows}
+    (folder / "report.json").write_text(json.dumps(report))
+    (folder / ".mvedge.json").write_text("{}")
+    return folder
+
+
+def test_a_photograph_is_shown_with_its_depth(stereo, tmp_path, capsys):
+    out, size = tmp_path / "page.html", list(wall(POSES)[1][0].shape)
+    words = ["view", str(stereo), "--html", str(out), "--overwrite"]
+    for choice, name in (([], "1.png"), (["--reference", "3"], "3.png")):
+        assert _main.main([*words, *choice]) == 0
+        data = _data(out)
+        assert data["shape"] == [1, 1, *size]
+        assert (data["name"], data["unit"]) == (name, "units of the model")
+        focal, depth = MATRIX[0, 0], wall(POSES)[1][int(name[0])]
+        assert data["camera"] == pytest.approx([focal, 0.2, 0])
+        ends = focal * 0.2 / depth.max(), focal * 0.2 / depth.min()
+        assert data["range"] == pytest.approx(ends, rel=1e-4)
+        assert data["results"][0]["error"] is not None
+    twin = stereo.rename(tmp_path / "twin")
+    assert _main.main(["view", str(twin), "--other", str(twin), *words[2:]]) == 2  # one name
+    capsys.readouterr()
+    for choice, message in (
+        (["--reference", "0"], "has no depth of '0'; it has that of 1.png, 3.png."),
+        (["--reference", "none"], "no photograph is called 'none'"),
+        (["--scene", str(twin)], "--scene is for light fields"),
+        (["--other", str(tmp_path)], "--other must be what `mvedge stereo` wrote"),
+    ):
+        assert _main.main(["view", str(twin), *words[2:], *choice]) == 2
+        assert message in capsys.readouterr().err
+
+
+def test_a_reference_is_no_view_of_a_light_field(result, capsys):
+    assert _main.main(["view", str(result), "--reference", "1"]) == 2
+    assert "--reference is for what `stereo` wrote" in capsys.readouterr().err

@@ -1,5 +1,7 @@
 """HDF5 and MATLAB files."""
 
+from functools import partial
+
 import h5py
 import numpy as np
 import pytest
@@ -110,6 +112,43 @@ def test_lytro_errors(tmp_path, version, array, text):
     with pytest.raises(ValueError, match=text) as caught:
         load_light_field(path)
     assert "bad.mat" in str(caught.value)
+
+
+def _write_by_h5py(path, array):
+    """Without MATLAB's header, and the axes as they are."""
+    with h5py.File(path, "w") as file:
+        file["LF"] = array
+    return path
+
+
+@pytest.mark.parametrize("write", [write_mat, partial(write_mat, version="7.3"), _write_by_h5py])
+@pytest.mark.parametrize("grid", [3, 5])
+@pytest.mark.parametrize("grid_last", [False, True])
+@pytest.mark.parametrize("channels", [1, 3, 4])
+def test_the_order_of_the_axes_is_told_by_their_lengths(tmp_path, write, grid, grid_last, channels):
+    views = random_views((grid, grid, 16, 21, channels))
+    stored = views.transpose(2, 3, 0, 1, 4) if grid_last else views
+    loaded = load_light_field(write(tmp_path / "a.mat", stored))
+    expected = np.broadcast_to(views[..., :3], (grid, grid, 16, 21, 3)).astype(np.float32)
+    np.testing.assert_array_equal(np.asarray(loaded.views), expected / np.float32(255))
+
+
+@pytest.mark.parametrize("version", ["7", "7.3"])
+@pytest.mark.parametrize("views", [None, 9])
+def test_axes_that_could_be_either_are_named_both_ways(tmp_path, version, views):
+    path = write_mat(tmp_path / "a.mat", random_views((15, 16, 9, 9, 3)), version=version)
+    message = (
+        r"either 15x16 views of 9x9 px, as \[v, u, y, x, c\], or 9x9 views of 15x16 px, as "
+        r"\[y, x, v, u, c\]; expected"
+    )
+    with pytest.raises(ValueError, match=message):
+        load_light_field(path, views=views)
+
+
+def test_old_hci_with_its_axes_exchanged(tmp_path):
+    path = write_h5(tmp_path / "a.h5", random_views((16, 21, 3, 3, 3)))
+    with pytest.raises(ValueError, match=r"16x21 views of 3x3 px .*If it has 3x3 views of 16x21"):
+        load_light_field(path)
 
 
 @pytest.mark.parametrize("version", ["7", "7.3"])

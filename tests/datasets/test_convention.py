@@ -49,6 +49,27 @@ def test_flips_are_found_on_either_axis(cards, flip_v, flip_u):
     assert check.holds is not (flip_u or flip_v)
 
 
+@pytest.mark.parametrize("flip_v", [False, True])
+@pytest.mark.parametrize("flip_u", [False, True])
+def test_exchanged_axes_are_found_whatever_the_flips(cards, flip_v, flip_u):
+    views = cards[:: -1 if flip_v else 1, :: -1 if flip_u else 1]
+    check = check_convention(LightField(jnp.asarray(views.swapaxes(0, 1))))
+    straight = check_convention(LightField(jnp.asarray(views)))
+    assert check.swap_axes
+    assert check.holds is False
+    assert not straight.swap_axes
+    assert (check.flip_u, check.flip_v) == (flip_u, flip_v)
+    assert check.votes == straight.votes
+
+
+def test_views_may_be_missing_on_the_crosshair(cards):
+    light_field = LightField(jnp.asarray(cards))
+    for gone in ([(3, 6), (1, 3)], [(3, 0), (3, 1), (3, 2)]):
+        check = check_convention(light_field.without_views(gone))
+        assert check.holds
+    assert check_convention(LightField(jnp.asarray(cards.swapaxes(0, 1)))).swap_axes
+
+
 def test_votes_and_range(cards):
     check = check_convention(LightField(jnp.asarray(cards), disparity_range=(-0.8, 1.8)))
     for votes in (check.columns, check.rows):
@@ -82,6 +103,11 @@ def test_without_occlusions_nothing_is_claimed():
     noise = np.random.default_rng(0).uniform(size=(5, 5, 40, 44, 3)).astype(np.float32)
     check = check_convention(LightField(jnp.asarray(noise)))
     assert check.holds is None
+    still = _cards(near=0, far=0)
+    for views in (still, still[:, :, :, :1].repeat(100, axis=3)):  # and stripes along x
+        assert not check_convention(LightField(jnp.asarray(views))).swap_axes
+    stripes = _cards(near=0.7, far=0.7)[:, :, :1].repeat(90, axis=2)
+    assert not check_convention(LightField(jnp.asarray(stripes))).swap_axes
 
 
 @pytest.mark.parametrize("shape", [(1, 3, 32, 32, 3), (3, 3, 19, 32, 3)])

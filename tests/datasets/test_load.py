@@ -56,6 +56,25 @@ def test_central_views_and_flips(tmp_path, layout):
         np.asarray(loaded.views), views[1:4, 1:4][::-1].astype(np.float32) / 255
     )
     assert loaded.name == "other"
+    loaded = load_light_field(path, views=3, swap_axes=True, flip_u=True)
+    expected = views[1:4, 1:4].swapaxes(0, 1)[:, ::-1].astype(np.float32) / 255
+    np.testing.assert_array_equal(np.asarray(loaded.views), expected)
+
+
+def test_exchanged_axes_take_the_truth_of_every_view_along(tmp_path):
+    views = random_views((3, 3, 6, 8, 3))
+    depth = np.linspace(5, 9, 9 * 48, dtype=np.float32).reshape(3, 3, 6, 8)
+    path = write_h5(tmp_path / "a.h5", views, depth=depth, labels=random_views((3, 3, 6, 8)))
+    one, other = (known(load_light_field(path, swap_axes=swap).truth) for swap in (False, True))
+    np.testing.assert_array_equal(one.disparity, other.disparity)
+    for name in ("view_disparity", "view_ids"):
+        maps = known(getattr(one, name)), known(getattr(other, name))
+        np.testing.assert_array_equal(maps[0], maps[1].swapaxes(0, 1))
+
+
+def test_exchanged_axes_may_be_a_single_row(tmp_path):
+    folder = write_grid(tmp_path / "toy", random_views((1, 5, 6, 8, 3)))
+    assert load_light_field(folder, swap_axes=True).views.shape[:2] == (5, 1)
 
 
 @pytest.mark.parametrize("views", [2, 1, 7])
@@ -133,6 +152,15 @@ def test_bad_scale(tmp_path, scale):
         load_light_field(tmp_path, scale=scale)
 
 
+@pytest.mark.parametrize("scale", [1e-320, 1e-30, 0.12])
+def test_a_scale_that_leaves_no_pixel(tmp_path, scale):
+    path = write_grid(tmp_path, random_views((3, 3, 8, 8, 3)))
+    with pytest.raises(
+        ValueError, match=r"leaves no pixel of .*02_02\.png, 8x8 px .* at least 0\.1"
+    ):
+        load_light_field(path, scale=scale)
+
+
 def test_a_range_that_is_given_wins(tmp_path):
     path = write_hci(tmp_path / "scene", random_views())
     loaded = load_light_field(path, disparity_range=(-2.0, 3.0), scale=0.5)
@@ -158,6 +186,19 @@ def test_nothing_to_load(tmp_path):
         load_light_field(tmp_path / "notes.txt")
     with pytest.raises(FileNotFoundError, match="nowhere is not there"):
         load_light_field(tmp_path / "nowhere")
+    (tmp_path / "empty").mkdir()
+    write_grid(tmp_path / "one", random_views())
+    itself = "holds no light field itself, but "
+    with pytest.raises(FileNotFoundError, match=itself + "one in it is one: name that"):
+        load_light_field(tmp_path)
+    (tmp_path / "two").mkdir()
+    write_mat(tmp_path / "two" / "a.mat", random_views())
+    with pytest.raises(FileNotFoundError, match=itself + "2 in it: one, two; name one of them"):
+        load_light_field(tmp_path)
+    for name in ("a.mat", "b.mat", "c.mat"):
+        write_mat(tmp_path / name, random_views())
+    with pytest.raises(FileNotFoundError, match=r"3 in it: a\.mat, b\.mat, c\.mat; name one"):
+        load_light_field(tmp_path)
     save_image(tmp_path / "photo_2020_1.png", random_views()[0, 0])
     with pytest.raises(ValueError, match="grid of 1x1 views"):
         load_light_field(tmp_path)

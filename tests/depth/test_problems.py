@@ -44,6 +44,7 @@ def test_a_good_map_says_nothing():
         ({"valid": 0}, "no edge was found: the views do not determine the map"),
         ({"overflow": 7}, "7 weak edges found no slot"),
         ({"disparity": jnp.nan}, "24 of 24 disparities are NaN or infinite"),
+        ({"disparity": jnp.nan}, "a black view may be why: `datasets.find_dead_views` names it"),
         ({"error": jnp.inf}, "no pixel was measured at all"),
         ({"error": 1.5}, "a standard error above 1.5 px, of a range of 2 px"),
         ({"disparity": -1.2}, "100 % of the pixels lie beyond the lowest disparity"),

@@ -25,6 +25,7 @@ def cases() -> Iterator[Case]:
     yield from _sizes()
     yield from _orders()
     yield from _tolerances()
+    yield from _traced()
 
 
 def _views(dtype: Any = jnp.float32) -> jax.Array:
@@ -181,3 +182,14 @@ def _tolerances() -> Iterator[Case]:
             refuses(lambda: diffuse(system, adjoint=solver), "`adjoint.tolerance`")
 
         yield Case(f"a solver with a tolerance of {value}", run)
+
+
+def _traced() -> Iterator[Case]:
+    for kind in (Sizes, EdgeSizes):
+
+        def run(_: Path, kind=kind) -> None:
+            choose = jax.jit(lambda field: kind.for_light_field(field))
+            words = "`light_field.disparity_range` is traced"
+            refuses(lambda: choose(_light_field()), words, kinds=_WRONG)
+
+        yield Case(f"{kind.__name__}.for_light_field within jit", run)

@@ -106,6 +106,8 @@ def _wrong_words() -> Iterator[Case]:
         ("depth", "SCENE", "OUT", "--scale", 0),
         ("depth", "SCENE", "OUT", "--scale", "nan"),
         ("depth", "SCENE", "OUT", "--scale", "inf"),
+        ("depth", "SCENE", "OUT", "--scale", "1e-320"),
+        ("info", "SCENE", "--scale", "1e-320"),
         ("depth", "SCENE", "OUT", "--range", 1, 0),
         ("depth", "SCENE", "OUT", "--range", "nan", "nan"),
         ("depth", "SCENE", "OUT", "--range", "-inf", "inf"),

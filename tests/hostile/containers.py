@@ -70,6 +70,15 @@ def _containers() -> Iterator[Case]:
 
     yield Case("mat 7.3 of 60000x60000 px claimed", reversed_huge)
 
+    for version in ("7", "7.3"):
+        for shape in ((15, 16, 9, 9, 3), (300, 200, 3, 3, 2), (9, 9, 5, 5, 3), (200, 200, 1, 1, 3)):
+
+            def order(folder: Path, version=version, shape=shape) -> None:
+                path = write_mat(folder / "scene.mat", random_views(shape), version=version)
+                refuses(lambda: load_light_field(path, views=7), "scene")
+
+            yield Case(f"mat {version} of shape {shape}", order)
+
     def many(folder: Path) -> None:
         path = claims(folder, (100_000, 100_000, 1, 1, 3), chunks=(10, 10, 1, 1, 3))
         refuses(lambda: load_light_field(path), "scene.h5", "views")

@@ -1,11 +1,13 @@
 """Folders that hold pipes, devices, crowds or nothing."""
 
 import os
+import warnings
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 from datasets.layouts import (
+    random_views,
     write_grid,
 )
 from hostile.case import Case, refuses
@@ -56,6 +58,35 @@ def _folders() -> Iterator[Case]:
                 refuses(lambda: load_light_field(path), path.name)
 
             yield Case(f"a .{kind} that is {other}", container)
+
+    for name in ("scene", "b[y] {0}", "\u5834"):
+
+        def parent(folder: Path, name=name) -> None:
+            write_grid(folder / name, random_views())
+            refuses(lambda: load_light_field(folder), name, "in it")
+
+        yield Case(f"a folder whose child {name!r} is a light field", parent)
+
+    for what, value in {"black": 0, "white": 255, "of one color": 90}.items():
+
+        def dead(folder: Path, what=what, value=value) -> None:
+            views = random_views((3, 3, 16, 16, 3))
+            views[1, 1] = value
+            scene = write_grid(folder / "scene", views, pattern="v_{}_{}.png")
+            refuses(lambda: load_light_field(scene), "v_2_2.png", what)
+
+        yield Case(f"a centre view that is {what}", dead)
+
+        def left_out(folder: Path, what=what, value=value) -> None:
+            views = random_views((3, 3, 16, 16, 3))
+            views[1, 2] = value
+            scene = write_grid(folder / "scene", views, pattern="v_{}_{}.png")
+            with warnings.catch_warnings(record=True) as said:
+                warnings.simplefilter("always")
+                assert not load_light_field(scene).available[1, 2]
+            assert f"v_2_3.png is {what}." in str(said[0].message)
+
+        yield Case(f"a view of the crosshair that is {what}", left_out)
 
     def crowd(folder: Path) -> None:
         for k in range(3000):

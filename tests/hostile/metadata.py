@@ -120,7 +120,8 @@ def _maps() -> Iterator[Case]:
         b"Pf\n8.0 6\n-1\n", b"Pf\n999999999 999999999\n-1\n", b"Pf\n" + b"9" * 5000 + b" 6\n-1\n",
         b"Pf\n" + b" " * 100_000, b"Pf\n8 6\n-1", b"P5\n8 6\n255\n", b"Pf 8 6 1e400\n",
         b"\0" * 64, "Pf\n８ ６\n-1\n".encode(), b"Pf\n1 1\n-1\n", b"Pf\n6 8\n-1\n",
-        b"Pf\n8 5\n-1\n",
+        b"Pf\n8 5\n-1\n", b"Pf\r\n8 6\r\n-1\r\n", b"Pf \n8 6 \n-1 \n", b"Pf\n# a\n8 6\n-1\n",
+        b"Pf\n#" + b"a" * 100_000, b"Pf\n" + b"#\n" * 50_000, b"Pf#8 6 -1\n",
     ]  # fmt: skip
     for index, header in enumerate(headers):
 

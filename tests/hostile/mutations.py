@@ -1,5 +1,7 @@
 """Files of every format with flipped, missing and doubled bytes."""
 
+import struct
+import zlib
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
@@ -22,6 +24,7 @@ _MUTATIONS = 32
 def cases() -> Iterator[Case]:
     """All of them."""
     yield from _mutations()
+    yield from _mended()
 
 
 def _formats() -> dict[str, Callable[[Path], tuple[Path, Path]]]:
@@ -66,3 +69,30 @@ def _mutations() -> Iterator[Case]:
                 survives(lambda: load_light_field(scene), "scene")
 
             yield Case(f"mutated {kind} {seed}", run)
+
+
+def _mended() -> Iterator[Case]:
+    """PNGs that are damaged, with checksums that are not: only the decoder could tell."""
+    for seed in range(_MUTATIONS):
+
+        def run(folder: Path, seed=seed) -> None:
+            scene = hci(folder)
+            victim = scene / "input_Cam004.png"
+            data = victim.read_bytes()
+            # Behind the signature and the header's length and kind.
+            victim.write_bytes(_checked(data[:16] + mutated(data[16:], seed)))
+            survives(lambda: load_light_field(scene), "scene")
+
+        yield Case(f"mutated png with right checksums {seed}", run)
+
+
+def _checked(data: bytes) -> bytes:
+    """A PNG with the right checksum in every chunk."""
+    out, position = bytearray(data), 8
+    while position + 12 <= len(out):
+        end = position + 8 + int.from_bytes(out[position : position + 4], "big")
+        if end + 4 > len(out):
+            break
+        out[end : end + 4] = struct.pack(">I", zlib.crc32(out[position + 4 : end]))
+        position = end + 4
+    return bytes(out)

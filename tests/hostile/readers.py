@@ -183,6 +183,7 @@ _SOURCES: list[Any] = [
     {"path": "SCENE"}, {"path": "SCENE", "views": "many"}, {"path": "SCENE", "views": 4},
     {"path": "SCENE", "views": None, "scale": None}, {"path": "SCENE", "unknown": 1},
     {"path": "SCENE", "views": None, "scale": -1.0, "flip_u": 0, "flip_v": 0},
+    {"path": "SCENE", "swap_axes": "yes"},
 ]  # fmt: skip
 
 

@@ -7,6 +7,7 @@ import pytest
 from mvedge_jax.losses import SupervisedWeights
 from mvedge_jax.model import DepthModel, ModelParams, ModelSizes, render_model
 from mvedge_jax.model._capacity import with_capacity, without_free_places
+from mvedge_jax.model._host import compiled_render
 from mvedge_jax.model.objectives import Supervised, Trust, unlimited
 from mvedge_jax.model.optimisation import (
     FixedPoints,
@@ -21,7 +22,7 @@ from mvedge_jax.model.optimisation import (
     optimise,
 )
 from mvedge_jax.model.optimisation._grow import grow, usefulness, worst_pixels
-from mvedge_jax.splatting import SplatSizes
+from mvedge_jax.splatting import SplatParams, SplatSizes
 
 SHAPE = (14, 18)
 SIZES = ModelSizes(splat=SplatSizes(scale=1, lanes=16))
@@ -358,3 +359,28 @@ def test_levenberg_marquardt_needs_few_steps():
     assert [loss for _, loss in seen] == pytest.approx(found.loss[1:].tolist())
     with pytest.raises(ValueError, match="`steps` must be at least 1, got 0"):
         minimise_least_squares(model, goal, jnp.zeros(SHAPE), steps=0)
+
+
+def test_points_that_are_cut_off_are_warned_of():
+    """Inside the compiled loop nothing can be said, so the host says it before."""
+    model = start_model()
+    wide = ModelParams(splat=SplatParams(sigma_label=jnp.asarray(4.0)))
+    goal = eqx.tree_at(lambda g: g.params, objective(model), wide)
+    message = "Points of `sigma_label` = 4 px still count .* at `radius` = 6 px"
+    nothing = all_at_once(RATES, iterations=0)
+    with pytest.warns(UserWarning, match=message):
+        optimise(first_state(model), nothing, goal)
+    with pytest.raises(UserWarning, match=message):  # warnings are errors here
+        minimise_least_squares(model, goal, jnp.zeros(SHAPE))
+    sizes = ModelSizes(splat=SplatSizes(scale=1, lanes=16, capacity=2))
+    goal = Supervised(truth(), jnp.ones(SHAPE, bool), unlimited(model), sizes=sizes)
+    full = "entries of the tiles' lists exceed `SplatSizes.capacity`"
+    with pytest.warns(UserWarning, match=full):
+        optimise(first_state(model), nothing, goal)
+    with pytest.warns(UserWarning, match=full):
+        render_model(model, ModelParams(), sizes)
+    rendered = eqx.filter_jit(render_model)(model, wide, sizes)
+    assert ["`SplatSizes.radius`" in line for line in rendered.problems()] == [True, False]
+    with pytest.warns(UserWarning, match="SplatSizes") as said:
+        compiled_render(model, wide, sizes)
+    assert tuple(str(warning.message) for warning in said) == rendered.problems()

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from helpers import check_gradient, count_traces, shared_data
-from posed.walls import MATRIX, POSES, turned, wall
+from posed.walls import MATRIX, POSES, places, texture, turned, wall
 
 from mvedge_jax.datasets import synthetic
 from mvedge_jax.datasets.photographs import load_photographs
@@ -52,6 +52,7 @@ def test_finds_the_wall_from_every_photograph_with_one_program(small):
         assert np.quantile(off, 0.9) < 0.15
         assert bool(jnp.isfinite(found.error).all())
         np.testing.assert_allclose(found.stats.gain, 1, atol=0.02)
+        assert found.problems() == ()
     assert traces() == 1
 
 
@@ -122,6 +123,17 @@ def test_a_photograph_that_looks_elsewhere_is_ignored(small):
     found = run(view, reference_of(view, 0, depth_range=RANGE))
     assert bool(jnp.isfinite(found.depth).all())
     assert float(depth_errors(found.depth, jnp.asarray(DEPTHS[0])).median) < 0.6
+
+
+def test_photographs_of_something_else_are_said_to_fail(small):
+    run, _ = small
+    unrelated = [texture(places(POSES[k], DEPTHS[k]), seed=k) for k in range(len(POSES))]
+    view = Photographs(jnp.asarray(np.stack(unrelated)), POSES, MATRIX)
+    found = run(view, reference_of(view, 0, depth_range=RANGE))
+    assert float(depth_errors(found.depth, jnp.asarray(DEPTHS[0])).above) > 80
+    said = found.problems()
+    assert any("of the pixels have no accepted label" in text for text in said)
+    assert any("% of their depth" in text for text in said)
 
 
 @pytest.mark.slow
@@ -232,6 +244,10 @@ def test_a_light_field_is_a_set_of_photographs():
             "`depth_range` must be 0 < near < far",
         ),
         (
+            lambda: reference_of(photographs(), 0, depth_range=(1e-320, 1.0)),
+            "`depth_range` must begin at .* a millionth of the distance",
+        ),
+        (
             lambda: reference_of(photographs(points=np.zeros((1, 3)) - 9), 0),
             "have 0 points in the frame of 0, expected at least 2",
         ),
@@ -245,6 +261,19 @@ def test_a_light_field_is_a_set_of_photographs():
 def test_errors_say_what_is_wrong(make, message):
     with pytest.raises(ValueError, match=message):
         make()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "fails"), [("livingroom5", False), ("livingroom_wide5", True)])
+def test_a_living_room_seen_from_too_far_apart_is_said_to_fail(name, fails):
+    camera = (525.0, 525.0, 319.5, 239.5)
+    view = load_photographs(shared_data("mvs", name), intrinsics=camera, scale=0.5)
+    # Of the fifth in `livingroom_wide5` two thirds are right, and nothing tells it apart.
+    for index in range(4):
+        wanted = reference_of(view, index)
+        found = stereo(view.without_truth(), wanted, StereoParams(), StereoSizes.of(wanted))
+        said = any("no accepted label" in text for text in found.problems())
+        assert said == fails
 
 
 @pytest.mark.slow

@@ -296,3 +296,50 @@ def test_steep_weights_have_finite_derivatives_in_float32(order):
 def test_a_ray_without_density_is_refused():
     with pytest.raises(ValueError, match="`density` and `sigma_depth` must be positive, got 0 and"):
         SplatSizes().check(with_values(SplatParams, density=0.0))
+
+
+@pytest.mark.parametrize("name", ["sigma_label", "sigma_weight"])
+def test_what_traced_widths_cut_off_is_a_number(name):
+    """Within the radius the maps are the oracle's; beyond it `cut_off` says that they are not."""
+    points, sizes = cloud(), SplatSizes()
+    run = jax.jit(lambda p: splatting.splat(*points, p, SHAPE, sizes))
+    oracle = jax.jit(lambda p: splat_reference(*points, p, SHAPE, sizes))
+    default = float(getattr(SplatParams(), name))
+    seen = []
+    for width in (0.7 * default, default, 1.3 * default, 3.0, 6.0):
+        params = with_values(SplatParams, **{name: width})
+        found, exact = run(params), oracle(params)
+        lost, error = float(found.cut_off), float(jnp.abs(maps(found) - maps(exact)).max())
+        within = True
+        try:
+            sizes.check(params)
+        except ValueError:
+            within = False
+        assert (lost <= 1e-3) == within == (found.problems() == ())
+        # Several points at a pixel, each of a label or weight of at most about 2.
+        assert error <= 8 * lost
+        seen.append((within, error))
+    assert max(error for within, error in seen if within) < 2e-3
+    assert max(error for within, error in seen if not within) > 0.1
+    assert float(oracle(SplatParams()).cut_off) == 0
+
+
+def test_problems_of_a_splat_are_sentences():
+    points = cloud()
+    wide = with_values(SplatParams, sigma_label=3.0)
+    found = jax.jit(lambda p: splatting.splat(*points, p, SHAPE, SplatSizes(capacity=3)))(wide)
+    cut, full = found.problems()
+    assert cut == (
+        "points still count 2.1 at `SplatSizes.radius`, where they are cut off; at most 0.001 is "
+        "negligible: ask for a larger radius, or narrower points."
+    )
+    assert full.startswith(f"{int(found.overflow)} entries of the tiles' lists exceed")
+    unknown = jax.jit(lambda p: splatting.splat(*points, p, SHAPE, SplatSizes()))(
+        with_values(SplatParams, sigma_label=jnp.nan)
+    )
+    assert "count nan" in unknown.problems()[0]
+
+
+def test_what_is_cut_off_has_no_derivative():
+    slope = jax.grad(lambda p: SplatSizes().cut_off(p))(SplatParams())
+    assert all(float(leaf) == 0 for leaf in jax.tree.leaves(slope))

@@ -1,5 +1,10 @@
 """What the tables of superpixels count beside the metrics."""
 
+import importlib
+from pathlib import Path
+from types import SimpleNamespace
+
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -43,3 +48,50 @@ def test_what_has_the_label_of_another_object_is_red():
     red = np.asarray(picture)[..., 0] > np.asarray(picture)[..., 1] + 0.5
     assert red[:, 2].all()
     assert red.sum() == 4
+
+
+@pytest.fixture
+def figure(monkeypatch):
+    """The script of Fig. 5.4, which imports its neighbours by their names alone."""
+    monkeypatch.syspath_prepend(Path(__file__).parents[2] / "experiments")
+    return importlib.import_module("figure_5_4")
+
+
+@pytest.mark.parametrize(
+    ("method", "program"),
+    [
+        ("ours", "superpixels"),
+        ("thesis", "thesis_superpixels"),
+        ("k-means", "kmeans_superpixels"),
+    ],
+)
+def test_a_sweep_varies_what_its_rows_say(figure, method, program, monkeypatch):
+    given = []
+
+    def caught(*arguments):
+        given.extend(each for each in arguments if isinstance(each, figure.SWEPT[method]))
+        return SimpleNamespace(labels=None)
+
+    monkeypatch.setattr(figure, program, caught)
+    views, depths = jnp.zeros((3, 3, 4, 4, 3)), jnp.zeros((3, 3, 4, 4))
+    measured = figure.ViewDepths(depths, depths, depths, jnp.zeros((), jnp.int32))
+    case = figure.Case(figure.LightField(views), measured, depths, depths)
+    rows = figure._swept(f"{method}.colour", ["3", "5"], size=12.0)
+    for label, kind, params in rows:
+        assert label.startswith(f"{method}, colour ")
+        figure._cut(kind, case, 12.0, params)
+    assert [float(params.colour) for params in given] == [3, 5]
+
+
+@pytest.mark.parametrize(
+    ("field", "text"),
+    [
+        ("SLIC projected.colour", "a method must be one of .*, got 'SLIC projected'"),
+        ("k-means.size", "k-means has position, disparity, colour, fill; got 'size'"),
+        ("thesis.lines", "thesis has position, disparity, colour; got 'lines'"),
+        ("nosuch", "ours has size, colour, .* got 'nosuch'"),
+    ],
+)
+def test_a_sweep_of_what_is_no_parameter_is_refused(figure, field, text):
+    with pytest.raises(SystemExit, match=text):
+        figure._swept(field, ["1"])

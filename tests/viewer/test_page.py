@@ -12,12 +12,14 @@ import zlib
 
 import cv2
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from viewer.scenes import disparity, result, square_field
 
 from mvedge_jax import viewer
 from mvedge_jax.datasets import write_pfm
+from mvedge_jax.posed import Photographs
 from mvedge_jax.viewer import page, read_result, serve, show
 
 
@@ -228,3 +230,25 @@ def test_hidden_surfaces_are_the_most_certain_points_of_other_views():
     assert sorted(row[:, 0]) == [51, 52, 53, 54]
     packed = _data(page(field, result()._replace(hidden=found)))["results"][0]["hidden"]
     assert _unpacked(packed["error"]) == pytest.approx(found[:, 3], rel=1e-3)
+
+
+def test_depth_of_a_photograph_becomes_disparity():
+    image = np.full((2, 8, 10, 3), 0.5, np.float32)
+    poses = np.stack([np.eye(4)] * 2)
+    poses[1, 0, 3] = 0.1
+    pair = Photographs(image, poses, np.array([[20.0, 0, 3.5], [0, 20.0, 2.5], [0, 0, 1]]))
+    depth, error = np.full((8, 10), 4.0), np.full((8, 10), 0.2)
+    depth[0, :3] = 0, np.nan, np.inf
+    field, found = viewer.result_of_photograph(pair, 1, depth, error=error, baseline=0.5)
+    assert field.views.shape == (1, 1, 8, 10, 3)
+    assert np.isnan(found.disparity[0, :3]).all()
+    np.testing.assert_allclose(found.disparity[1:], 2.5)
+    assert found.error is not None
+    np.testing.assert_allclose(found.error[1:], 2.5 * 0.2 / 4)
+    assert field.camera is not None
+    np.testing.assert_allclose(field.camera.depth(jnp.asarray(found.disparity[1:])), 4)
+    assert "a view of 10x8 px" in page(field, found)
+    with pytest.raises(ValueError, match="`depth` must have the size of the photograph"):
+        viewer.result_of_photograph(pair, 1, depth[1:])
+    with pytest.raises(ValueError, match="`baseline` must be a positive number, got 0"):
+        viewer.result_of_photograph(pair, 1, depth, baseline=0.0)

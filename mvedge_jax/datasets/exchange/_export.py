@@ -12,7 +12,7 @@ from jaxtyping import Float
 from mvedge_jax.posed import Photographs
 
 from .._images import IMAGE_SUFFIXES
-from ._ply import write_ply
+from ._ply import from_origin, write_ply
 
 # COLMAP and nerfstudio have their pixel centres at .5.
 _HALF = 0.5
@@ -28,7 +28,8 @@ def write_colmap(folder: str | os.PathLike, photographs: Photographs) -> None:
     Args:
         folder: gets `images/` and `sparse/0/` with `cameras.txt`, `images.txt` and
             `points3D.txt`. Cameras are PINHOLE; a light field's sensor shift is its principal
-            point. Points come with the photographs that observed them.
+            point. Points come with the photographs that observed them, and the error -1, which
+            is COLMAP's own where it is not known. `photographs.origin` is added to all places.
         photographs: see `Photographs`. Names without the ending of an image get `.png`.
 
     Raises:
@@ -39,18 +40,15 @@ def write_colmap(folder: str | os.PathLike, photographs: Photographs) -> None:
     model = folder / "sparse" / "0"
     model.mkdir(parents=True, exist_ok=True)
     _write_images(folder / "images", files, photographs)
-    poses = np.asarray(photographs.poses, np.float64)
+    poses, points = _in_the_world(photographs)
     matrices = np.asarray(photographs.intrinsics, np.float64)
     height, width = photographs.images.shape[1:3]
-    points = np.zeros((0, 3))
-    if photographs.points is not None:
-        points = np.asarray(photographs.points, np.float64)
     observed = np.zeros((len(poses), len(points)), bool)
     if photographs.observed is not None:
         observed = np.asarray(photographs.observed)
     cameras, images = ["# CAMERA_ID MODEL WIDTH HEIGHT fx fy cx cy"], []
     tracks: list[list[str]] = [[] for _ in points]
-    colours, errors = _looked_up(photographs, points, observed)
+    colours = _looked_up(photographs, observed)
     for i, (name, pose, matrix) in enumerate(zip(files, poses, matrices, strict=True), start=1):
         fx, fy, cx, cy = matrix[0, 0], matrix[1, 1], matrix[0, 2] + _HALF, matrix[1, 2] + _HALF
         cameras.append(f"{i} PINHOLE {width} {height} {fx:.17g} {fy:.17g} {cx:.17g} {cy:.17g}")
@@ -66,7 +64,7 @@ def write_colmap(folder: str | os.PathLike, photographs: Photographs) -> None:
         images.append(" ".join(words))
     rows = [
         f"{k + 1} {' '.join(f'{v:.17g}' for v in point)} {' '.join(map(str, colours[k]))} "
-        f"{errors[k]:.6g} {' '.join(tracks[k])}"
+        f"-1 {' '.join(tracks[k])}"
         for k, point in enumerate(points)
     ]
     (model / "cameras.txt").write_text("\n".join(cameras) + "\n", encoding="utf-8")
@@ -88,6 +86,7 @@ def write_nerfstudio(
         folder: gets `images/`, `transforms.json` and, where depth is given, `depths/` (float32
             `.npy` in thousandths of the unit, which is what nerfstudio expects by default; 0 where
             unknown) and `masks/` (where depth is known). Sparse points become `sparse_pc.ply`.
+            `photographs.origin` is added to all places.
         photographs: see `Photographs`. Names without the ending of an image get `.png`.
         depth: of some photographs by their index; not finite or 0 where unknown. nerfstudio wants
             all frames to have depth or none: the masks and depths of the others are all 0.
@@ -104,15 +103,10 @@ def write_nerfstudio(
         i: np.where(np.isfinite(values) & (values > 0), values, 0.0)
         for i, values in (depth or {}).items()
     }
+    poses, points = _in_the_world(photographs)
+    matrices = np.asarray(photographs.intrinsics, np.float64)
     frames = []
-    for i, (name, pose, matrix) in enumerate(
-        zip(
-            files,
-            np.asarray(photographs.poses, np.float64),
-            np.asarray(photographs.intrinsics, np.float64),
-            strict=True,
-        )
-    ):
+    for i, (name, pose, matrix) in enumerate(zip(files, poses, matrices, strict=True)):
         frame = {
             "file_path": f"images/{name}",
             "fl_x": float(matrix[0, 0]),
@@ -135,11 +129,10 @@ def write_nerfstudio(
     top: dict = {"camera_model": "OPENCV", "frames": frames}
     if maps:
         top["depth_unit_scale_factor"] = _UNIT
-    if photographs.points is not None and len(photographs.points):
-        points = np.asarray(photographs.points)
+    if len(points):
         observed = photographs.observed
         seen = np.zeros((len(frames), len(points)), bool) if observed is None else observed
-        colours, _ = _looked_up(photographs, points, np.asarray(seen))
+        colours = _looked_up(photographs, np.asarray(seen))
         write_ply(folder / "sparse_pc.ply", points, colours=colours)
         top["ply_file_path"] = "sparse_pc.ply"
     (folder / "transforms.json").write_text(json.dumps(top, indent=1), encoding="utf-8")
@@ -174,10 +167,21 @@ def _projected(points: np.ndarray, pose: np.ndarray, matrix: np.ndarray) -> np.n
     return place[:, :2] / place[:, 2:]
 
 
-def _looked_up(
-    photographs: Photographs, points: np.ndarray, observed: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Colours of points in the first photograph that observed them; their errors are not known."""
+def _in_the_world(photographs: Photographs) -> tuple[np.ndarray, np.ndarray]:
+    """Poses and sparse points in the coordinates of the files that they came from, float64."""
+    poses, points = np.array(photographs.poses, np.float64), np.zeros((0, 3))
+    # Rotations that are exact only to float32 would move cameras far from the origin.
+    left, _, right = np.linalg.svd(poses[:, :3, :3])
+    poses[:, :3, :3] = left @ right
+    poses[:, :3, 3] += photographs.origin
+    if photographs.points is not None:
+        points = from_origin(np.asarray(photographs.points), photographs.origin)
+    return poses, points
+
+
+def _looked_up(photographs: Photographs, observed: np.ndarray) -> np.ndarray:
+    """Colours of the points in the first photograph that observed them."""
+    points = np.zeros((0, 3)) if photographs.points is None else np.asarray(photographs.points)
     colours = np.full((len(points), 3), 128, np.uint8)
     height, width = photographs.images.shape[1:3]
     done = np.zeros(len(points), bool)
@@ -192,7 +196,7 @@ def _looked_up(
         row = np.clip(np.round(place[:, 1]).astype(int), 0, height - 1)
         colours[new] = _bytes(np.asarray(photographs.images[i]))[row, column]
         done[new] = True
-    return colours, np.zeros(len(points))
+    return colours
 
 
 def _bytes(image: np.ndarray) -> np.ndarray:

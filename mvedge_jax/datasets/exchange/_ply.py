@@ -25,15 +25,16 @@ def write_ply(
 
     Args:
         path: the file.
-        points: places.
+        points: places; those of float64 are stored as such, others as float32.
         colours: sRGB.
         normals: unit vectors.
         error: standard error of each point along the line of sight, in the unit of the places; a
             property `error` of the file.
     """
     fields, columns = [], []
+    places = "f8" if points.dtype == np.float64 else "f4"
     for names, values, form in (
-        (("x", "y", "z"), points, "f4"),
+        (("x", "y", "z"), points, places),
         (("nx", "ny", "nz"), normals, "f4"),
         (("red", "green", "blue"), colours, "u1"),
         (("error",), None if error is None else np.asarray(error)[:, None], "f4"),
@@ -44,13 +45,28 @@ def write_ply(
     table = np.empty(len(points), np.dtype(fields))
     for name, column in columns:
         table[name] = column
-    kinds = {"<f4": "float", "<u1": "uchar"}
+    kinds = {"<f4": "float", "<f8": "double", "<u1": "uchar"}
     header = ["ply", "format binary_little_endian 1.0", "comment made by mvedge_jax"]
     header += [f"element vertex {len(points)}"]
     header += [f"property {kinds[form]} {name}" for name, form in fields]
     with open(path, "wb") as file:
         file.write(("\n".join([*header, "end_header"]) + "\n").encode("ascii"))
         file.write(table.tobytes())
+
+
+def from_origin(
+    points: Float[np.ndarray, "*n 3"], origin: tuple[float, float, float]
+) -> Float[np.ndarray, "*n 3"]:
+    """Places relative to an origin as places of the world.
+
+    Args:
+        points: relative to the origin.
+        origin: see `mvedge_jax.posed.Photographs`.
+
+    Returns:
+        As they are for an origin of 0; float64 for another one, which float32 would round away.
+    """
+    return points.astype(np.float64) + origin if any(origin) else points
 
 
 def read_ply(path: Path) -> Float[np.ndarray, "m 3"]:

@@ -117,7 +117,9 @@ def open_colmap(folder: Path, images: Path | None) -> PosedSource:
                 f"one of {sorted(lenses)}."
             )
         pose = np.linalg.inv(rigid(image.world_to_camera, where=where))
-        frames.append(Frame(image.name, place / image.name, pose, lenses[image.camera]))
+        # COLMAP reads images as they are stored.
+        lens = lenses[image.camera]
+        frames.append(Frame(image.name, place / image.name, pose, lens, upright=False))
     points = observed = None
     if (folder / f"points3D{end}").is_file():
         found = read[2](folder / f"points3D{end}")
@@ -243,7 +245,7 @@ def _points_binary(path: Path) -> _Points:
 def _lines(path: Path) -> Iterator[tuple[int, str]]:
     """Lines with their numbers, comments left out; empty ones count: an image may have no point."""
     try:
-        text = path.read_text(encoding="utf-8")
+        text = path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError:
         raise ValueError(f"{path} is not text; expected a COLMAP model in text form.") from None
     for number, line in enumerate(text.splitlines(), start=1):

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from .._images import IMAGE_SUFFIXES, image_size
 from ..exchange._ply import read_ply
 from ._posed_source import Frame, Lens, PosedSource, pinhole, rigid
 
@@ -15,7 +16,8 @@ _TURN = np.diag([1.0, -1.0, -1.0, 1.0])
 # Pixel centres are at .5, as in COLMAP, where these files come from as a rule.
 _HALF = 0.5
 _PERSPECTIVE = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "PERSPECTIVE")
-_ENDINGS = ("", ".png", ".jpg", ".jpeg")
+# In a folder, the first of these is read; the second is that of the synthetic scenes of NeRF.
+TRANSFORMS = ("transforms.json", "transforms_train.json")
 
 
 def open_nerfstudio(path: Path) -> PosedSource:
@@ -33,7 +35,7 @@ def open_nerfstudio(path: Path) -> PosedSource:
         FileNotFoundError: an image or the file of the points is missing.
     """
     try:
-        top = json.loads(path.read_text(encoding="utf-8"))
+        top = json.loads(path.read_bytes())  # finds out the encoding, byte order marks included
     except (json.JSONDecodeError, UnicodeDecodeError) as fault:
         raise ValueError(f"{path} is not JSON ({fault}); expected nerfstudio's form.") from None
     frames = top.get("frames") if isinstance(top, dict) else None
@@ -66,10 +68,11 @@ def _frame(path: Path, index: int, own: dict[str, Any], known: dict[str, Any]) -
     where = f"{path}, frame {index},"
     if not isinstance(own.get("file_path"), str):
         raise ValueError(f"{where} has no `file_path`; expected the name of an image.")
-    stem = path.parent / own["file_path"]
-    image = next((f for end in _ENDINGS if (f := Path(f"{stem}{end}")).is_file()), stem)
-    if not image.is_file():
-        raise FileNotFoundError(f"{stem} is missing; {where} names it as its image.")
+    image = _image(path.parent / own["file_path"])
+    if image is None:
+        raise FileNotFoundError(
+            f"{path.parent / own['file_path']} is missing; {where} names it as its image."
+        )
     try:
         matrix = np.asarray(own["transform_matrix"], np.float64)
     except (KeyError, TypeError, ValueError):
@@ -83,10 +86,25 @@ def _frame(path: Path, index: int, own: dict[str, Any], known: dict[str, Any]) -
     depth_file = path.parent / depth if isinstance(depth, str) else None
     if depth_file is not None and not depth_file.is_file():
         raise FileNotFoundError(f"{depth_file} is missing; {where} names it as its depth.")
-    return Frame(image.name, image, pose, _lens(known, where), depth_file)
+    return Frame(image.name, image, pose, _lens(known, where, image), depth_file)
 
 
-def _lens(known: dict[str, Any], where: str) -> Lens:
+def _image(named: Path) -> Path | None:
+    """The image that a name means, which may lack its ending, or have it in other letters."""
+    if named.is_file():
+        return named
+    for end in IMAGE_SUFFIXES:
+        for file in (Path(f"{named}{end}"), Path(f"{named}{end.upper()}")):
+            if file.is_file():
+                return file
+    if not named.parent.is_dir():
+        return None
+    wanted = {f"{named.name.lower()}{end}" for end in ("", *IMAGE_SUFFIXES)}
+    files = (file for file in named.parent.iterdir() if file.suffix.lower() in IMAGE_SUFFIXES)
+    return next((f for f in sorted(files) if f.name.lower() in wanted and f.is_file()), None)
+
+
+def _lens(known: dict[str, Any], where: str, image: Path) -> Lens:
     def number(name: str) -> float | None:
         value = known.get(name)
         if value is None:
@@ -104,8 +122,11 @@ def _lens(known: dict[str, Any], where: str) -> Lens:
             f"{', '.join((*_PERSPECTIVE, 'OPENCV_FISHEYE'))}."
         )
     width, height = number("w"), number("h")
+    fx, fy, cx, cy = (number(name) for name in ("fl_x", "fl_y", "cx", "cy"))
+    if (width is None or height is None) and None in (fx, cx, cy):
+        rows, columns = map(float, image_size(image))
+        width, height = columns if width is None else width, rows if height is None else height
     size = None if width is None or height is None else (int(height), int(width))
-    fx, fy = number("fl_x"), number("fl_y")
 
     def of_angle(name: str, side: float | None) -> float | None:
         angle = number(name)
@@ -120,14 +141,10 @@ def _lens(known: dict[str, Any], where: str) -> Lens:
         fy = of_angle("camera_angle_y", height) if fy is None else fy
     if fx is None:
         raise ValueError(
-            f"{where} has no intrinsics; expected fl_x (and fl_y, cx, cy), or camera_angle_x and w."
+            f"{where} has no intrinsics; expected fl_x (and fl_y, cx, cy), or camera_angle_x."
         )
-    cx, cy = number("cx"), number("cy")
-    if size is not None:
-        cx = 0.5 * size[1] if cx is None else cx
-        cy = 0.5 * size[0] if cy is None else cy
-    if cx is None or cy is None:
-        raise ValueError(f"{where} has neither cx and cy nor w and h; expected either.")
+    cx = 0.5 * (width or 0) if cx is None else cx
+    cy = 0.5 * (height or 0) if cy is None else cy
     matrix = pinhole(fx, fx if fy is None else fy, cx - _HALF, cy - _HALF, where=where, size=size)
     names = ("k1", "k2", "k3", "k4") if fisheye else ("k1", "k2", "p1", "p2", "k3")
     bent = tuple(number(name) or 0.0 for name in names)

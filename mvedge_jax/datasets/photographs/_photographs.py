@@ -1,26 +1,21 @@
 """Posed photographs from files: COLMAP, nerfstudio, lists of poses."""
 
 import os
-from collections.abc import Sequence
+import warnings
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-import cv2
 import numpy as np
-from jaxtyping import Float
 
 from mvedge_jax.posed import Photographs
 
-from .._images import picked, read_image, read_raw
 from ._colmap import find_colmap, open_colmap
-from ._nerfstudio import open_nerfstudio
-from ._posed_source import Frame, Lens, PosedSource, pinhole
+from ._nerfstudio import TRANSFORMS, open_nerfstudio
+from ._picture import read_picture
+from ._posed_source import PosedSource, near_origin
 from ._sift import triangulated
 from ._trajectory import find_trajectory, open_trajectory
-
-# Share of a photograph that must be left where lens distortion is taken out, share of the frame
-# that it must fill, and the least focal length, as a share of the frame, 168 degrees wide.
-_KEPT, _FILLED, _SHORTEST = 0.3, 0.98, 0.05
 
 
 def open_photographs(
@@ -31,8 +26,12 @@ def open_photographs(
 ) -> PosedSource:
     """Finds out what a set of posed photographs is, without reading its images.
 
+    Cameras in the coordinates of a map, far from its origin, are moved there: float32 could not
+    tell them apart. `PosedSource.origin` says by how much.
+
     Args:
-        path: a folder with a COLMAP model, a `transforms.json` or a list of poses, or such a file.
+        path: a folder with a COLMAP model, a `transforms.json` or `transforms_train.json`, or a
+            list of poses, or such a file.
         images: folder of the photographs, where it is not where the description says.
         intrinsics: `(fx, fy, cx, cy)`, px, centres of pixels at integers, for lists of poses
             without a camera file.
@@ -44,8 +43,12 @@ def open_photographs(
         FileNotFoundError: `path` does not exist, or something that it names.
         ValueError: no known layout, or a malformed one.
     """
-    path = Path(path)
     place = None if images is None else Path(images)
+    return near_origin(_opened(Path(path), place, intrinsics))
+
+
+def _opened(path: Path, place: Path | None, intrinsics: Sequence[float] | None) -> PosedSource:
+    """The source as its files have it."""
     if not path.exists():
         raise FileNotFoundError(f"{path} does not exist.")
     if place is not None and not place.is_dir():
@@ -57,14 +60,16 @@ def open_photographs(
     colmap = find_colmap(path)
     if colmap is not None:
         return open_colmap(colmap, place)
-    if (path / "transforms.json").is_file():
-        return open_nerfstudio(path / "transforms.json")
+    for name in TRANSFORMS:
+        if (path / name).is_file():
+            return open_nerfstudio(path / name)
     listed = find_trajectory(path)
     if listed is not None:
         return open_trajectory(listed, place, intrinsics)
     raise ValueError(
         f"{path} holds no posed photographs; expected a COLMAP model (cameras.bin or .txt, also in "
-        "sparse/0), transforms.json, or a list of poses such as trajectory.log."
+        "sparse/0), transforms.json, transforms_train.json, or a list of poses such as "
+        "trajectory.log."
     )
 
 
@@ -81,7 +86,9 @@ def load_photographs(
 ) -> Photographs:
     """Loads posed photographs: a COLMAP model, `transforms.json`, or images and a list of poses.
 
-    Lens distortion is taken out. Depth beside the images is read as ground truth.
+    Lens distortion is taken out. Depth beside the images is read as ground truth. Transparent
+    pixels are black, and not in the mask. JPEGs are turned as their EXIF orientation asks for,
+    unless only the image as it is stored has the size that its camera is said to have.
 
     Args:
         path: see `open_photographs`.
@@ -95,7 +102,8 @@ def load_photographs(
             triangulated with the known poses.
 
     Returns:
-        The photographs. Poses and points are in the unit of the files.
+        The photographs. Poses and points are in the unit of the files, and relative to
+        `Photographs.origin`, of which a warning tells where it is not 0.
 
     Raises:
         FileNotFoundError: a file is missing.
@@ -115,36 +123,63 @@ def load_photographs(
     source = _chosen(source, names, Path(path))
     if len(source.frames) < 2:
         raise ValueError(f"`names` must be at least two photographs, got {list(names or ())}.")
-    pictures, matrices, depths = [], [], []
+    read = []
     for frame in source.frames:
-        picture, matrix, depth = _read(frame, source.depth_unit, scale)
-        if pictures and picture.shape != pictures[0].shape:
+        found = read_picture(frame, source.depth_unit, scale)
+        if read and found.image.shape != read[0].image.shape:
             raise ValueError(
-                f"{frame.image} has {picture.shape[1]}x{picture.shape[0]} px, the photographs "
-                f"before it {pictures[0].shape[1]}x{pictures[0].shape[0]}; expected one size."
+                f"{frame.image} has {found.image.shape[1]}x{found.image.shape[0]} px, the "
+                f"photographs before it {read[0].image.shape[1]}x{read[0].image.shape[0]}; "
+                "expected one size."
             )
-        pictures.append(picture)
-        matrices.append(matrix)
-        depths.append(depth)
-    known = [depth is not None for depth in depths]
-    truth = None
-    if any(known):
-        shape = pictures[0].shape[:2]
-        truth = np.stack([np.zeros(shape, np.float32) if d is None else d for d in depths])
+        read.append(found)
+    pictures, matrices = (np.stack([r[i] for r in read]) for i in (0, 1))
+    shape = pictures.shape[1:3]
+    truth = _filled([r.depth for r in read], np.zeros(shape, np.float32))
+    mask = _filled([r.opaque for r in read], np.ones(shape, bool))
     poses = np.stack([frame.pose for frame in source.frames])
     sparse, observed = source.points, source.observed
     if sparse is None and points:
-        sparse, observed = triangulated(np.stack(pictures), poses, np.stack(matrices))
+        sparse, observed = triangulated(pictures, poses, matrices, mask)
+    doubtful = [f.image for f, r in zip(source.frames, read, strict=True) if r.doubtful]
+    for problem in _doubts(source, Path(path), doubtful):
+        warnings.warn(problem, stacklevel=2)
     return Photographs(
-        np.stack(pictures),
+        pictures,
         poses,
-        np.stack(matrices),
+        matrices,
         points=sparse,
         observed=observed,
         depth=truth,
+        mask=mask,
         names=tuple(frame.name for frame in source.frames),
         name=Path(path).resolve().name,
+        origin=source.origin,
     )
+
+
+def _doubts(source: PosedSource, path: Path, turned: list[Path]) -> Iterator[str]:
+    """What a user should know of how photographs were read, in sentences."""
+    if any(source.origin):
+        yield (
+            f"{path} has its cameras far from the origin: the mean of their places, "
+            f"({', '.join(f'{x:.9g}' for x in source.origin)}), was subtracted; mvedge export adds "
+            "it again."
+        )
+    if turned:
+        more = f" and {len(turned) - 1} more" if len(turned) > 1 else ""
+        how = "as viewers show them" if source.frames[0].upright else "as stored, like COLMAP"
+        yield (
+            f"{turned[0]}{more}: the EXIF orientation asks to turn the image, and the size does "
+            f"not tell whether its camera was made for the turned one; read {how}."
+        )
+
+
+def _filled(maps: list[np.ndarray | None], otherwise: np.ndarray) -> np.ndarray | None:
+    """Maps of all photographs, if any has one."""
+    if all(each is None for each in maps):
+        return None
+    return np.stack([otherwise if each is None else each for each in maps])
 
 
 def with_points(photographs: Photographs) -> Photographs:
@@ -159,7 +194,8 @@ def with_points(photographs: Photographs) -> Photographs:
     poses, matrices = (
         np.asarray(values, np.float64) for values in (photographs.poses, photographs.intrinsics)
     )
-    points, observed = triangulated(np.asarray(photographs.images), poses, matrices)
+    mask = None if photographs.mask is None else np.asarray(photographs.mask)
+    points, observed = triangulated(np.asarray(photographs.images), poses, matrices, mask)
     return Photographs(
         photographs.images,
         photographs.poses,
@@ -167,8 +203,10 @@ def with_points(photographs: Photographs) -> Photographs:
         points=points,
         observed=observed,
         depth=photographs.depth,
+        mask=photographs.mask,
         names=photographs.names,
         name=photographs.name,
+        origin=photographs.origin,
     )
 
 
@@ -227,104 +265,3 @@ def _chosen(source: PosedSource, names: Sequence[str] | None, path: Path) -> Pos
     return replace(
         source, frames=tuple(source.frames[i] for i in picked), points=points, observed=observed
     )
-
-
-def _read(
-    frame: Frame, depth_unit: float, scale: float
-) -> tuple[Float[np.ndarray, "y x 3"], Float[np.ndarray, "3 3"], np.ndarray | None]:
-    """A photograph without distortion, its intrinsics, and its true depth or None."""
-    stored = read_image(frame.image)
-    shape = stored.shape[:2]
-    lens = frame.lens
-    if lens.size is not None and lens.size != shape:
-        raise ValueError(
-            f"{frame.image} has {shape[1]}x{shape[0]} px, its camera {lens.size[1]}x"
-            f"{lens.size[0]}; expected the photographs that the model was made from."
-        )
-    matrix = lens.matrix
-    # What the description did not give a size for could not be checked before.
-    pinhole(
-        matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2],
-        where=f"the camera of {frame.image}", size=shape,
-    )  # fmt: skip
-    picture = stored.astype(np.float32) / np.float32(np.iinfo(stored.dtype).max)
-    depth = None
-    if frame.depth is not None:
-        depth = _stored_depth(frame.depth).astype(np.float32) * np.float32(depth_unit)
-        if depth.shape != shape:
-            raise ValueError(
-                f"{frame.depth} has the shape {depth.shape}; expected that of {frame.image}, "
-                f"{shape}, one value per pixel."
-            )
-    if lens.distortion is not None:
-        picture, depth, matrix = _straightened(picture, depth, lens, str(frame.image))
-    if scale < 1:
-        height, width = (max(8, round(n * scale)) for n in shape)
-        picture = cv2.resize(picture, (width, height), interpolation=cv2.INTER_AREA)
-        if depth is not None:
-            depth = picked(depth, (height, width), (height / shape[0], width / shape[1]))
-        matrix = matrix.copy()
-        for axis, ratio in ((0, width / shape[1]), (1, height / shape[0])):
-            matrix[axis, axis] *= ratio
-            matrix[axis, 2] = (matrix[axis, 2] + 0.5) * ratio - 0.5
-    return np.clip(picture, 0, 1), matrix, depth
-
-
-def _stored_depth(path: Path) -> np.ndarray:
-    """Depth as files hold it: an image, or an array."""
-    if path.suffix != ".npy":
-        return read_raw(path)
-    try:
-        found = np.load(path, allow_pickle=False)
-    except (OSError, EOFError, ValueError) as fault:
-        raise ValueError(f"{path} cannot be read: {fault}; expected an array of depths.") from fault
-    if found.dtype.kind not in "fui" or not np.isfinite(found).all():
-        raise ValueError(f"{path} must hold finite numbers, 0 where depth is not known.")
-    return found
-
-
-def _outlined(x: np.ndarray, y: np.ndarray) -> float:
-    """Area inside of where the border of an image comes from, px."""
-
-    def border(a: np.ndarray) -> np.ndarray:
-        return np.concatenate([a[0], a[1:, -1], a[-1, -2::-1], a[-2:0:-1, 0]]).astype(np.float64)
-
-    a, b = border(x), border(y)
-    return 0.5 * abs(float(np.sum(a * np.roll(b, -1) - np.roll(a, -1) * b)))
-
-
-def _straightened(
-    picture: np.ndarray, depth: np.ndarray | None, lens: Lens, where: str
-) -> tuple[np.ndarray, np.ndarray | None, np.ndarray]:
-    """A photograph without lens distortion, all of it inside of what was photographed."""
-    height, width = picture.shape[:2]
-    size, bent = (width, height), np.asarray(lens.distortion)
-    still = np.eye(3)
-    if lens.fisheye:
-        matrix = cv2.fisheye.estimateNewCameraMatrixForUndistortRectify(
-            lens.matrix, bent, size, still, balance=0.0
-        )
-        maps = cv2.fisheye.initUndistortRectifyMap(
-            lens.matrix, bent, still, matrix, size, cv2.CV_32FC1
-        )
-    else:
-        matrix, _ = cv2.getOptimalNewCameraMatrix(lens.matrix, bent, size, 0)
-        maps = cv2.initUndistortRectifyMap(lens.matrix, bent, still, matrix, size, cv2.CV_32FC1)
-    x, y = maps
-    inside = (x >= -0.5) & (x <= width - 0.5) & (y >= -0.5) & (y <= height - 0.5)
-    filled, kept = float(inside.mean()), _outlined(x, y) / (width * height)
-    narrow = np.isfinite(matrix).all() and min(matrix[0, 0], matrix[1, 1]) > _SHORTEST * width
-    if not narrow or filled < _FILLED or kept < _KEPT:
-        raise ValueError(
-            f"{where} cannot be straightened: with its distortion {bent.tolist()}, a straight "
-            f"picture of focal length {matrix[0, 0]:.4g} px would show {100 * kept:.0f} % of it "
-            f"and be filled to {100 * filled:.0f} %; undistort it first."
-        )
-    centre = matrix[0, 2], matrix[1, 2]
-    pinhole(
-        matrix[0, 0], matrix[1, 1], *centre, where=f"{where}, straightened,", size=(height, width)
-    )
-    straight = cv2.remap(picture, x, y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
-    if depth is not None:
-        depth = cv2.remap(depth, x, y, cv2.INTER_NEAREST, borderMode=cv2.BORDER_CONSTANT)
-    return straight, depth, np.asarray(matrix, np.float64)

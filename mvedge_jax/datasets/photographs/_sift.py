@@ -11,12 +11,15 @@ _OFF = 1.5
 # Least angle between two lines of sight, radians, that a point is triangulated from.
 _ANGLE = 0.004
 _FEATURES = 4000
+# How far from what is transparent features are, px.
+_OUTLINE = 4
 
 
 def triangulated(
     images: Float[np.ndarray, "n y x 3"],
     poses: Float[np.ndarray, "n 4 4"],
     intrinsics: Float[np.ndarray, "n 3 3"],
+    mask: Bool[np.ndarray, "n y x"] | None = None,
 ) -> tuple[Float[np.ndarray, "m 3"], Bool[np.ndarray, "n m"]]:
     """Finds points that several photographs show.
 
@@ -24,11 +27,14 @@ def triangulated(
         images: sRGB in [0, 1], without distortion.
         poses: camera to world.
         intrinsics: px.
+        mask: pixels that show something, the only ones that features are looked for in.
 
     Returns:
         Points in the world, and which photographs show them; none where nothing matches.
     """
-    features = [_features(image) for image in images]
+    features = [
+        _features(image, None if mask is None else mask[i]) for i, image in enumerate(images)
+    ]
     count = len(images)
     groups = _Groups([len(place) for place, _ in features])
     cameras = [k @ np.linalg.inv(pose)[:3] for k, pose in zip(intrinsics, poses, strict=True)]
@@ -53,13 +59,17 @@ def triangulated(
     return np.stack(points), np.stack(seen, axis=1)
 
 
-def _features(image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _features(image: np.ndarray, mask: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
     gray = cv2.cvtColor(np.round(255 * image).astype(np.uint8), cv2.COLOR_RGB2GRAY)
     # Without the last option, enlarging the image moves all features by a quarter of a pixel.
     detector = cv2.SIFT.create(
         nfeatures=_FEATURES, contrastThreshold=0.02, enable_precise_upscale=True
     )
-    found, descriptors = detector.detectAndCompute(gray, None)
+    allowed = None
+    if mask is not None:
+        # The outline of what is cut out is no feature of it.
+        allowed = cv2.erode(255 * mask.astype(np.uint8), np.ones((2 * _OUTLINE + 1,) * 2, np.uint8))
+    found, descriptors = detector.detectAndCompute(gray, allowed)
     if descriptors is None:
         return np.zeros((0, 2)), np.zeros((0, 128), np.float32)
     # RootSIFT (Arandjelovic and Zisserman, 2012) compares better.

@@ -49,7 +49,7 @@ def open_trajectory(
     """
     folder = path.parent if images is None else images
     lens = Lens(None, _intrinsics(path.parent, intrinsics))
-    lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
+    lines = path.read_text(encoding="utf-8-sig", errors="replace").splitlines()
     rows = [(i, line.split()) for i, line in enumerate(lines, 1) if line.strip()]
     rows = [(i, words) for i, words in rows if not words[0].startswith("#")]
     if rows and len(rows[0][1]) == 8:
@@ -143,7 +143,7 @@ def _times(path: Path, folder: Path) -> list[tuple[float, Path]]:
                 continue
         return found
     found = []
-    for line, text in enumerate(listed.read_text(encoding="utf-8").splitlines(), 1):
+    for line, text in enumerate(listed.read_text(encoding="utf-8-sig").splitlines(), 1):
         words = text.split()
         if not words or words[0].startswith("#"):
             continue
@@ -167,12 +167,12 @@ def _intrinsics(folder: Path, given: Sequence[float] | None) -> Float[np.ndarray
             f"(`intrinsics`, --intrinsics) or a file {' or '.join(_CAMERAS)}."
         )
     if path.suffix == ".txt":
-        words = path.read_text(encoding="utf-8", errors="replace").split()
+        words = path.read_text(encoding="utf-8-sig", errors="replace").split()
         fx, fy, cx, cy = _numbers(path, 1, words[:4], 4)
         return pinhole(fx, fy, cx, cy, where=str(path))
     try:
         # Open3D's: a 3x3 matrix by columns.
-        matrix = json.loads(path.read_text(encoding="utf-8"))["intrinsic_matrix"]
+        matrix = json.loads(path.read_bytes())["intrinsic_matrix"]
         fx, fy, cx, cy = (float(matrix[i]) for i in (0, 4, 6, 7))
     except (ValueError, KeyError, TypeError, IndexError):
         raise ValueError(

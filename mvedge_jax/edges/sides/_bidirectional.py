@@ -9,7 +9,7 @@ import lineax as lx
 from jax import lax
 from jaxtyping import Array, Float
 
-from mvedge_jax._params import cast, number
+from mvedge_jax._params import accepts_numpy, cast, number
 from mvedge_jax._root import root
 from mvedge_jax.diffusion import AutoSolver, System, diffuse, edge_weights
 
@@ -62,6 +62,7 @@ class Bidirectional(NamedTuple):
     iterations: Array
 
 
+@accepts_numpy
 def bidirectional(
     points: EdgePoints,
     gray: Float[Array, "y x"],

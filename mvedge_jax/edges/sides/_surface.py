@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
-from mvedge_jax._params import cast, number
+from mvedge_jax._params import accepts_numpy, cast, number
 from mvedge_jax.image import nearest_pixels
 
 from .._points import EdgePoints
@@ -54,6 +54,7 @@ class SurfaceVectors(NamedTuple):
     length: Float[Array, ""]
 
 
+@accepts_numpy
 def surface_vectors(
     points: EdgePoints,
     response: Float[Array, " n"] | None,
@@ -94,6 +95,7 @@ def surface_vectors(
     return choose(points, score, params)
 
 
+@accepts_numpy
 def choose(points: EdgePoints, score: Float[Array, " n"], params: SideVote) -> SurfaceVectors:
     """Turns scores into surface vectors.
 

@@ -5,7 +5,10 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float
 
+from mvedge_jax._params import accepts_numpy
 
+
+@accepts_numpy
 def joint_filter(
     disparity: Float[Array, "y x"],
     present: Bool[Array, "y x"],

@@ -10,7 +10,8 @@ from mvedge_jax.losses.features import Colours
 from mvedge_jax.losses.terms import Features
 from mvedge_jax.photometry import occluder_radius
 
-from .._model import ModelParams, ModelSizes, compiled_render
+from .._host import compiled_render
+from .._model import ModelParams, ModelSizes
 from .._result import Verdict
 from .._start import Start, StartParams, fit_to_map, trust_labels
 from ..objectives import Supervised

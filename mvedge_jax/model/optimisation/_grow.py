@@ -10,8 +10,8 @@ from mvedge_jax._params import cast, number
 
 from .._capacity import with_capacity, without_free_places
 from .._model import DepthModel, ModelParams, ModelSizes, opacities, splat_model
-from ..objectives import SelfSupervised, Supervised
-from ._optimise import Grown, Objective, Plan, Strategy
+from ..objectives import Objective, SelfSupervised, Supervised
+from ._optimise import Grown, Plan, Strategy
 from ._routine import Routine
 from ._state import State, parts_of, settled_moments, with_parts
 

@@ -1,7 +1,7 @@
 """Levenberg-Marquardt for the losses of the model, by Optimistix; matrix-free, by Lineax."""
 
 from collections.abc import Callable
-from typing import Any, NamedTuple, Protocol, runtime_checkable
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -12,8 +12,9 @@ from jaxtyping import Array, Float
 
 from mvedge_jax._compiler import lean_jit
 
+from .._host import warn_of_cuts
 from .._model import DepthModel
-from ._optimise import Objective
+from ..objectives import SquaredObjective
 from ._state import parts_of, with_parts
 
 # Steps of CG per step, at most: a system that is not solved by then ends the search.
@@ -21,17 +22,6 @@ _LINEAR_STEPS = 300
 # A step that achieves this share of what was expected of it lets the next go further. Optimistix
 # asks for .99, which absolute errors never give: then the damping of the start is kept throughout.
 _GOOD = 0.75
-
-
-@runtime_checkable
-class SquaredObjective(Objective, Protocol):
-    """An objective that is, but for terms that have no squares, half a sum of squares."""
-
-    def residuals(
-        self, model: DepthModel, start: Float[Array, "y x"]
-    ) -> tuple[tuple[Array, ...], Float[Array, "y x"]]:
-        """What is squared, and the map; `start` is a map near it."""
-        ...
 
 
 class Minimised(NamedTuple):
@@ -78,7 +68,7 @@ def minimise_least_squares(
         progress: called after each step with its number and the loss.
 
     Returns:
-        The best model seen. Not differentiable.
+        The best model seen. Not differentiable. Warns as `optimise` does.
 
     Raises:
         ValueError: `steps` is below 1.
@@ -88,6 +78,7 @@ def minimise_least_squares(
     """
     if steps < 1:
         raise ValueError(f"`steps` must be at least 1, got {steps}.")
+    warn_of_cuts(model, objective)
     dtype, origin = model.disparity.dtype, parts_of(model)
     units = jnp.asarray(scales, dtype)
 

@@ -2,33 +2,20 @@
 
 import abc
 from collections.abc import Callable
-from typing import Any, NamedTuple, Protocol, runtime_checkable
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int, PRNGKeyArray
+from jaxtyping import Array, Float, Int
 
 from mvedge_jax._compiler import lean_jit
 
+from .._host import warn_of_cuts
 from .._model import DepthModel
+from ..objectives import Objective
 from ._routine import Routine
 from ._state import ADAM, State, parts_of, with_parts
-
-
-@runtime_checkable
-class Objective(Protocol):
-    """What is minimised: a pytree that is called with the model."""
-
-    def __call__(
-        self, model: DepthModel, start: Float[Array, "y x"], *, key: PRNGKeyArray
-    ) -> tuple[Float[Array, ""], Float[Array, "y x"]]:
-        """Loss of `model` and the map it renders; `start` is the previous map."""
-        ...
-
-    def project(self, model: DepthModel) -> DepthModel:
-        """The nearest model that is allowed."""
-        ...
 
 
 class History(NamedTuple):
@@ -217,8 +204,10 @@ def optimise(
         progress: called after every piece, to show or to save how far it is.
 
     Returns:
-        The last state and the history of the iterations that were done.
+        The last state and the history of the iterations that were done. Warns where the rendering
+        of the objective (its `params` and `sizes`, where it has them) cuts points off.
     """
+    warn_of_cuts(state.model, objective)
     strategy = FixedPoints() if strategy is None else strategy
     plan = strategy.plan(state, routine, objective)
     pieces = []

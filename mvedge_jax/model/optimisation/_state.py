@@ -10,6 +10,8 @@ import jax.numpy as jnp
 import optax
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
+from mvedge_jax._params import accepts_numpy
+
 from .._model import DepthModel
 
 # How much of its two moments Adam keeps per iteration: Optax' defaults.
@@ -124,6 +126,7 @@ def settled_moments(
     return first, second
 
 
+@accepts_numpy
 def begin(model: DepthModel, disparity: Float[Array, "y x"], *, key: PRNGKeyArray) -> State:
     """The state before the first iteration.
 

@@ -9,6 +9,7 @@ from jaxtyping import Array, Float
 
 from mvedge_jax._compiler import lean_jit
 from mvedge_jax._crosshair import Arm
+from mvedge_jax._params import accepts_numpy
 from mvedge_jax.image import window_sum
 from mvedge_jax.interpolation import keys_taps
 from mvedge_jax.lightfield import LightField
@@ -87,6 +88,7 @@ def rough_brightness(light_field: LightField) -> tuple[Exposure, Noise]:
     return exposure, measure_noise(exposure.scale * centre, exposure.scale)
 
 
+@accepts_numpy
 def measure_noise(
     centre: Float[Array, "c y x"],
     exposure: Float[Array, ""],

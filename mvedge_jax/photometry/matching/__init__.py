@@ -1,4 +1,4 @@
 """The matching cost of hypotheses, pooled and aggregated along paths."""
 
 from ._cost import Matching as Matching, best_match as best_match, hypotheses as hypotheses
-from ._plane_sweep import Sweep as Sweep, plane_sweep as plane_sweep
+from ._plane_sweep import PlaneSweep as PlaneSweep, plane_sweep as plane_sweep

@@ -14,7 +14,7 @@ from mvedge_jax.lightfield import LightField
 from ._cost import Matching, best_match
 
 
-class Sweep(NamedTuple):
+class PlaneSweep(NamedTuple):
     """The result of `plane_sweep`.
 
     Attributes:
@@ -34,7 +34,7 @@ def plane_sweep(
     planes: int = 64,
     window: int = 2,
     disparity_range: tuple[float, float] | Float[Array, "2"] | None = None,
-) -> Sweep:
+) -> PlaneSweep:
     """Disparity of the centre view by winner-takes-all over planes.
 
     The matching cost is that of `hypotheses`: over the better half of either arm, truncated colour
@@ -90,7 +90,7 @@ def plane_sweep(
 @lean_jit
 def _sweep(
     light_field: LightField, limits: Array, params: Matching, *, planes: int, window: int
-) -> Sweep:
+) -> PlaneSweep:
     lab = jnp.moveaxis(srgb_to_lab(light_field.centre_view), -1, 0)
     arms, tried = crosshair(light_field), jnp.linspace(limits[0], limits[1], planes)
-    return Sweep(*best_match(*arms, lab, tried, params, window=window))
+    return PlaneSweep(*best_match(*arms, lab, tried, params, window=window))

@@ -1,7 +1,7 @@
 """Reading all views around a map: those of a light field, or posed photographs."""
 
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -12,7 +12,7 @@ from mvedge_jax._params import cast
 from mvedge_jax.image import box_mean
 from mvedge_jax.interpolation import cubic_taps, spline_coefficients
 
-from .._places import Projection, Shift
+from .._places import Projection, Shift, shown_at
 from ._look import Look
 from ._measuring import Measuring
 
@@ -40,6 +40,11 @@ class Grid(NamedTuple):
         return Shift(self.steps)
 
     @property
+    def shown(self) -> None:
+        """No view of a light field is transparent."""
+        return None
+
+    @property
     def reference(self) -> Array:
         """Index of the view whose pixels are looked for in the others."""
         return jnp.argmin(jnp.sum(jnp.abs(self.steps), axis=1))
@@ -52,11 +57,13 @@ class PosedGrid(NamedTuple):
         splines: see `Grid`.
         places: where each photograph shows the pixels of the first one.
         available: photographs that are to be read, `[s]`.
+        shown: 1 where they show the scene, 0 where they are transparent; None for everywhere.
     """
 
     splines: Float[Array, "s h w"]
     places: Projection
     available: Bool[Array, " s"]
+    shown: Float[Array, "s y x"] | None = None
 
     @property
     def reference(self) -> int:
@@ -81,7 +88,10 @@ def grid_of(
 
 
 def posed_grid(
-    views: Float[Array, "s c y x"], places: Projection, available: Bool[Array, " s"]
+    views: Float[Array, "s c y x"],
+    places: Projection,
+    available: Bool[Array, " s"],
+    shown: Float[Array, "s y x"] | None = None,
 ) -> PosedGrid:
     """Makes posed photographs ready for `look_around`.
 
@@ -89,6 +99,7 @@ def posed_grid(
         views: the reference view first, gains taken out.
         places: where each of them shows the pixels of the first one.
         available: those that are to be read.
+        shown: 1 where they show the scene, 0 where they are transparent; None for everywhere.
 
     Returns:
         The grid. Differentiable.
@@ -97,7 +108,7 @@ def posed_grid(
     own = Projection(
         places.homography.at[0].set(jnp.eye(3, dtype=views.dtype)), places.epipole.at[0].set(0)
     )
-    return PosedGrid(_splines(views), own, available)
+    return PosedGrid(_splines(views), own, available, shown)
 
 
 def _splines(views: Float[Array, "s c y x"]) -> Float[Array, "s h w"]:
@@ -144,14 +155,18 @@ def look_around(
     Returns:
         What `labels` and `mismatch` read. Differentiable.
     """
-    params = cast(params, disparity.dtype)
+    params, shown = cast(params, disparity.dtype), grid.shown
     still = Shift(jnp.zeros(2, disparity.dtype))
     reference, *_ = _sample(grid.splines[grid.reference], *still.positions(disparity))
 
     @jax.checkpoint
-    def read(total: tuple[Array, ...], view: tuple[Array, Shift | Projection, Array]):
-        spline, place, there = view
+    def read(total: tuple[Array, ...], view: tuple[Array, Shift | Projection, Array, Any]):
+        spline, place, there, both = view
         seen = place.seen(disparity, radius) & there
+        if both is not None and shown is not None:
+            # What is transparent in either is seen in neither; the reference sees all of itself.
+            opaque, itself = both
+            seen = seen & (itself | shown_at(opaque, *place.positions(disparity)) & (shown[0] > 0))
         weight = seen.astype(disparity.dtype)
         value, *slopes = _sample(spline, *place.positions(disparity))
         slope_x, slope_y = place.pulled(disparity, (slopes[0], slopes[1]))
@@ -161,7 +176,10 @@ def look_around(
         return tuple(t + new for t, new in zip(total, terms, strict=True)), (weight, relative)
 
     zero, zeros = jnp.zeros_like(disparity), jnp.zeros_like(reference)
-    views = (grid.splines, grid.places, grid.available)
+    both = None
+    if shown is not None:
+        both = shown, jnp.arange(shown.shape[0]) == grid.reference
+    views = (grid.splines, grid.places, grid.available, both)
     (count, colour, square, gx, gy), seen = lax.scan(read, (zero, *[zeros] * 4), views)
     mean, gx, gy = (part / count[None] for part in (colour, gx, gy))
     spread = _total(square / count[None] - mean**2)

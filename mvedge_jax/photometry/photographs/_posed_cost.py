@@ -11,7 +11,7 @@ from mvedge_jax._params import cast
 from mvedge_jax._root import root
 from mvedge_jax.image import window_sum
 
-from .._places import Projection
+from .._places import Projection, shown_at
 from .._window import colour_weights, weighted_sum
 from ..brightness._noise import Noise
 from ..matching._arm import SAME_COLOUR, truncated
@@ -42,6 +42,7 @@ def posed_hypotheses(
     noise: Noise,
     window: int,
     paths: bool = True,
+    shown: Float[Array, "s y x"] | None = None,
 ) -> Float[Array, "y x"]:
     r"""Per pixel of the first photograph, the disparity at which the others agree best.
 
@@ -62,13 +63,14 @@ def posed_hypotheses(
         window: half the width of the window, px.
         paths: sum costs along paths through the image, see `hypotheses`; without, every pixel has
             the hypothesis that is cheapest for it.
+        shown: 1 where a photograph shows the scene, 0 where it is transparent, which confirms
+            nothing; None for everywhere.
 
     Returns:
         Disparity per pixel, between the hypotheses by a parabola. Differentiable as `hypotheses`.
     """
     params = cast(params, lab.dtype)
-    height, width = lab.shape[1:]
-    reference, count = images[0], images.shape[0] - 1
+    (height, width), reference, count = lab.shape[1:], images[0], images.shape[0] - 1
     truncation = params.truncation * images.shape[1] * noise_variance(noise)
     share = shared_drift(noise, lab)
     alike = jnp.asarray(SAME_COLOUR, lab.dtype)
@@ -80,16 +82,19 @@ def posed_hypotheses(
         Projection(places.homography[1:], places.epipole[1:]),
         available[1:],
         limits,
+        None if shown is None else shown[1:],
     )
 
     @jax.checkpoint
     def cost(disparity: Array) -> Array:
         everywhere = jnp.full((height, width), disparity)
 
-        def one(view: tuple[Array, Projection, Array, Array]) -> Array:
-            image, place, there, limit = view
+        def one(view: tuple[Array, Projection, Array, Array, Array | None]) -> Array:
+            image, place, there, limit, opaque = view
             x, y = place.positions(everywhere)
             inside = (x >= 0) & (x <= width - 1) & (y >= 0) & (y <= height - 1) & there
+            if shown is not None and opaque is not None:
+                inside = inside & shown_at(opaque, x, y) & (shown[0] > 0)
             change = [v - r for v, r in zip(_linear(image, x, y), reference, strict=True)]
             gray = sum(change[1:], change[0]) / len(change)
             # What is far beyond any drift is another surface, and says nothing about this one.
@@ -118,6 +123,7 @@ def posed_variance(
     places: Projection,
     available: Bool[Array, " s"],
     disparities: Float[Array, " d"],
+    shown: Float[Array, "s y x"] | None = None,
 ) -> Float[Array, ""]:
     """Variance of a channel that the best disparity of the better half leaves unexplained.
 
@@ -128,6 +134,7 @@ def posed_variance(
         places: where each of them shows the reference's pixels.
         available: those that are to be read.
         disparities: what to try.
+        shown: see `posed_hypotheses`.
 
     Returns:
         What a fifth of the windows stay below. Differentiable.
@@ -161,8 +168,14 @@ def posed_variance(
         return jnp.minimum(best, found), None
 
     best, _ = lax.scan(unexplained, jnp.full_like(rows[0], jnp.inf), disparities)
-    ordered = jnp.sort(best.reshape(-1))
-    return ordered[int(0.2 * ordered.shape[0])]
+    if shown is None:
+        ordered = jnp.sort(best.reshape(-1))
+        return ordered[int(0.2 * ordered.shape[0])]
+    # Of what is transparent, all photographs are the same color: its windows have no say.
+    whole = window_sum(shown[0, ::_ROWS], 3, 1) > 6.5
+    ordered = jnp.sort(jnp.where(whole, best, jnp.inf).reshape(-1))
+    fifth = ordered[(jnp.sum(whole) // 5).astype(jnp.int32)]
+    return jnp.where(jnp.any(whole), fifth, 0)
 
 
 def _better_half(costs: Float[Array, "s y x"], count: int) -> Float[Array, "y x"]:

@@ -33,6 +33,7 @@ class PosedScene(NamedTuple):
         guide: the reference, denoised, `[c, y, x]`.
         lab: the same in CIELAB.
         first: per pixel of the reference, the disparity at which the others agree best.
+        shown: 1 where a photograph shows the scene, 0 where it is transparent; None for everywhere.
     """
 
     images: Float[Array, "s c y x"]
@@ -44,6 +45,7 @@ class PosedScene(NamedTuple):
     guide: Float[Array, "c y x"]
     lab: Float[Array, "c y x"]
     first: Float[Array, "y x"]
+    shown: Float[Array, "s y x"] | None = None
 
 
 class PreparedPhotographs(NamedTuple):
@@ -70,6 +72,7 @@ def prepare_photographs(
     params: Matching,
     *,
     window: int,
+    shown: Float[Array, "s y x"] | None = None,
 ) -> PosedScene:
     """Measures gains and noise, and finds the first map: `prepare`, for posed photographs.
 
@@ -80,6 +83,7 @@ def prepare_photographs(
         disparities: what to try, increasing, evenly spaced.
         params: of the hypotheses.
         window: half the width of their windows, px.
+        shown: 1 where a photograph shows the scene, 0 where it is transparent; None for everywhere.
 
     Returns:
         The scene. Differentiable in images, places and parameters at the hypotheses chosen.
@@ -91,7 +95,7 @@ def prepare_photographs(
         return planes * (scale / gain)[:, None, None, None]
 
     own = exposed(gain)
-    between = posed_variance(own, places, available, disparities)
+    between = posed_variance(own, places, available, disparities, shown)
     noise = measure_noise(own[0], scale, between=between)
     guide = denoised(own[0], noise)
     lab = jnp.moveaxis(srgb_to_lab(jnp.moveaxis(guide, 0, -1)), -1, 0)
@@ -102,12 +106,14 @@ def prepare_photographs(
     ) -> Float[Array, "y x"]:
         soft = soften(own, noise, jnp.clip(0.4 + 30 * noise.deviation, 0.5, 1.0))
         return posed_hypotheses(
-            soft, places, available, lab, disparities, params, noise=noise, window=window
-        )
+            soft, places, available, lab, disparities, params,
+            noise=noise, window=window, shown=shown,
+        )  # fmt: skip
 
     first = searched(own, places, lab, noise, params)
     gain = gains_along(images, places, available, first)
-    return PosedScene(exposed(gain), places, available, scale, gain, noise, guide, lab, first)
+    images = exposed(gain)
+    return PosedScene(images, places, available, scale, gain, noise, guide, lab, first, shown)
 
 
 def posed_sight(scene: PosedScene, params: Measurement) -> PreparedPhotographs:
@@ -123,4 +129,5 @@ def posed_sight(scene: PosedScene, params: Measurement) -> PreparedPhotographs:
     sigma = jnp.minimum(30 * scene.noise.deviation, 1)
     soft = soften(scene.images, scene.noise, sigma)
     measuring = measuring_in(scene.noise, scene.scale, *passed(scene.noise, sigma), params)
-    return PreparedPhotographs(posed_grid(soft, scene.places, scene.available), measuring)
+    grid = posed_grid(soft, scene.places, scene.available, scene.shown)
+    return PreparedPhotographs(grid, measuring)

@@ -32,10 +32,11 @@ function words(data, state, layer) {
   const d = layer < 0 ? UNKNOWN : data.maps[layer].disparity[index];
   if (d !== UNKNOWN) {
     const { error } = data.maps[layer], s = error ? error[index] : UNKNOWN;
-    said.push(`disparity ${d.toFixed(3)}${s > 0 ? ` ± ${s.toPrecision(2)}` : ""} px per view step`);
+    const step = data.shape[0] * data.shape[1] > 1 ? "view step" : "baseline";
+    said.push(`disparity ${d.toFixed(3)}${s > 0 ? ` ± ${s.toPrecision(2)}` : ""} px per ${step}`);
     if (data.camera) {
       const inverse = d / (data.camera[0] * data.camera[1]) + data.camera[2];
-      said.push(inverse > 0 ? `${(1 / inverse).toPrecision(4)} m` : "beyond infinity");
+      said.push(inverse > 0 ? `${(1 / inverse).toPrecision(4)} ${data.unit}` : "beyond infinity");
     }
   }
   const truth = data.truth < 0 ? UNKNOWN : data.maps[data.truth].disparity[index];
