@@ -3,10 +3,10 @@
 import math
 from typing import TYPE_CHECKING, Any
 
-import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 
+from mvedge_jax._params import as_number
 from mvedge_jax.diffusion import AutoSolver
 from mvedge_jax.edges import OrientedEdges, scene_range
 from mvedge_jax.edges.sides import BidirectionalSides, ThesisSides
@@ -14,7 +14,7 @@ from mvedge_jax.edges.thesis import ThesisEdges
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.photometry import AsIs, Calibrate, hypothesis_count, occluder_radius
 from mvedge_jax.photometry.matching import Matching
-from mvedge_jax.photometry.measuring import Measurement
+from mvedge_jax.photometry.measuring import LabelViews, Measurement
 from mvedge_jax.smoothness import ColorAndDepth
 
 from ._dense import MeasuredLabels
@@ -34,7 +34,7 @@ _FILL = 0.65
 _ROUNDED = 0.02
 
 
-def parts_for(light_field: LightField, preset: str, views: str) -> dict[str, Any]:
+def parts_for(light_field: LightField, preset: str, views: LabelViews) -> dict[str, Any]:
     """The fields of `EdgeDepth` for a light field; see `EdgeDepth.for_light_field`."""
     if preset not in PRESETS:
         raise ValueError(f"`preset` must be one of {PRESETS}, got {preset!r}.")
@@ -79,7 +79,7 @@ def parts_for(light_field: LightField, preset: str, views: str) -> dict[str, Any
             "sides": ThesisSides(),
             "labels": SplattedLabels(),
             "dense": None,
-            "refine": Refine(precision=0.008, solves=3, outlines=False),
+            "refine": Refine(precision=as_number(0.008), solves=3, outlines=False),
         }
     return common | {
         "sides": BidirectionalSides(),
@@ -92,7 +92,7 @@ def parts_for(light_field: LightField, preset: str, views: str) -> dict[str, Any
 def _solver() -> AutoSolver:
     # By the estimated error, solves take up to five times the steps for the same map: most of that
     # error is in pixels without any label to speak of.
-    return AutoSolver(tolerance=jnp.asarray(1e-5), by_residual=True)
+    return AutoSolver(tolerance=1e-5, by_residual=True)
 
 
 def check_covers(light_field: LightField, model: "EdgeDepth") -> None:

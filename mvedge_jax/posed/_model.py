@@ -9,7 +9,7 @@ import lineax as lx
 import numpy as np
 
 from mvedge_jax._checks import untraced
-from mvedge_jax._params import at_least
+from mvedge_jax._params import as_number, at_least
 from mvedge_jax._paths import described, replaced
 from mvedge_jax.depth import DenseLabels, MeasuredLabels, Refine
 from mvedge_jax.diffusion import AutoSolver
@@ -29,17 +29,17 @@ _MOST = 768
 
 def _matching() -> Matching:
     """Few photographs, far apart: less is known of a pixel, and more must come along the paths."""
-    return Matching(truncation=16.0, slant=0.4, jump=2.0)
+    return Matching(truncation=as_number(16.0), slant=as_number(0.4), jump=as_number(2.0))
 
 
 def _measurement() -> Measurement:
     """The same-surface tolerance is looser for posed images."""
-    return Measurement(same_surface=0.05)
+    return Measurement(same_surface=as_number(0.05))
 
 
 def _refine() -> Refine:
     """Labels of few photographs are known to some hundredths of a pixel, not to thousandths."""
-    return Refine(precision=0.02)
+    return Refine(precision=as_number(0.02))
 
 
 def _solver() -> AutoSolver:

@@ -13,5 +13,9 @@ from ._measure import (
     mismatch as mismatch,
     photometric_labels as photometric_labels,
 )
-from ._measuring import Measurement as Measurement, Measuring as Measuring
+from ._measuring import (
+    LabelViews as LabelViews,
+    Measurement as Measurement,
+    Measuring as Measuring,
+)
 from ._reach import occlusion_reach as occlusion_reach
