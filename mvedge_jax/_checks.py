@@ -1,7 +1,6 @@
 """Arguments looked at before a program is compiled for them, and what no compiler can refuse."""
 
 import contextlib
-import dataclasses
 import functools
 import logging
 import threading
@@ -18,7 +17,7 @@ from jaxtyping import Array, Bool
 
 from ._compiler import lean_jit, release_memory
 from ._params import as_number
-from ._paths import replaced
+from ._paths import replaced, walk
 
 _LOG = logging.getLogger("mvedge_jax")
 # Seconds after which a call says that it is being compiled.
@@ -184,17 +183,10 @@ def sound(model: Any) -> Bool[Array, ""]:
     return fine
 
 
-def _numbers(model: Any, prefix: str = "") -> Iterator[tuple[str, Any, bool]]:
-    """Name and value of every declared or floating leaf, and whether it may be negative."""
-    for field in dataclasses.fields(model):
-        value, name = getattr(model, field.name), prefix + field.name
-        if isinstance(value, eqx.Module):
-            yield from _numbers(value, name + ".")
-        elif isinstance(value, tuple):
-            for i, part in enumerate(value):
-                if isinstance(part, eqx.Module):
-                    yield from _numbers(part, f"{name}[{i}].")
-        elif "unit" in field.metadata:
-            yield name, value, False
-        elif eqx.is_inexact_array(value):
-            yield name, value, True
+def _numbers(model: Any) -> Iterator[tuple[str, Any, bool]]:
+    """Path and value of every declared or floating leaf, and whether it may be negative."""
+    for row in walk(model):
+        if row.static:
+            continue
+        if row.declared or eqx.is_inexact_array(row.value):
+            yield row.path, row.value, not row.declared

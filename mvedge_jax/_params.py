@@ -81,7 +81,7 @@ def number(
         default: value, or a function without arguments that makes it. Arrays are made when the
             module is instantiated, never when the package is imported.
         unit: what it is measured in, for `describe`.
-        threshold: whether it only selects, so that its derivative is 0.
+        threshold: whether it only selects or stops, so that its derivative is 0.
 
     Returns:
         An `equinox.field` whose value becomes an array leaf: one compiled function then serves

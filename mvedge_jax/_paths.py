@@ -14,11 +14,12 @@ class Described(NamedTuple):
     """A number or a static field of a module.
 
     Attributes:
-        path: names of fields, joined by dots.
+        path: names of fields, joined by dots, such as `edges.banks[0].taps`.
         value: a number, an array, or what a static field holds.
         unit: what it is measured in; empty for static fields and arrays without one.
-        threshold: whether it only selects, so that its derivative is 0.
+        threshold: whether it only selects or stops, so that its derivative is 0.
         static: whether another value is another program.
+        declared: whether it is a number that may not be negative, see `_params.number`.
     """
 
     path: str
@@ -26,6 +27,7 @@ class Described(NamedTuple):
     unit: str
     threshold: bool
     static: bool
+    declared: bool
 
     def __str__(self) -> str:
         return f"{self.path} = {_shown(self.value)} {self.unit}".rstrip()
@@ -38,14 +40,14 @@ def describe(module: eqx.Module) -> tuple[Described, ...]:
         module: such as an `EdgeDepth`.
 
     Returns:
-        In the order of the fields. Arrays inside of tuples are left out.
+        In the order of the fields, those of modules in tuples and lists included.
 
     Example:
         >>> from mvedge_jax.smoothness import ColorAndDepth
         >>> print(describe(ColorAndDepth())[0])
         color = 0.3 CIELAB
     """
-    return tuple(_walk(module, ""))
+    return tuple(row for row in walk(module) if row.static or _is_number(row.value))
 
 
 def described(module: eqx.Module) -> list[str]:
@@ -65,7 +67,7 @@ def value_at(module: Any, path: str) -> Any:
 
     Args:
         module: any.
-        path: names of fields, joined by dots.
+        path: names of fields, joined by dots, such as `edges.banks[0].taps`.
 
     Returns:
         What is there.
@@ -74,12 +76,13 @@ def value_at(module: Any, path: str) -> Any:
         ValueError: nothing is, naming what there is instead.
     """
     value = module
-    for name in path.split("."):
-        names = [field.name for field in _fields(value)]
-        if name not in names:
-            known = f"the fields of `{type(value).__name__}` are {names}" if names else "no part"
+    for name in _names(path):
+        parts = {part.path: part.value for part in _parts(value)}
+        if name not in parts:
+            kind, names = type(value).__name__, list(parts)
+            known = f"the fields of `{kind}` are {names}" if names else f"`{kind}` has no fields"
             raise ValueError(f"`{path}` is no path of `{type(module).__name__}`: {known}.")
-        value = getattr(value, name)
+        value = parts[name]
     return value
 
 
@@ -103,31 +106,86 @@ def replaced(module: _Module, choices: Mapping[str, Any]) -> _Module:
     """
     for path, value in choices.items():
         value_at(module, path)
-        module = _with(module, path.split("."), value)
+        module = _with(module, _names(path), value)
     return module
+
+
+def walk(module: Any) -> Iterator[Described]:
+    """All that `describe` lists, and whatever else a user's module holds, such as functions.
+
+    Args:
+        module: a module, a tuple or a list.
+
+    Yields:
+        What has no parts of its own; `declared` tells numbers with a unit from other arrays.
+    """
+    for part in _parts(module):
+        inner = [] if part.static else list(walk(part.value))
+        if not inner:
+            yield part
+        for row in inner:
+            dot = "" if row.path.startswith("[") else "."
+            yield row._replace(path=part.path + dot + row.path)
+
+
+def _names(path: str) -> list[str]:
+    """`a.b[0].c` as `a`, `b`, `[0]`, `c`."""
+    return path.replace("[", ".[").split(".")
+
+
+def _parts(module: Any) -> list[Described]:
+    """The fields of a module, or the entries of a tuple or list."""
+    if isinstance(module, tuple | list):
+        names = getattr(module, "_fields", [f"[{i}]" for i in range(len(module))])
+        pairs = zip(names, module, strict=True)
+        return [Described(name, value, "", False, False, False) for name, value in pairs]
+    if not dataclasses.is_dataclass(module) or isinstance(module, type):
+        return []
+    return [
+        Described(
+            field.name,
+            getattr(module, field.name),
+            field.metadata.get("unit", ""),
+            bool(field.metadata.get("threshold", False)),
+            bool(field.metadata.get("static", False)),
+            "unit" in field.metadata,
+        )
+        for field in dataclasses.fields(module)
+        # A function that is the default of a class is a method.
+        if field.name in vars(module)
+    ]
 
 
 def _with(module: Any, names: list[str], value: Any) -> Any:
     name, *rest = names
-    new = _with(getattr(module, name), rest, value) if rest else value
-    return dataclasses.replace(module, **{name: new})
+    old = next(part.value for part in _parts(module) if part.path == name)
+    new = _with(old, rest, value) if rest else value
+    if hasattr(module, "_fields"):
+        return module._replace(**{name: new})
+    if isinstance(module, tuple | list):
+        return type(module)(new if f"[{i}]" == name else x for i, x in enumerate(module))
+    if type(module).__dataclass_params__.init:
+        return dataclasses.replace(module, **{name: new})
+    return _copied(module, name, new)
 
 
-def _fields(module: Any) -> tuple[Any, ...]:
-    if not dataclasses.is_dataclass(module) or isinstance(module, type):
-        return ()
-    return dataclasses.fields(module)
+def _copied(module: _Module, name: str, value: Any) -> _Module:
+    """A module with another field, of a class whose constructor takes other arguments."""
+    kind, new = type(module), object.__new__(type(module))
+    for field in dataclasses.fields(module):
+        if field.name == name:
+            convert = field.metadata.get("converter", lambda given: given)
+            object.__setattr__(new, name, convert(value))
+        elif field.name in vars(module):
+            object.__setattr__(new, field.name, getattr(module, field.name))
+    for base in reversed(kind.__mro__):
+        if "__check_init__" in vars(base):
+            vars(base)["__check_init__"](new)
+    return new
 
 
-def _walk(module: Any, prefix: str) -> Iterator[Described]:
-    for field in _fields(module):
-        value, path = getattr(module, field.name), prefix + field.name
-        static = bool(field.metadata.get("static", False))
-        if not static and isinstance(value, eqx.Module):
-            yield from _walk(value, path + ".")
-        elif static or eqx.is_array(value) or isinstance(value, int | float):
-            threshold = bool(field.metadata.get("threshold", False))
-            yield Described(path, value, field.metadata.get("unit", ""), threshold, static)
+def _is_number(value: Any) -> bool:
+    return eqx.is_array(value) or isinstance(value, int | float)
 
 
 def _shown(value: Any) -> str:

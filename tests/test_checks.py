@@ -2,6 +2,7 @@
 
 import logging
 import time
+from collections.abc import Callable
 
 import equinox as eqx
 import jax
@@ -109,15 +110,49 @@ def test_what_is_no_number_is_named(where, value):
         params = eqx.tree_at(lambda p: p.pair[1].sigma, params, value)
     with pytest.raises(ValueError, match=r"must be finite and not negative, got ") as caught:
         with_numbers(params)
-    assert f"`params.{where}`" in str(caught.value)
+    assert f"`{where}`" in str(caught.value)
     assert not bool(jax.jit(sound)(jax.tree.map(jnp.asarray, params)))
 
 
 def test_filters_may_be_negative_but_not_nan():
     assert bool(sound(with_numbers(_Outer())))
     wrong = eqx.tree_at(lambda p: p.inner.taps, _Outer(), jnp.asarray([jnp.nan, 1.0]))
-    with pytest.raises(ValueError, match=r"`params.inner.taps` must be finite, got nan"):
+    with pytest.raises(ValueError, match=r"`inner.taps` must be finite, got nan"):
         with_numbers(wrong)
+
+
+def test_a_weakly_typed_filter_in_a_tuple_becomes_strong():
+    params = _Outer(pair=(_Inner(), _Inner()))
+    params = eqx.tree_at(lambda p: p.pair[1].sigma, params, 3)
+    found = with_numbers(params)
+    assert found.pair is not None
+    assert float(found.pair[1].sigma) == 3
+    assert not found.pair[1].sigma.weak_type
+
+
+class _Network(eqx.Module):
+    """A user's part: its own constructor, layers in a list, functions among its leaves."""
+
+    layers: list
+    scale: Array
+    last: Callable
+
+    def __init__(self, key):
+        self.layers = [eqx.nn.Linear(2, 2, key=key), jax.nn.relu, eqx.nn.MLP(2, 2, 2, 1, key=key)]
+        self.scale = jnp.ones(())
+        self.last = jnp.tanh
+
+
+def test_a_network_of_the_users_is_looked_at():
+    network = _Network(jax.random.key(0))
+    assert with_numbers(network) is network
+    assert bool(eqx.filter_jit(sound)(network))
+    broken = eqx.tree_at(lambda n: n.layers[2].layers[0].weight, network, jnp.full((2, 2), jnp.nan))
+    with pytest.raises(
+        ValueError, match=r"`layers\[2\].layers\[0\].weight` must be finite, got nan"
+    ):
+        with_numbers(broken)
+    assert not bool(eqx.filter_jit(sound)(broken))
 
 
 def test_tracers_pass_and_derivatives_too():

@@ -152,7 +152,7 @@ class AbstractSolver(lx.AbstractLinearSolver[SolverState]):
 class ConjugateGradients(AbstractSolver):
     """Conjugate gradients with a preconditioner of the subclass."""
 
-    tolerance: Float[Array, ""] | float = number(1e-4)
+    tolerance: Float[Array, ""] | float = number(1e-4, threshold=True)
     by_residual: bool = eqx.field(static=True, default=False)
     max_iterations: int = eqx.field(static=True, default=1000)
 

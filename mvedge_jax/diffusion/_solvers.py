@@ -95,7 +95,7 @@ class Elimination(AbstractSolver):
         max_iterations: substitutions at most.
     """
 
-    tolerance: Float[Array, ""] | float = number(1e-4)
+    tolerance: Float[Array, ""] | float = number(1e-4, threshold=True)
     by_residual: bool = eqx.field(static=True, default=False)
     max_iterations: int = eqx.field(static=True, default=1000)
 
@@ -138,7 +138,7 @@ class AutoSolver(AbstractSolver):
         'Elimination'
     """
 
-    tolerance: Float[Array, ""] | float = number(1e-4)
+    tolerance: Float[Array, ""] | float = number(1e-4, threshold=True)
     by_residual: bool = eqx.field(static=True, default=False)
     max_iterations: int = eqx.field(static=True, default=1000)
 

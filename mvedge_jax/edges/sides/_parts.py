@@ -136,8 +136,8 @@ class NoSides(eqx.Module):
         """See `SideChoice`."""
         nothing = jnp.zeros_like(points.disparity)
         surface = choose(points, nothing, cast(SideVote(), nothing.dtype))
-        count = jnp.sum(points.valid)
-        mean = jnp.sum(points.disparity) / jnp.maximum(count, 1)
+        count = jnp.sum(points.valid.astype(nothing.dtype))
+        mean = jnp.sum(jnp.where(points.valid, points.disparity, 0)) / jnp.maximum(count, 1)
         flat = jnp.zeros(evidence.shape, nothing.dtype)
         return Sides(surface, nothing, flat, flat + mean, jnp.zeros(0, jnp.int32))
 
