@@ -1,25 +1,18 @@
 """What the depth experiments share: methods, losses, scores."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from mvedge_jax.baselines import (
-    SparseParams,
-    SparseSizes,
-    ThesisParams,
-    ThesisSizes,
-    plane_sweep,
-    sparse_depth,
-    thesis_depth,
-)
-from mvedge_jax.depth import Parameters, Sizes, edge_to_depth
-from mvedge_jax.edges import EdgeParams, EdgeSizes, multiview_edges, scene_range
+from mvedge_jax.depth import EdgeDepth, NearestLabels
+from mvedge_jax.edges import scene_range
+from mvedge_jax.edges.sides import BidirectionalSides, NoSides, ReprojectionSides, ThesisSides
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.metrics import boundary_scores, depth_scores
+from mvedge_jax.photometry.matching import plane_sweep
 
 
 class Method(NamedTuple):
@@ -29,34 +22,34 @@ class Method(NamedTuple):
     run: Callable[[LightField], jax.Array]
 
 
-def chain(name: str, **choices: Any) -> Method:
-    """`edge_to_depth` with some of its `Sizes` set by hand."""
+Part = Callable[[EdgeDepth], Any]
+
+
+def chain(name: str, parts: Mapping[str, Part] | None = None, **options: Any) -> Method:
+    """An `EdgeDepth` with the options of `for_light_field`, and with other parts.
+
+    Args:
+        name: of the row.
+        parts: by name, made of the model that they go into.
+        **options: preset, views and choices.
+    """
 
     def run(light_field: LightField) -> jax.Array:
-        sizes = Sizes.for_light_field(light_field, **choices)
-        return edge_to_depth(light_field, Parameters(), sizes).disparity
+        model = EdgeDepth.for_light_field(light_field, **options)
+        model = model.replace({part: make(model) for part, make in (parts or {}).items()})
+        return model(light_field, key=jax.random.key(0)).disparity
 
     return Method(name, run)
 
 
-def sparse(name: str, *, unit_weights: bool = False, **choices: Any) -> Method:
-    """Our points alone, diffused; `unit_weights` switches (6.3) off."""
+def pointwise(name: str, sides: Part, *, gain: float = 3.0, **options: Any) -> Method:
+    """Our points alone on their nearest pixels, diffused; a gain of 0 switches (6.3) off."""
 
-    def run(light_field: LightField) -> jax.Array:
-        params = SparseParams(gain=jnp.asarray(0.0)) if unit_weights else SparseParams()
-        sizes = SparseSizes.for_light_field(light_field, **choices)
-        grid = EdgeSizes.for_light_field(light_field)
-        points = multiview_edges(light_field, EdgeParams(), grid).points
-        return sparse_depth(light_field, points, params, sizes).disparity
+    def labels(model: EdgeDepth) -> NearestLabels:
+        del model
+        return NearestLabels(gain=jnp.asarray(gain))
 
-    return Method(name, run)
-
-
-def thesis(light_field: LightField) -> jax.Array:
-    """The thesis' own chain, its points included."""
-    params = ThesisParams(), SparseParams()
-    sizes = ThesisSizes.for_light_field(light_field), SparseSizes.for_light_field(light_field)
-    return thesis_depth(light_field, params, sizes, key=jax.random.key(0)).disparity
+    return chain(name, {"labels": labels, "sides": sides}, preset="edges", **options)
 
 
 def sweep(light_field: LightField) -> jax.Array:
@@ -64,23 +57,34 @@ def sweep(light_field: LightField) -> jax.Array:
     return plane_sweep(light_field, disparity_range=scene_range(light_field)).disparity
 
 
+def _bidirectional(model: EdgeDepth) -> BidirectionalSides:
+    del model
+    return BidirectionalSides()
+
+
+def _reprojection(model: EdgeDepth) -> ReprojectionSides:
+    assert model.measurement is not None
+    return ReprojectionSides(radius=model.measurement.radius)
+
+
+_QUANTISED, _BLURRED = ({"refine.sharpen.mode": mode} for mode in ("quantised", "none"))
 OURS = chain("ours")
 EVERY = chain("ours, all views", views="all")
 SWEEP = Method("plane sweep", sweep)
-THESIS = Method("thesis", thesis)
+THESIS = chain("thesis", preset="thesis")
 # Points only, as in the thesis, and the ways to place them.
 SPARSE = (
-    sparse("edges only, bidirectional", side="bidirectional"),
-    sparse("edges only, thesis' response"),
-    sparse("edges only, reprojection", side="reprojection"),
-    sparse("edges only, naive", side="naive"),
+    pointwise("edges only, bidirectional", _bidirectional),
+    pointwise("edges only, thesis' response", lambda _: ThesisSides()),
+    pointwise("edges only, reprojection", _reprojection),
+    pointwise("edges only, naive", lambda _: NoSides()),
 )
 ABLATIONS = (
-    chain("ours, quantised median", sharpening="quantised"),
-    chain("ours, no sharpening", sharpening="none"),
-    sparse("edges only, quantised median", side="bidirectional", sharpening="quantised"),
-    sparse("edges only, no sharpening", side="bidirectional", sharpening="none"),
-    sparse("edges only, unit weights", side="bidirectional", unit_weights=True),
+    chain("ours, quantised median", choices=_QUANTISED),
+    chain("ours, no sharpening", choices=_BLURRED),
+    pointwise("edges only, quantised median", _bidirectional, choices=_QUANTISED),
+    pointwise("edges only, no sharpening", _bidirectional, choices=_BLURRED),
+    pointwise("edges only, unit weights", _bidirectional, gain=0.0),
 )
 
 

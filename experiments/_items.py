@@ -30,6 +30,13 @@ ITEMS = (
         "Figures 5.4, 5.8, 5.9: superpixels",
     ),
     Item(
+        "table_edges",
+        "table_edges.py",
+        "--scenes edges --size 64",
+        "--size 512",
+        "What the edges are worth: presets, and parts taken away",
+    ),
+    Item(
         "table_6_1",
         "table_6_1.py",
         "--scenes edges --size 96",
@@ -53,7 +60,7 @@ ITEMS = (
     Item(
         "figure_6_10",
         "figure_6_10.py",
-        "--scenes edges --size 64 --steps 3 --only centre.precision",
+        "--scenes edges --size 64 --steps 3 --only refine.precision",
         "--scenes edges demo --size 128",
         "Figure 6.10: error against hyperparameters",
     ),
@@ -140,7 +147,7 @@ ITEMS = (
         "learn_taps",
         "learn_parameters.py",
         None,
-        "--what taps --learn demo --rate 0.003 --steps 20 --seeds 1",
+        "--what taps --preset edges --learn demo --rate 0.003 --steps 20 --seeds 1",
         "Filters learned by gradient",
     ),
     Item(

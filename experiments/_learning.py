@@ -1,7 +1,7 @@
 """What the experiments that learn by gradient share: the loop, means over scenes, the picture."""
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 
 from mvedge_jax.edges import scene_range
 from mvedge_jax.lightfield import LightField
+from mvedge_jax.metrics import depth_scores
 
 
 @dataclass(frozen=True)
@@ -98,6 +99,39 @@ def _learn(
 def _shortened(gradient: Any, limit: float) -> Any:
     share = jnp.minimum(1.0, limit / jnp.maximum(optax.tree.norm(gradient), 1e-30))
     return jax.tree.map(lambda leaf: share * leaf, gradient)
+
+
+def scored(
+    estimate: Callable[[Any, LightField], jax.Array],
+    cases: Mapping[str, Any],
+    fields: Mapping[str, LightField],
+    learned_from: Sequence[str],
+    what: str,
+) -> list[dict[str, Any]]:
+    """A row per scene and case: the scores of its map.
+
+    Args:
+        estimate: the map of what was learned and of a scene.
+        cases: what was learned, and where it started, by name.
+        fields: the scenes.
+        learned_from: the names of those that were seen.
+        what: the column of the case.
+    """
+    rows = []
+    for name, field in fields.items():
+        truth, use = field.truth, "learned from" if name in learned_from else "unseen"
+        assert truth is not None
+        for label, case in cases.items():
+            found = depth_scores(estimate(case, field), truth.disparity, mask=truth.valid)
+            columns = {
+                "MSE*100": float(found.mse),
+                "Q25*100": float(found.q25),
+                "BP(.01)": float(found.bad_01),
+                "BP(.03)": float(found.bad_03),
+                "BP(.07)": float(found.bad_07),
+            }
+            rows.append({"scene": name, "use": use, what: label, **columns})
+    return rows
 
 
 def means(rows: Sequence[dict[str, Any]], what: str) -> list[dict[str, Any]]:

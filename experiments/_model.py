@@ -7,7 +7,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from mvedge_jax.depth import Parameters, Sizes, edge_to_depth
+from mvedge_jax.depth import EdgeDepth
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.metrics import depth_scores
 from mvedge_jax.model import (
@@ -24,9 +24,9 @@ from mvedge_jax.model.optimisation import FixedPoints, Progress, Strategy, all_a
 
 
 def first_map(light_field: LightField) -> Start:
-    """Edge points as a model, and the map of `edge_to_depth`."""
+    """Edge points as a model, and the map of `EdgeDepth`."""
     blind = light_field.without_truth()
-    return start_from_depth(blind, edge_to_depth(blind, Parameters(), Sizes.for_light_field(blind)))
+    return start_from_depth(blind, EdgeDepth.for_light_field(blind)(blind))
 
 
 def plain(start: Start, centre: jax.Array) -> Start:

@@ -1,11 +1,15 @@
 """What every experiment needs: timing, tables, files, and where the figures came from."""
 
 import csv
+import hashlib
 import json
 import os
 import platform
 import resource
+import shlex
 import statistics
+import subprocess
+import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
 from importlib.metadata import version
@@ -94,10 +98,32 @@ def write_csv(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
         writer.writerows(rows)
 
 
+def commit() -> str:
+    """The commit, and a digest of what experiments and package differ from it by."""
+    here = Path(__file__).resolve().parent
+
+    def git(*words: str) -> str:
+        done = subprocess.run(["git", *words], cwd=here, capture_output=True, text=True)
+        return done.stdout if done.returncode == 0 else ""
+
+    name = git("rev-parse", "--short", "HEAD").strip() or "no repository"
+    changes = git("diff", "HEAD", "--", ".", "../mvedge_jax")
+    return f"{name}+{hashlib.sha256(changes.encode()).hexdigest()[:8]}" if changes else name
+
+
+def command() -> str:
+    """How this process was started, from the top of the repository."""
+    top = Path(__file__).resolve().parents[1]
+    script = Path(sys.argv[0]).resolve()
+    place = script.relative_to(top) if script.is_relative_to(top) else script
+    return shlex.join(["python", str(place), *sys.argv[1:]])
+
+
 def write_json(path: Path, content: Any) -> None:
-    """Writes `content` and the environment as JSON."""
+    """Writes `content` as JSON, with the commit, the command and the environment."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(json.dumps({"environment": environment(), "content": content}, indent=2))
+    origin = {"commit": commit(), "command": command(), "environment": environment()}
+    path.write_text(json.dumps({**origin, "content": content}, indent=2))
 
 
 def shared_data() -> Path | None:

@@ -8,6 +8,8 @@ import jax
 from mvedge_jax.datasets import load_light_field, synthetic
 from mvedge_jax.lightfield import LightField
 
+# Of the development data: those of the benchmark, and ours with the truth of every view.
+DEVELOPMENT = ("cotton", "backgammon", "room", "bench")
 _SYNTHETIC = ("edges", "thin", "wide", "noisy", "slanted", "crossing")
 
 

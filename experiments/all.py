@@ -11,7 +11,6 @@ development data.
 """
 
 import argparse
-import hashlib
 import html
 import json
 import subprocess
@@ -24,7 +23,7 @@ from typing import Any
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from experiments._items import ITEMS, Item
-from experiments._report import environment, print_table, shared_data
+from experiments._report import commit as commit_now, environment, print_table, shared_data
 
 HERE = Path(__file__).resolve().parent
 # Seconds after which a script is stopped.
@@ -40,7 +39,7 @@ def main() -> int:
     parser.add_argument("--again", action="store_true", help="run what is there already, too")
     parser.add_argument("--limit", type=float, default=None, help="seconds per script")
     arguments = parser.parse_args()
-    commit = _commit()
+    commit = commit_now()
     limit = arguments.limit or LIMITS[arguments.tier]
     rows = []
     for item in ITEMS:
@@ -58,18 +57,6 @@ def main() -> int:
     )
     print(f"{arguments.out / 'index.html'}")
     return int(any(row["state"] == "failed" for row in rows))
-
-
-def _commit() -> str:
-    """The commit, and a digest of what differs from it."""
-
-    def git(*words: str) -> str:
-        done = subprocess.run(["git", *words], cwd=HERE, capture_output=True, text=True)
-        return done.stdout if done.returncode == 0 else ""
-
-    name = git("rev-parse", "--short", "HEAD").strip() or "no repository"
-    changes = git("diff", "HEAD", "--", ".", "../mvedge_jax")
-    return f"{name}+{hashlib.sha256(changes.encode()).hexdigest()[:8]}" if changes else name
 
 
 def _earlier(item: Item, out: Path, commit: str) -> dict[str, Any]:
@@ -177,7 +164,7 @@ def _section(out: Path, row: dict[str, Any]) -> Iterator[str]:
 
 def _tables(content: Any, title: str) -> Iterator[tuple[str, list[dict[str, Any]]]]:
     """Lists of rows anywhere in a result, and single rows of numbers and text."""
-    if isinstance(content, dict) and set(content) == {"environment", "content"}:
+    if isinstance(content, dict) and {"environment", "content"} <= set(content):
         content = content["content"]
     if isinstance(content, list) and content and all(isinstance(row, dict) for row in content):
         yield title, [_flat(row) for row in content]

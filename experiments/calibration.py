@@ -13,7 +13,7 @@ error were chosen on cotton, backgammon, room, bench and edges.
 import argparse
 import sys
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import jax
 import jax.numpy as jnp
@@ -24,12 +24,13 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from experiments._report import print_table, shared_data, write_json
 from experiments._scenes import find_scene
 from mvedge_jax import plotting
-from mvedge_jax.depth import Parameters, Sizes, edge_to_depth
+from mvedge_jax.depth import EdgeDepth
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.metrics import Calibration, calibration
-from mvedge_jax.photometry import prepare, prepare_views
-from mvedge_jax.photometry.measuring import labels, look
+from mvedge_jax.photometry import prepare_views
+from mvedge_jax.photometry.measuring import labels
 
+LabelViews = Literal["crosshair", "all"]
 _MEASURED, _OFF = 0.03, 0.03
 
 
@@ -42,23 +43,18 @@ def nearest(disparity: np.ndarray, truth: np.ndarray, y: np.ndarray, x: np.ndarr
 
 
 def measured(
-    light_field: LightField, disparity: jax.Array, sizes: Sizes
+    light_field: LightField, disparity: jax.Array, model: EdgeDepth
 ) -> tuple[np.ndarray, np.ndarray]:
     """Dense labels around a map, and their standard errors."""
-    params = Parameters()
-    scene = prepare(
-        light_field,
-        sizes.edges.hypotheses(sizes.hypotheses, light_field.views.dtype),
-        params.volume,
-        window=sizes.window,
-    )
-    seen = prepare_views(scene, params.photometric)
-    found = look(*seen.splines, disparity, seen.params, radius=sizes.radius)
-    label = labels(found, scene.lab, disparity, seen.params, passes=sizes.passes)
+    assert model.measurement is not None
+    scene = model.calibration(light_field, model.searched)
+    seen = prepare_views(scene, model.measurement)
+    found = seen.look(disparity)
+    label = labels(found, scene.lab, disparity, seen.params, passes=seen.params.passes)
     return np.asarray(label.disparity), np.sqrt(np.asarray(label.variance))
 
 
-def calibrated(name: str, size: int, which: str) -> tuple[dict[str, Any], Calibration]:
+def calibrated(name: str, size: int, which: LabelViews) -> tuple[dict[str, Any], Calibration]:
     """One row of the table and the curves of the final map."""
     light_field = find_scene(name, shared_data(), size=size)
     known = light_field.truth
@@ -66,16 +62,16 @@ def calibrated(name: str, size: int, which: str) -> tuple[dict[str, Any], Calibr
         raise ValueError(f"{name} has no ground truth to score against.")
     truth, valid = np.asarray(known.disparity), np.asarray(known.valid)
     blind = light_field.without_truth()
-    sizes = Sizes.for_light_field(blind, views=which)
-    result = edge_to_depth(blind, Parameters(), sizes)
+    model = EdgeDepth.for_light_field(blind, views=which)
+    result = model(blind)
     rows, columns = np.arange(truth.shape[0])[:, None], np.arange(truth.shape[1])[None]
 
     start = jnp.where(jnp.isfinite(known.disparity), known.disparity, 0)
-    label, sigma = measured(blind, start, sizes)
+    label, sigma = measured(blind, start, model)
     good = (sigma < _MEASURED) & valid
     off = 100 * float((np.abs(label - truth)[good] > _OFF).mean())
 
-    label, sigma = measured(blind, result.disparity, sizes)
+    label, sigma = measured(blind, result.disparity, model)
     good = (sigma < _MEASURED) & valid
     label_error = nearest(label, truth, rows, columns)[good]
     keep = np.asarray(result.points.valid)

@@ -10,8 +10,8 @@ gradients, spatial vote, entropy search, joint filter) are rows of the table of 
 truth of every view is known, a second table counts the crossing lines that survive.
 """
 
-import dataclasses
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -28,9 +28,10 @@ from scipy import ndimage
 from experiments._crossings import crossing_table
 from experiments._report import print_table, shared_data, write_csv, write_json
 from mvedge_jax import plotting
-from mvedge_jax.baselines import ThesisParams, ThesisSizes, joint_filter, thesis_edges
 from mvedge_jax.datasets import load_light_field, synthetic
-from mvedge_jax.edges import EdgeParams, EdgePoints, EdgeSizes, multiview_edges
+from mvedge_jax.depth import EdgeDepth, multiview_edges
+from mvedge_jax.edges import EdgePoints, OrientedEdges
+from mvedge_jax.edges.thesis import joint_filter
 from mvedge_jax.lightfield import LightField
 
 
@@ -89,38 +90,40 @@ def score(truth: np.ndarray, x: np.ndarray, y: np.ndarray, d: np.ndarray) -> dic
     }
 
 
+def lines(model: EdgeDepth, **choices: Any) -> EdgeDepth:
+    """The model with other choices of how the thesis finds lines."""
+    return model.replace({f"edges.lines.{name}": value for name, value in choices.items()})
+
+
 def thesis_steps(light_field: LightField) -> list[dict]:
     """Rows of the table for the thesis' own chain, each with one step more or another."""
     assert light_field.truth is not None
     truth = np.asarray(light_field.truth.disparity)
     blind, key = light_field.without_truth(), jax.random.key(0)
-    everything = ThesisSizes.for_light_field(blind)
-    plain = dataclasses.replace(
-        everything, levels=1, alignment="none", vote=False, entropy=False, joint=False
-    )
-    run = dataclasses.replace(plain, alignment="run")
-    both = dataclasses.replace(run, vote=True)
-    searched = dataclasses.replace(both, entropy=True)
-    smoothed = dataclasses.replace(searched, joint=True)
+    everything = EdgeDepth.for_light_field(blind, preset="thesis")
+    off = {"levels": 1, "alignment": "none", "vote": False, "entropy": False}
+    plain = lines(everything.replace({"edges.joint": False}), **off)
+    run = lines(plain, alignment="run")
+    both = lines(run, vote=True)
+    searched = lines(both, entropy=True)
+    smoothed = searched.replace({"edges.joint": True})
     variants = {
         "plain response, fitted lines (4.1.1, 4.1.2)": plain,
-        "plain, modulated (Alg. 1)": dataclasses.replace(plain, modulate=True),
-        "plain, between filters": dataclasses.replace(plain, interpolate=True),
-        "plain, pyramid (4.1.4)": dataclasses.replace(plain, levels=2),
-        "plain, aligned in a quarter of the rows (4.3)": dataclasses.replace(
-            plain, alignment="count"
-        ),
+        "plain, modulated (Alg. 1)": lines(plain, modulate=True),
+        "plain, between filters": lines(plain, interpolate=True),
+        "plain, pyramid (4.1.4)": lines(plain, levels=2),
+        "plain, aligned in a quarter of the rows (4.3)": lines(plain, alignment="count"),
         "plain, longest aligned run >= 4": run,
-        "plain, spatial vote >= 8e-5 (4.2)": dataclasses.replace(plain, vote=True),
+        "plain, spatial vote >= 8e-5 (4.2)": lines(plain, vote=True),
         "plain, run and vote": both,
         "  + entropy search (4.5)": searched,
         "    + joint filter (4.6)": smoothed,
         "      + pyramid: everything": everything,
-        "        + between filters": dataclasses.replace(everything, interpolate=True),
+        "        + between filters": lines(everything, interpolate=True),
     }
     table = []
     for name, variant in variants.items():
-        points = thesis_edges(blind, ThesisParams(), variant, key=key).points
+        points = multiview_edges(blind, variant, key=key).points
         keep = np.asarray(points.valid)
         x, y = np.asarray(points.xy)[keep].T
         row = score(truth, x, y, np.asarray(points.disparity)[keep])
@@ -128,16 +131,15 @@ def thesis_steps(light_field: LightField) -> list[dict]:
     return table
 
 
-def steps(light_field: LightField, params: EdgeParams, sizes: EdgeSizes, *, thesis: bool):
+def steps(light_field: LightField, *, thesis: bool):
     """The table after each step."""
     assert light_field.truth is not None
     truth = np.asarray(light_field.truth.disparity)
     blind = light_field.without_truth()
     table = thesis_steps(light_field) if thesis else []
-    everything = eqx.tree_at(lambda p: p.error_limit, params, jnp.asarray(1e6))
-    row, _ = final(light_field, everything, sizes)
+    row, _ = final(light_field, {"edges.error_limit": 1e6})
     table.append({"step": "measured, all candidates", **row})
-    row, points = final(light_field, params, sizes)
+    row, points = final(light_field)
     table.append({"step": "  + those of small standard error: the result", **row})
     d, at = np.asarray(points.disparity), np.asarray(points.xy)
     keep = np.asarray(points.valid)
@@ -157,24 +159,28 @@ def steps(light_field: LightField, params: EdgeParams, sizes: EdgeSizes, *, thes
     return table, points
 
 
-def final(light_field: LightField, params: EdgeParams, sizes: EdgeSizes):
+def final(light_field: LightField, choices: Mapping[str, Any] | None = None):
     """The score of the whole point stage, and its points."""
     assert light_field.truth is not None
-    points = multiview_edges(light_field.without_truth(), params, sizes).points
+    points = found_points(light_field.without_truth(), choices)
     keep = np.asarray(points.valid)
     x, y = np.asarray(points.xy)[keep].T
     truth = np.asarray(light_field.truth.disparity)
     return score(truth, x, y, np.asarray(points.disparity)[keep]), points
 
 
-def sweeps(light_field: LightField, params: EdgeParams) -> list[dict]:
+def found_points(light_field: LightField, choices: Mapping[str, Any] | None = None) -> EdgePoints:
+    """The points of the chain, with some choices by path."""
+    model = EdgeDepth.for_light_field(light_field, choices=choices)
+    return multiview_edges(light_field, model).points
+
+
+def sweeps(light_field: LightField) -> list[dict]:
     """Noise, blur (Fig. B.3, B.4), number of views (Fig. A.4) and number of filters."""
     rows = []
 
-    def add(name: str, field: LightField, p: EdgeParams = params, **change: Any) -> None:
-        sizes = EdgeSizes.for_light_field(field.without_truth())
-        row, _ = final(field, p, dataclasses.replace(sizes, **change))
-        rows.append({"step": name, **row})
+    def add(name: str, field: LightField, choices: Mapping[str, Any] | None = None) -> None:
+        rows.append({"step": name, **final(field, choices)[0]})
 
     rng = np.random.default_rng(0)
     views = np.asarray(light_field.views)
@@ -192,18 +198,13 @@ def sweeps(light_field: LightField, params: EdgeParams) -> list[dict]:
     for count in (7, 5, 3):
         if count <= min(views.shape[:2]):
             add(f"{count}x{count} views", light_field.crop_views(count))
-    sizes = EdgeSizes.for_light_field(light_field.without_truth())
+    edges = EdgeDepth.for_light_field(light_field.without_truth()).edges
+    assert isinstance(edges, OrientedEdges)
     for step in (0.05, 0.2, 0.3):
-        first = int(np.floor(sizes.ends[0] / step))
-        count = int(np.ceil(sizes.ends[1] / step)) - first + 1
-        add(
-            f"{count} filters, {step:g} px apart",
-            light_field,
-            params,
-            first=first,
-            filters=count,
-            spacing=step,
-        )
+        first = int(np.floor(edges.ends[0] / step))
+        count = int(np.ceil(edges.ends[1] / step)) - first + 1
+        choices = {"edges.first": first, "edges.filters": count, "edges.spacing": step}
+        add(f"{count} filters, {step:g} px apart", light_field, choices)
     return rows
 
 
@@ -226,25 +227,19 @@ def main(
         sweep: also against noise, blur, number of views and number of filters.
         out: folder for tables and pictures.
     """
-    params = EdgeParams()
     everything = {}
     for name in scenes:
         light_field = load(name, data, size)
-        blind = light_field.without_truth()
-        table, points = steps(light_field, params, EdgeSizes.for_light_field(blind), thesis=thesis)
+        table, points = steps(light_field, thesis=thesis)
         if sweep:
-            table += sweeps(light_field, params)
+            table += sweeps(light_field)
         print_table(table, title=f"{name}: {light_field.views.shape[:4]}")
         label = name.replace(":", "_").replace("/", "_")
         write_csv(out / f"{label}.csv", table)
         everything[name] = table
         truth = light_field.truth
         if truth is not None and truth.view_ids is not None:
-
-            def find(part: LightField) -> EdgePoints:
-                return multiview_edges(part, params, EdgeSizes.for_light_field(part)).points
-
-            met = crossing_table(light_field, find)
+            met = crossing_table(light_field, found_points)
             print_table(met, title=f"{name}: lines that cross in horizontal EPIs")
             write_csv(out / f"{name.replace(':', '_').replace('/', '_')}_crossings.csv", met)
         figure = plotting.plot_edges(

@@ -24,17 +24,11 @@ import numpy as np
 from _report import peak_memory, print_table, timed, write_csv, write_json
 from _views import error_consistency, regions, scene, scores
 from matplotlib.figure import Figure
+from peers.reprojection import reproject_views
+from peers.thesis_views import Guiding, thesis_views
 
 from mvedge_jax.angular import ViewParams, ViewSizes, depth_of_views
-from mvedge_jax.baselines import (
-    SparseParams,
-    ThesisParams,
-    ThesisSizes,
-    reproject_views,
-    thesis_edges,
-    thesis_views,
-)
-from mvedge_jax.depth import DepthResult, Parameters, Sizes, edge_to_depth
+from mvedge_jax.depth import DepthResult, EdgeDepth, multiview_edges
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.metrics import view_consistency
 from mvedge_jax.plotting import plot_consistency, plot_view_maps
@@ -55,9 +49,9 @@ def naive(light_field: LightField, result: DepthResult) -> jax.Array:
 
 def thesis(light_field: LightField, result: DepthResult) -> jax.Array:
     """The centre view's map, projected and diffused in EPIs, guided by the thesis' points."""
-    sizes = ThesisSizes.for_light_field(light_field)
-    points = thesis_edges(light_field, ThesisParams(), sizes, key=jax.random.key(0)).points
-    return thesis_views(light_field, result.disparity, points, SparseParams())
+    model = EdgeDepth.for_light_field(light_field, preset="thesis")
+    points = multiview_edges(light_field, model, key=jax.random.key(0)).points
+    return thesis_views(light_field, result.disparity, points, Guiding())
 
 
 METHODS: dict[str, Method] = {"ours": ours, "naive": naive, "thesis": thesis}
@@ -69,7 +63,7 @@ def costs(light_field: LightField) -> list[dict[str, Any]]:
     most = min(light_field.views.shape[:2])
     for side in range(3, most + 1, 2):
         field = light_field.without_truth().crop_views(side)
-        result = edge_to_depth(field, Parameters(), Sizes.for_light_field(field))
+        result = EdgeDepth.for_light_field(field)(field)
         _, seconds = timed(ours, field, result, repeats=2)
         each = seconds.best / side**2
         row = {"views": side**2, "seconds": seconds.best, "per view": each}
@@ -99,7 +93,7 @@ def main() -> None:
             cost = costs(light_field)
             print_table(cost, title=f"seconds of ours, {name}")
             _cost_plot(cost).savefig(arguments.out / "cost.png")
-        # Programs of the whole chain are dropped, see `_depth.scenes`.
+        # Programs of the whole chain are dropped, see `_scenes.scenes`.
         jax.clear_caches()
         # After every scene: all of them take a while.
         write_csv(arguments.out / "every_view.csv", rows)
@@ -117,7 +111,7 @@ def compared(
         raise ValueError(f"{name} has no ground truth of all views to score against.")
     truth, blind = known.view_disparity, light_field.without_truth()
     hidden = regions(np.asarray(truth))
-    result = edge_to_depth(blind, Parameters(), Sizes.for_light_field(blind))
+    result = EdgeDepth.for_light_field(blind)(blind)
     rows, consistency = [], []
     for method in arguments.methods:
         maps, seconds = timed(METHODS[method], blind, result, repeats=arguments.repeats)

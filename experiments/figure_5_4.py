@@ -2,8 +2,8 @@
 
 python experiments/figure_5_4.py --scenes demo edges --sizes 15 20 25 30 35 40
 python experiments/figure_5_4.py --scenes edges --sweep colour 3.5 7 14   (as Figs. A.1 to A.3)
-python experiments/figure_5_4.py --scenes edges --methods ours --sweep thesis.colour 1 2 4
-python experiments/figure_5_4.py --scenes edges --methods ours --sweep k-means.colour 1 2 4
+python experiments/figure_5_4.py --scenes edges --methods ours --sweep thesis.color 1 2 4
+python experiments/figure_5_4.py --scenes edges --methods ours --sweep k-means.color 1 2 4
 python experiments/figure_5_4.py --scenes edges --strides 1 2 4           (Fig. A.4)
 python experiments/figure_5_4.py --scenes edges --methods thesis --bugs   (faults, one by one)
 python experiments/figure_5_4.py --scenes edges --methods ours --noise 0.02
@@ -29,12 +29,12 @@ from _report import peak_memory, print_table, shared_data, write_csv, write_json
 from _scenes import find_scene, stored
 from _superpixels import MEASURED, changed, plot_sizes, plot_wrong, torn
 from jax import Array, lax
+from peers.kmeans import KMeansParams, KMeansSizes, kmeans_superpixels
+from peers.lfsp import BUGS, LfspParams, LfspSizes, thesis_superpixels
 
 from mvedge_jax import lean_jit, plotting
 from mvedge_jax.angular import ViewDepths, ViewParams, ViewSizes, depth_of_views
-from mvedge_jax.baselines.kmeans import KMeansParams, KMeansSizes, kmeans_superpixels
-from mvedge_jax.baselines.lfsp import BUGS, LfspParams, LfspSizes, thesis_superpixels
-from mvedge_jax.depth import Parameters, Sizes, edge_to_depth
+from mvedge_jax.depth import EdgeDepth
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.metrics.superpixels import labels_per_pixel, superpixel_scores
 from mvedge_jax.superpixels import SuperpixelParams, SuperpixelSizes, superpixels
@@ -69,7 +69,7 @@ def main() -> None:
     parser.add_argument("--sizes", type=float, nargs="+", default=[20.0])
     parser.add_argument("--methods", nargs="+", default=METHODS, choices=METHODS)
     parser.add_argument("--strides", type=int, nargs="+", default=[1], help="views left out")
-    help_ = "parameter of ours, or thesis. or k-means.position, .disparity, .colour, and its values"
+    help_ = "parameter of ours, or thesis. or k-means.position, .disparity, .color, and its values"
     parser.add_argument("--sweep", nargs="+", default=[], help=help_)
     parser.add_argument("--bugs", action="store_true", help="those of the authors, one by one")
     parser.add_argument("--noise", type=float, help="standard deviation in one view, sRGB")
@@ -183,7 +183,7 @@ def _case(arguments: Any, name: str, stride: int) -> Case:
 
 
 def _depths(light_field: LightField) -> ViewDepths:
-    result = edge_to_depth(light_field, Parameters(), Sizes.for_light_field(light_field))
+    result = EdgeDepth.for_light_field(light_field)(light_field)
     sizes = ViewSizes.for_light_field(light_field)
     return depth_of_views(light_field, result, ViewParams(), sizes)
 

@@ -7,30 +7,29 @@ import argparse
 import time
 from pathlib import Path
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from _report import print_table, shared_data, write_csv, write_json
 from _scenes import scenes
 from matplotlib.figure import Figure
 
-from mvedge_jax import lean_jit
-from mvedge_jax.depth import Parameters, Sizes, edge_to_depth
+from mvedge_jax import describe, lean_jit
+from mvedge_jax.depth import EdgeDepth
 from mvedge_jax.metrics.depth import mse, q25
 
-SWEEPS = {
-    "centre.precision": lambda p: p.centre.precision,
-    "centre.smoothness": lambda p: p.centre.smoothness,
-    "centre.points": lambda p: p.centre.points,
-    "centre.trust": lambda p: p.centre.trust,
-    "smoothness.colour": lambda p: p.smoothness.colour,
-    "smoothness.depth": lambda p: p.smoothness.depth,
-    "photometric.drift": lambda p: p.photometric.drift,
-    "volume.truncation": lambda p: p.volume.truncation,
-    "volume.drift": lambda p: p.volume.drift,
-    "median.slack": lambda p: p.median.slack,
-    "edges.error_limit": lambda p: p.edges.error_limit,
-}
+SWEEPS = (
+    "refine.precision",
+    "refine.stiffness",
+    "labels.weight",
+    "dense.trust",
+    "smoothness.color",
+    "smoothness.depth",
+    "measurement.drift",
+    "calibration.matching.truncation",
+    "calibration.matching.drift",
+    "refine.sharpen.slack",
+    "edges.error_limit",
+)
 
 
 def main() -> None:
@@ -41,32 +40,34 @@ def main() -> None:
     parser.add_argument("--scenes", nargs="+", default=["edges"])
     parser.add_argument("--size", type=int, default=128, help="side of the rendered scenes, px")
     parser.add_argument("--steps", type=int, default=5)
-    parser.add_argument("--only", nargs="*", default=[], help="parameters to sweep; all if none")
+    parser.add_argument(
+        "--only", nargs="*", default=[], help="numbers to sweep, by path; all if none"
+    )
     arguments = parser.parse_args()
     factors = jnp.geomspace(0.25, 4.0, arguments.steps)
     rows = []
     for name, light_field in scenes(arguments.data, arguments.scenes, size=arguments.size):
         truth, blind = light_field.truth, light_field.without_truth()
         assert truth is not None
-        sizes = Sizes.for_light_field(blind)
+        base = EdgeDepth.for_light_field(blind)
+        known = {row.path: row.value for row in describe(base)}
         maps = (truth.disparity, truth.valid)
 
         # All parameters that a sweep touches are batched, so that one program serves every sweep.
         @lean_jit
-        def errors(settings: Parameters, blind=blind, sizes=sizes, maps=maps):
-            def one(params: Parameters):
-                found = edge_to_depth(blind, params, sizes).disparity
+        def errors(settings: EdgeDepth, blind=blind, maps=maps):
+            def one(model: EdgeDepth):
+                found = model(blind).disparity
                 return mse(found, maps[0], mask=maps[1]), q25(found, maps[0], mask=maps[1])
 
             return jax.vmap(one)(settings)
 
-        for label, get in SWEEPS.items():
+        for label in SWEEPS:
             if arguments.only and label not in arguments.only:
                 continue
-            base = Parameters()
-            values = factors * get(base)
+            values = factors * known[label]
             settings = jax.tree.map(lambda a: jnp.stack([a] * arguments.steps), base)
-            settings = eqx.tree_at(get, settings, values)
+            settings = settings.replace({label: values})
             start = time.perf_counter()
             found = jax.block_until_ready(errors(settings))
             seconds = time.perf_counter() - start

@@ -19,23 +19,14 @@ import tyro
 from matplotlib.figure import Figure
 from PIL import Image
 
-from mvedge_jax import (
-    Parameters,
-    Sizes,
-    ViewParams,
-    ViewSizes,
-    depth_of_views,
-    edge_to_depth,
-    plotting,
-    viewer,
-)
-from mvedge_jax.baselines import plane_sweep
-from mvedge_jax.depth import DepthResult
+from mvedge_jax import ViewParams, ViewSizes, depth, depth_of_views, plotting, viewer
 from mvedge_jax.color import srgb_to_gray
 from mvedge_jax.datasets import synthetic
-from mvedge_jax.edges.sides import BidirectionalParams, bidirectional
+from mvedge_jax.depth import DepthResult
+from mvedge_jax.edges.sides import DirectionalDiffusion, bidirectional
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.metrics import boundary_scores, calibration
+from mvedge_jax.photometry.matching import plane_sweep
 from mvedge_jax.superpixels import SuperpixelParams, SuperpixelSizes, superpixels
 
 # What each picture of the viewer shows: the settings, by name.
@@ -79,7 +70,7 @@ def main(options: Arguments) -> None:
     scene = synthetic.scene("demo")
     light_field = synthetic.render(scene, shape=shape, key=jax.random.key(0))
     blind = light_field.without_truth()
-    result = edge_to_depth(blind, Parameters(), Sizes.for_light_field(blind))
+    result = depth(blind)
     swept = plane_sweep(blind).disparity
     for name, figure in pictures(light_field, result, swept):
         figure.savefig(options.out / f"{name}.webp", dpi=130, pil_kwargs={"quality": 80})
@@ -128,7 +119,7 @@ def pictures(
     )
     yield "error", plotting.plot_error(result.disparity, truth, kind="signed")
     gray = srgb_to_gray(light_field.centre_view)
-    passes = bidirectional(points, gray, BidirectionalParams())
+    passes = bidirectional(points, gray, DirectionalDiffusion())
     yield (
         "passes",
         plotting.plot_disparity(
@@ -144,7 +135,7 @@ def pictures(
 def animation(light_field: LightField, out: Path) -> Path:
     """Around the grid: the views, the depth of every view, and superpixels in every view."""
     blind = light_field.without_truth()
-    result = edge_to_depth(blind, Parameters(), Sizes.for_light_field(blind))
+    result = depth(blind)
     depths = depth_of_views(blind, result, ViewParams(), ViewSizes.for_light_field(blind))
     cells = SuperpixelSizes.for_depths(depths)
     labels = np.asarray(superpixels(blind, depths, SuperpixelParams(), cells).labels)

@@ -19,11 +19,11 @@ import numpy as np
 import tyro
 from _report import print_table, write_csv, write_json
 
-from mvedge_jax.depth import Parameters, Sizes, edge_to_depth
 from mvedge_jax.datasets import synthetic
+from mvedge_jax.depth import depth
 from mvedge_jax.lightfield import Camera, LightField
 from mvedge_jax.metrics import depth_scores
-from mvedge_jax.posed import Photographs, StereoParams, StereoSizes, reference_of, stereo
+from mvedge_jax.posed import Photographs, StereoDepth, reference_of, stereo
 from mvedge_jax.posed.cloud import camera_of_view
 
 
@@ -65,9 +65,7 @@ def disparity_of(
     far = far if np.isfinite(far) else 1e3 * near
     wanted = reference_of(photographs, int(np.abs(offsets).argmin()), depth_range=(near, far))
     start = time.perf_counter()
-    found = jax.block_until_ready(
-        stereo(photographs, wanted, StereoParams(), StereoSizes.of(wanted))
-    )
+    found = jax.block_until_ready(stereo(photographs, wanted, StereoDepth.of(wanted)))
     return camera.disparity(found.depth), time.perf_counter() - start
 
 
@@ -97,7 +95,7 @@ def main() -> None:
         sparse = Photographs(row.images[~second], row.poses[~second], row.intrinsics[~second])
         before = time.perf_counter()
         blind = regular.without_truth()
-        chain = edge_to_depth(blind, Parameters(), Sizes.for_light_field(blind)).disparity
+        chain = depth(blind).disparity
         found = {"regular, as a light field": (chain, time.perf_counter() - before)}
         for label, photographs, offsets in (
             ("regular", row, even),

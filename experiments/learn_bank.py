@@ -13,7 +13,6 @@ between filters. Both are in the table, before anything is learned.
     python experiments/learn_bank.py --out results/learn_bank
 """
 
-import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -28,7 +27,8 @@ from _report import print_table, write_csv, write_json
 from jax import Array
 
 from mvedge_jax import lean_jit
-from mvedge_jax.baselines import ThesisParams, ThesisSizes, thesis_edges
+from mvedge_jax.depth import EdgeDepth, multiview_edges
+from mvedge_jax.edges.thesis import ThesisEdges
 from mvedge_jax.epi import FilterBank
 from mvedge_jax.lightfield import LightField
 
@@ -74,15 +74,16 @@ def main() -> None:
     arguments = tyro.cli(Arguments, description=__doc__)
     fields = of_one_range(arguments.learn + arguments.unseen, size=arguments.size)
     one = next(iter(fields.values()))
-    thesis = ThesisSizes.for_light_field(one)
-    between = dataclasses.replace(thesis, interpolate=True)
-    banks = thesis.banks(one.views.shape, one.views.dtype)
+    thesis = EdgeDepth.for_light_field(one, preset="thesis")
+    between = thesis.replace({"edges.lines.interpolate": True})
+    assert isinstance(thesis.edges, ThesisEdges)
+    banks = thesis.edges.prewitt(one.views.shape, one.views.dtype)
     first = [_nothing(bank) for bank in banks]
 
-    def errors(changes: Sequence[Change], field: LightField, sizes: ThesisSizes):
+    def errors(changes: Sequence[Change], field: LightField, model: EdgeDepth):
         across, down = (_changed(*pair) for pair in zip(banks, changes, strict=True))
-        params = ThesisParams(banks=(across, down))
-        points = thesis_edges(field.without_truth(), params, sizes, key=jax.random.key(0)).points
+        model = model.replace({"edges.banks": (across, down)})
+        points = multiview_edges(field.without_truth(), model, key=jax.random.key(0)).points
         assert field.truth is not None
         return _errors(points.xy, points.disparity, field.truth.disparity), points.valid
 
@@ -95,13 +96,11 @@ def main() -> None:
     runs = learned_by_seeds(value_and_gradient, first, chosen, arguments, limit=arguments.limit)
     cases = [("thesis", first, thesis), ("Prewitt", first, between)]
     cases += [(f"seed {k}", point, between) for k, (point, _) in enumerate(runs)]
-    measured = {
-        sizes: lean_jit(lambda c, f, s=sizes: errors(c, f, s)) for sizes in (thesis, between)
-    }
+    measured = lean_jit(errors)
     rows = []
     for name, field in fields.items():
-        for label, changes, sizes in cases:
-            error, valid = (np.asarray(a) for a in measured[sizes](changes, field))
+        for label, changes, model in cases:
+            error, valid = (np.asarray(a) for a in measured(changes, field, model))
             use = "learned from" if name in arguments.learn else "unseen"
             rows.append({"scene": name, "use": use, "bank": label, **_scores(error[valid])})
     title = f"points of the thesis' chain, {arguments.steps} steps of Adam at {arguments.rate}"

@@ -8,7 +8,7 @@ have no derivative and stay. Taps of the filter bank are moved as they are.
 
     python experiments/learn_parameters.py --out results/learn_parameters
     python experiments/learn_parameters.py --loss views --out results/learn_views
-    python experiments/learn_parameters.py --what taps --learn demo --rate 0.003 --steps 20
+    python experiments/learn_parameters.py --what taps --preset edges --rate 0.003 --steps 20
 """
 
 from collections.abc import Callable
@@ -21,16 +21,15 @@ import jax.numpy as jnp
 import numpy as np
 import tyro
 from _depth import robust_loss
-from _learning import Schedule, learned_by_seeds, means, of_one_range, plot_learning
+from _learning import Schedule, learned_by_seeds, means, of_one_range, plot_learning, scored
 from _report import print_table, write_csv, write_json
 
 from mvedge_jax import lean_jit
-from mvedge_jax.depth import Parameters, Sizes, edge_to_depth
-from mvedge_jax.edges import EdgeParams
+from mvedge_jax.depth import EdgeDepth
+from mvedge_jax.edges import OrientedEdges
 from mvedge_jax.epi import FilterBank
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.losses import LossWeights, gather_views, self_supervised_loss
-from mvedge_jax.metrics import depth_scores
 
 _ERROR_ALONE = LossWeights(smoothness=jnp.asarray(0.0), gradient=jnp.asarray(0.0))
 
@@ -40,7 +39,8 @@ class Arguments(Schedule):
     """Options.
 
     Attributes:
-        what: the numbers of `Parameters`, or the taps of the filter bank.
+        what: the numbers of the model, or the taps of the filter bank.
+        preset: of the chain.
         loss: by the truth, or by the views off the crosshair.
         scale: errors well above it count little more than those near it, px; of the truth's loss.
         learn: scenes to learn from.
@@ -51,6 +51,7 @@ class Arguments(Schedule):
     """
 
     what: Literal["parameters", "taps"] = "parameters"
+    preset: Literal["full", "edges"] = "full"
     loss: Literal["truth", "views"] = "truth"
     scale: float = 0.07
     steps: int = 80
@@ -68,12 +69,15 @@ def main() -> None:
     fields = of_one_range(
         arguments.learn + arguments.unseen, size=arguments.size, views=arguments.views
     )
-    sizes = Sizes.for_light_field(next(iter(fields.values())))
+    one = next(iter(fields.values()))
+    model = EdgeDepth.for_light_field(one, preset=arguments.preset)
+    first, model_of = _choice(arguments.what, one, model)
 
-    first, parameters = _choice(arguments.what, next(iter(fields.values())), sizes)
+    def estimate(learned: Any, field: LightField) -> jax.Array:
+        return model_of(learned)(field.without_truth(), key=jax.random.key(0)).disparity
 
     def loss(learned: Any, field: LightField) -> jax.Array:
-        found = edge_to_depth(field.without_truth(), parameters(learned), sizes).disparity
+        found = estimate(learned, field)
         if arguments.loss == "views":
             return _held_out(found, field)
         return robust_loss(found, field, arguments.scale)
@@ -81,31 +85,8 @@ def main() -> None:
     value_and_gradient = lean_jit(jax.value_and_grad(loss))
     chosen = [fields[name] for name in arguments.learn]
     runs = learned_by_seeds(value_and_gradient, first, chosen, arguments)
-    estimate = lean_jit(
-        lambda learned, field: (
-            edge_to_depth(field.without_truth(), parameters(learned), sizes).disparity
-        )
-    )
-    rows = []
-    for name, field in fields.items():
-        assert field.truth is not None
-        points = {"default": first, **{f"seed {k}": point for k, (point, _) in enumerate(runs)}}
-        for label, point in points.items():
-            scores = depth_scores(
-                estimate(point, field), field.truth.disparity, mask=field.truth.valid
-            )
-            rows.append(
-                {
-                    "scene": name,
-                    "use": "learned from" if name in arguments.learn else "unseen",
-                    arguments.what: label,
-                    "MSE*100": float(scores.mse),
-                    "Q25*100": float(scores.q25),
-                    "BP(.01)": float(scores.bad_01),
-                    "BP(.03)": float(scores.bad_03),
-                    "BP(.07)": float(scores.bad_07),
-                }
-            )
+    cases = {"default": first, **{f"seed {k}": point for k, (point, _) in enumerate(runs)}}
+    rows = scored(lean_jit(estimate), cases, fields, arguments.learn, arguments.what)
     print_table(rows, title=f"{arguments.steps} steps of Adam at {arguments.rate}")
     mean = means(rows, arguments.what)
     print_table(mean, title="means")
@@ -130,15 +111,19 @@ def _held_out(disparity: jax.Array, field: LightField) -> jax.Array:
     return self_supervised_loss(disparity, gather_views(field, choice=away), _ERROR_ALONE)[0]
 
 
-def _choice(what: str, field: LightField, sizes: Sizes) -> tuple[Any, Callable[[Any], Parameters]]:
-    """What is learned, at its start, and the parameters that it makes."""
+def _choice(
+    what: str, field: LightField, model: EdgeDepth
+) -> tuple[Any, Callable[[Any], EdgeDepth]]:
+    """What is learned, at its start, and the model that it makes."""
     if what == "parameters":
-        return jax.tree.map(jnp.log, Parameters()), lambda logs: jax.tree.map(jnp.exp, logs)
-    banks = sizes.edges.banks(field.views.shape)
+        return jax.tree.map(jnp.log, model), lambda logs: jax.tree.map(jnp.exp, logs)
+    edges = model.edges
+    assert isinstance(edges, OrientedEdges)
+    banks = edges.prewitt(field.views.shape)
 
-    def with_taps(taps: Any) -> Parameters:
+    def with_taps(taps: Any) -> EdgeDepth:
         across, down = (FilterBank(bank.disparity, t) for bank, t in zip(banks, taps, strict=True))
-        return Parameters(edges=EdgeParams(banks=(across, down)))
+        return model.replace({"edges.banks": (across, down)})
 
     return [bank.taps for bank in banks], with_taps
 

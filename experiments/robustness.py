@@ -8,7 +8,7 @@ import json
 import sys
 import time
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import cv2
 import equinox as eqx
@@ -21,11 +21,11 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from experiments._depth import as_image
 from experiments._report import print_table, shared_data, write_json
 from experiments._scenes import find_scene
-from mvedge_jax.baselines import plane_sweep
-from mvedge_jax.depth import Parameters, Sizes, edge_to_depth
+from mvedge_jax.depth import EdgeDepth
 from mvedge_jax.edges import scene_range
 from mvedge_jax.lightfield import GroundTruth, LightField
 from mvedge_jax.metrics import depth_scores
+from mvedge_jax.photometry.matching import plane_sweep
 
 
 class Change(NamedTuple):
@@ -89,7 +89,7 @@ def measured(
     truth: GroundTruth,
     label: str,
     ranges: dict[str, tuple[float, float]],
-    which: str,
+    which: Literal["crosshair", "all"],
 ) -> Row:
     """Both methods on one changed light field, whose measured range is added to `ranges`."""
     views = changed(light_field, CHANGES[label], every=which == "all")
@@ -102,10 +102,10 @@ def measured(
         jnp.asarray((low, high)),
         is_leaf=lambda leaf: leaf is None,
     )
-    sizes = Sizes.for_light_field(views, views=which)
-    found = jax.block_until_ready(edge_to_depth(views, Parameters(), sizes))
+    model = EdgeDepth.for_light_field(views, views=which)
+    jax.block_until_ready(model(views))
     start = time.perf_counter()
-    found = jax.block_until_ready(edge_to_depth(views, Parameters(), sizes))
+    found = jax.block_until_ready(model(views))
     seconds = time.perf_counter() - start
     sweep = plane_sweep(views, disparity_range=(low, high)).disparity
     ranges[label] = low, high

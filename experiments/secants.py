@@ -8,7 +8,7 @@ slope of the loss in its logarithm, and the secant through 10 % less and 10 % mo
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import jax
 import jax.numpy as jnp
@@ -18,8 +18,10 @@ from _report import print_table, write_json
 from _scenes import scenes
 
 from mvedge_jax import lean_jit
-from mvedge_jax.depth import Parameters, Sizes, edge_to_depth
+from mvedge_jax.depth import EdgeDepth
 from mvedge_jax.lightfield import LightField
+
+Preset = Literal["full", "edges", "thesis"]
 
 
 @dataclass(frozen=True)
@@ -29,6 +31,7 @@ class Arguments:
     Attributes:
         scenes: names of synthetic scenes, or of benchmark scenes under `data`.
         data: folder with `hci/`; None for synthetic scenes only.
+        preset: of the chain.
         size: side of rendered views, px.
         reach: of the secants, as a share of the parameter to either side.
         out: folder for the table.
@@ -36,20 +39,21 @@ class Arguments:
 
     scenes: tuple[str, ...] = ("edges", "demo")
     data: Path | None = None
+    preset: Preset = "full"
     size: int = 128
     reach: float = 0.1
     out: Path = Path("results/secants")
 
 
-def compared(light_field: LightField, reach: float) -> list[dict[str, Any]]:
+def compared(light_field: LightField, preset: Preset, reach: float) -> list[dict[str, Any]]:
     """A row per parameter of one scene."""
-    sizes = Sizes.for_light_field(light_field.without_truth())
+    model = EdgeDepth.for_light_field(light_field.without_truth(), preset=preset)
 
-    def loss(logs: Parameters, light_field: LightField) -> jax.Array:
-        found = edge_to_depth(light_field.without_truth(), jax.tree.map(jnp.exp, logs), sizes)
+    def loss(logs: EdgeDepth, light_field: LightField) -> jax.Array:
+        found = jax.tree.map(jnp.exp, logs)(light_field.without_truth(), key=jax.random.key(0))
         return robust_loss(found.disparity, light_field)
 
-    logs = jax.tree.map(jnp.log, Parameters())
+    logs = jax.tree.map(jnp.log, model)
     # The light field is an argument: the compiler would work a constant out at length.
     gradient = lean_jit(jax.grad(loss))(logs, light_field)
     value = lean_jit(loss)
@@ -80,7 +84,7 @@ def main() -> None:
     arguments = tyro.cli(Arguments, description=__doc__)
     report = {}
     for name, light_field in scenes(arguments.data, arguments.scenes, size=arguments.size):
-        rows = compared(light_field, arguments.reach)
+        rows = compared(light_field, arguments.preset, arguments.reach)
         signs = [row["same sign"] for row in rows if row["same sign"] is not None]
         share = 100 * sum(signs) / len(signs)
         print_table(rows, title=f"{name}: {share:.0f} % of {len(signs)} derivatives agree in sign")

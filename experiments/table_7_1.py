@@ -23,8 +23,7 @@ from mvedge_jax.diffusion import System, diffuse, edge_weights
 from mvedge_jax.posed import (
     Photographs,
     Reference,
-    StereoParams,
-    StereoSizes,
+    StereoDepth,
     posed_sweep,
     reference_of,
     stereo,
@@ -56,8 +55,7 @@ LIVING_ROOM = (525.0, 525.0, 319.5, 239.5)
 
 def ours(photographs: Photographs, reference: Reference) -> Maps:
     """Dense measurement and diffusion, and the hypotheses along paths that it starts from."""
-    sizes = StereoSizes.of(reference)
-    found = stereo(photographs, reference, StereoParams(), sizes)
+    found = stereo(photographs, reference, StereoDepth.of(reference))
     scale = float(reference.scale(photographs))
     return {
         "ours": np.asarray(found.depth),
@@ -67,8 +65,7 @@ def ours(photographs: Photographs, reference: Reference) -> Maps:
 
 def sweep(photographs: Photographs, reference: Reference) -> Maps:
     """A posed plane sweep."""
-    sizes = StereoSizes.of(reference)
-    found = posed_sweep(photographs, reference, StereoParams(), sizes)
+    found = posed_sweep(photographs, reference, StereoDepth.of(reference))
     return {"posed plane sweep": np.asarray(found.depth)}
 
 

@@ -3,7 +3,7 @@
     python experiments/benchmarks/depth.py --scene SCENE --out results/benchmark_depth
 
 Each stage is compiled and timed alone, on the inputs that the chain gives it; "all stages" is the
-one program that `edge_to_depth` is, so the sum differs from it by what XLA fuses. It is compiled
+one program that `estimate_depth` is, so the sum differs from it by what XLA fuses. It is compiled
 first and the compiler's memory given back before it runs. "first" is the sum of both.
 """
 
@@ -20,21 +20,16 @@ import jax.numpy as jnp
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from _report import peak_memory, print_table, shared_data, timed, write_json
 
-from mvedge_jax import lean_jit
+from mvedge_jax import describe, lean_jit
 from mvedge_jax._crosshair import crosshair
-from mvedge_jax.depth import Parameters, Sizes, edge_smoothness, edge_to_depth, sharpen
 from mvedge_jax.cli._common import compiled
 from mvedge_jax.color import srgb_to_gray, srgb_to_lab
 from mvedge_jax.datasets import load_light_field, synthetic
+from mvedge_jax.depth import EdgeDepth, estimate_depth, multiview_edges
 from mvedge_jax.diffusion import System, diffuse
-from mvedge_jax.edges import multiview_edges
-from mvedge_jax.edges.sides import (
-    BidirectionalParams,
-    SurfaceParams,
-    bidirectional,
-    surface_vectors,
-)
+from mvedge_jax.edges.sides import BidirectionalSides, bidirectional, surface_vectors
 from mvedge_jax.lightfield import LightField
+from mvedge_jax.photometry import Calibrate
 from mvedge_jax.photometry.matching import hypotheses
 from mvedge_jax.photometry.measuring import Measuring, arm_splines, photometric_labels
 
@@ -45,6 +40,7 @@ def main() -> None:
     parser.add_argument("--scene", type=Path, default=None, help="default: cotton, or synthetic")
     parser.add_argument("--out", type=Path, default=Path("results/benchmark_depth"))
     parser.add_argument("--repeats", type=int, default=7)
+    parser.add_argument("--preset", choices=["full", "edges"], default="full")
     parser.add_argument("--only-all", action="store_true", help="the whole chain alone")
     parser.add_argument("--gradient", action="store_true", help="the chain and its derivatives")
     parser.add_argument("--settings", action="store_true", help="`vmap` over settings instead")
@@ -64,7 +60,7 @@ def main() -> None:
         )
     light_field = light_field.without_truth()
     which = "all" if arguments.all_views else "crosshair"
-    params, sizes = Parameters(), Sizes.for_light_field(light_field, views=which)
+    model = EdgeDepth.for_light_field(light_field, preset=arguments.preset, views=which)
     rows = []
 
     def measure(name, function, *inputs):
@@ -85,28 +81,25 @@ def main() -> None:
         return result
 
     before = time.perf_counter()
-    measure("all stages", edge_to_depth, light_field, params, sizes)
+    measure("all stages", estimate_depth, light_field, model)
     if arguments.gradient:
-        measure("value and gradient", _gradient(sizes), params, light_field)
-    elif not arguments.only_all:
-        _stages(measure, params, light_field, sizes)
+        measure("value and gradient", _gradient, model, light_field)
+    elif not arguments.only_all and arguments.preset == "full":
+        _stages(measure, light_field, model)
     print_table(rows, title=f"{light_field.name}, {light_field.views.shape[:4]}")
     write_json(arguments.out / "depth.json", rows)
     print(f"{time.perf_counter() - before:.1f} s in all")
 
 
-def _gradient(sizes: Sizes) -> Any:
-    """A loss of the map with its gradient in the parameters and in every pixel of every view."""
+@lean_jit
+def _gradient(model: EdgeDepth, light_field: LightField) -> Any:
+    """A loss of the map with its gradient in the model and in every pixel of every view."""
 
-    def loss(params: Parameters, views: jax.Array, light_field: LightField) -> jax.Array:
+    def loss(model: EdgeDepth, views: jax.Array) -> jax.Array:
         seen = eqx.tree_at(lambda f: f.views, light_field, views)
-        return jnp.mean(jnp.sin(3 * edge_to_depth(seen, params, sizes).disparity))
+        return jnp.mean(jnp.sin(3 * model(seen).disparity))
 
-    @lean_jit
-    def value_and_gradient(params: Parameters, light_field: LightField) -> Any:
-        return jax.value_and_grad(loss, (0, 1))(params, light_field.views, light_field)
-
-    return value_and_gradient
+    return jax.value_and_grad(loss, (0, 1))(model, light_field.views)
 
 
 def _settings(out: Path, repeats: int) -> None:
@@ -114,16 +107,14 @@ def _settings(out: Path, repeats: int) -> None:
     light_field = synthetic.render(
         synthetic.scene("demo"), shape=(9, 9, 96, 128), key=jax.random.key(0)
     ).without_truth()
-    sizes = Sizes.for_light_field(light_field)
+    model = EdgeDepth.for_light_field(light_field)
+    known = {row.path: row.value for row in describe(model)}
 
-    def leaves(params: Parameters) -> tuple:
-        return params.centre.precision, params.smoothness.colour
+    def depth(precision, color):
+        choices = {"refine.precision": precision, "smoothness.color": color}
+        return model.replace(choices)(light_field).disparity
 
-    def depth(precision, colour):
-        params = eqx.tree_at(leaves, Parameters(), (precision, colour))
-        return edge_to_depth(light_field, params, sizes).disparity
-
-    one, two = leaves(Parameters())
+    one, two = known["refine.precision"], known["smoothness.color"]
     factors = jnp.linspace(0.5, 2.0, 8)
     settings = factors * one, factors[::-1] * two
     single, together = lean_jit(depth), lean_jit(jax.vmap(depth))
@@ -145,32 +136,27 @@ def _settings(out: Path, repeats: int) -> None:
     write_json(out / "settings.json", row)
 
 
-def _stages(measure, params: Parameters, light_field, sizes: Sizes) -> None:
-    edges = measure("multi-view edges", multiview_edges, light_field, params.edges, sizes.edges)
-    points = edges.points
+def _stages(measure: Any, light_field: LightField, model: EdgeDepth) -> None:
+    calibration, sides, measurement = model.calibration, model.sides, model.measurement
+    assert isinstance(calibration, Calibrate)
+    assert isinstance(sides, BidirectionalSides)
+    assert measurement is not None
+    points = measure("multi-view edges", multiview_edges, light_field, model).points
     gray = srgb_to_gray(light_field.centre_view)
     lab = jnp.moveaxis(srgb_to_lab(light_field.centre_view), -1, 0)
     guide = jnp.moveaxis(light_field.centre_view, -1, 0)
     arms = crosshair(light_field)
     passes = measure(
-        "bidirectional diffusion",
-        lean_jit(bidirectional),
-        points,
-        gray,
-        BidirectionalParams(),
+        "bidirectional diffusion", lean_jit(bidirectional), points, gray, sides.diffusion
     )
-    tried = jnp.linspace(
-        *sizes.edges.ends,
-        sizes.hypotheses,
-        dtype=gray.dtype,
-    )
+    tried = jnp.linspace(*model.searched, calibration.hypotheses, dtype=gray.dtype)
     first = measure(
         "hypotheses",
-        lean_jit(lambda a, b, c, d, p: hypotheses(a, b, c, d, p, window=sizes.window)),
+        lean_jit(lambda a, b, c, d, p: hypotheses(a, b, c, d, p, window=calibration.window)),
         *arms,
         lab,
         tried,
-        params.volume,
+        calibration.matching,
     )
     shape = (gray.shape[0], gray.shape[1])
     measure(
@@ -179,14 +165,14 @@ def _stages(measure, params: Parameters, light_field, sizes: Sizes) -> None:
         points,
         passes.response,
         first,
-        SurfaceParams(),
+        sides.vote,
     )
     splines = map(arm_splines, arms)
     labels = measure(
         "dense labels",
         lean_jit(
             lambda a, b, c, d, p: photometric_labels(
-                a, b, c, d, p, radius=sizes.radius, passes=sizes.passes
+                a, b, c, d, p, radius=measurement.radius, passes=measurement.passes
             )
         ),
         *splines,
@@ -194,17 +180,12 @@ def _stages(measure, params: Parameters, light_field, sizes: Sizes) -> None:
         first,
         Measuring(),
     )
-    tx, ty = edge_smoothness(lab, first, params.smoothness)
+    tx, ty = model.smoothness(lab, first, jnp.zeros_like(first))
     weight = 1e-4 / (1e-4 + labels.variance)
     system = System(weight, labels.disparity, 2 * tx, 2 * ty)
     found = measure("one diffusion", lambda s: diffuse(s), system)
-    measure(
-        "sharpening",
-        lean_jit(lambda d, g, p: sharpen(d, g, p, levels=sizes.levels)),
-        found.value,
-        guide,
-        params.median,
-    )
+    sharpen = model.refine.sharpen
+    measure("sharpening", lean_jit(lambda part, d, g: part(d, g)), sharpen, found.value, guide)
 
 
 if __name__ == "__main__":

@@ -30,12 +30,11 @@ from jax.sharding import NamedSharding, PartitionSpec
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from _report import peak_memory, print_table, shared_data, write_csv, write_json  # noqa: E402
+from peers.solvers import HierarchicalBasis, Jacobi  # noqa: E402
 
 from mvedge_jax.diffusion import (
     AbstractSolver,
     AutoSolver,
-    HierarchicalBasis,
-    Jacobi,
     Multigrid,
     System,
     diffuse,

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import cv2
-import jax
 import jax.numpy as jnp
 import numpy as np
 import tyro
@@ -20,13 +19,12 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from experiments._report import peak_memory, print_table, timed, write_json
 from mvedge_jax import lean_jit
-from mvedge_jax._params import cast
 from mvedge_jax.color import srgb_to_lab
 from mvedge_jax.datasets import load_light_field
-from mvedge_jax.edges import EdgeParams, EdgeSizes, multiview_edges
-from mvedge_jax.epi import strongest_response
+from mvedge_jax.depth import EdgeDepth, multiview_edges
+from mvedge_jax.edges import OrientedEdges
+from mvedge_jax.epi import FilterBank, strongest_response
 from mvedge_jax.lightfield import LightField
-from mvedge_jax.photometry import Matching, hypothesis_count, prepare
 
 
 def textured(size: int, views: int = 9) -> LightField:
@@ -53,10 +51,14 @@ def textured(size: int, views: int = 9) -> LightField:
     )
 
 
-def _responses_only(light_field: LightField, params: EdgeParams, sizes: EdgeSizes) -> Any:
+def _banks(light_field: LightField, model: EdgeDepth) -> tuple[FilterBank, FilterBank]:
+    assert isinstance(model.edges, OrientedEdges)
+    return model.edges.prewitt(light_field.views.shape)
+
+
+def _responses_only(light_field: LightField, model: EdgeDepth) -> Any:
     """The largest response over the filters at every pixel, both directions."""
-    del params
-    banks = sizes.banks(light_field.views.shape)
+    banks = _banks(light_field, model)
     down = jnp.swapaxes(light_field.vertical_arm, 1, 2)
     return (
         strongest_response(srgb_to_lab(light_field.horizontal_arm), banks[0]),
@@ -64,19 +66,13 @@ def _responses_only(light_field: LightField, params: EdgeParams, sizes: EdgeSize
     )
 
 
-def _first_map(light_field: LightField, params: EdgeParams, sizes: EdgeSizes) -> Any:
+def _first_map(light_field: LightField, model: EdgeDepth) -> Any:
     """Exposure, noise and hypotheses."""
-    del params
-    low, high = sizes.ends
-    count = hypothesis_count(high - low - 2 * sizes.spacing, max(light_field.centre))
-    tried = sizes.hypotheses(count)
-    volume = cast(Matching(), tried.dtype)
-    return prepare(light_field.without_truth(), tried, volume, window=2)
+    return model.calibration(light_field.without_truth(), model.searched)
 
 
-def _peers(light_field: LightField, sizes: EdgeSizes, rows: int) -> dict:
+def _peers(light_field: LightField, bank: FilterBank, rows: int) -> dict:
     """The same 2-D filters over a few EPIs of one direction, scaled to all EPIs of both."""
-    bank = sizes.banks(light_field.views.shape)[0]
     taps = np.asarray(bank.taps, np.float32)
     epis = np.asarray(srgb_to_lab(light_field.horizontal_epis()[:rows]), np.float32)
     height, width = light_field.views.shape[2:4]
@@ -113,24 +109,24 @@ def main(
         out: folder for the JSON file.
     """
     light_field = textured(size) if scene is None else load_light_field(scene).without_truth()
-    params = jax.tree.map(lambda leaf: leaf.astype(jnp.float32), EdgeParams())
-    sizes = EdgeSizes.for_light_field(light_field)
+    model = EdgeDepth.for_light_field(light_field)
+    bank, _ = _banks(light_field, model)
     rows = []
     for name, stage in (
         ("filter responses, both directions", _responses_only),
         ("brightness, noise, first map", _first_map),
         ("multiview_edges: everything", multiview_edges),
     ):
-        _, t = timed(lean_jit(stage), light_field, params, sizes, repeats=repeats)
+        _, t = timed(lean_jit(stage), light_field, model, repeats=repeats)
         compiling = t.first - t.median
         rows.append({"stage": name, "median s": t.median, "best s": t.best, "compile s": compiling})
     ours = rows[0]["best s"]
-    for name, seconds in _peers(light_field, sizes, peer_rows).items():
+    for name, seconds in _peers(light_field, bank, peer_rows).items():
         label = f"{name}: same bank, from {peer_rows} EPIs"
         rows.append({"stage": label, "median s": seconds, "best s": seconds, "compile s": None})
         rows[-1]["stage"] += f"; {seconds / ours:.0f} times ours"
     memory = peak_memory() / 2**30
-    print_table(rows, title=f"{light_field.views.shape[:4]}, {sizes.filters} filters")
+    print_table(rows, title=f"{light_field.views.shape[:4]}, {len(bank.taps)} filters")
     sys.stdout.write(f"peak memory of the process: {memory:.2f} GiB\n")
     write_json(out / "edges.json", {"stages": rows, "peak memory GiB": memory})
 

@@ -4,15 +4,15 @@ from ._diffuse import diffuse as diffuse
 from ._linear import linear_operator as linear_operator
 from ._solver import (
     AbstractSolver as AbstractSolver,
+    ConjugateGradients as ConjugateGradients,
     Diffused as Diffused,
     SolveStats as SolveStats,
 )
 from ._solvers import (
     AutoSolver as AutoSolver,
     Elimination as Elimination,
-    HierarchicalBasis as HierarchicalBasis,
-    Jacobi as Jacobi,
     Multigrid as Multigrid,
 )
+from ._stencil import Coefficients as Coefficients, diagonal as diagonal
 from ._system import System as System
 from ._weights import Pairing as Pairing, edge_weights as edge_weights

@@ -68,8 +68,8 @@ def diffuse(
             `weight > 0`.
         start: where to start, `[y, x]`, unit of the labels; by default the weighted mean of the
             labels. Not differentiable.
-        solver: `AutoSolver`, the default, `Multigrid`, `Elimination`, `HierarchicalBasis` or
-            `Jacobi`, with tolerance and cap on the iterations; or any solver of Lineax for
+        solver: `AutoSolver`, the default, `Multigrid`, `Elimination` or a `ConjugateGradients` of
+            your own, with tolerance and cap on the iterations; or any solver of Lineax for
             symmetric operators, which says by its own measure whether it converged.
         adjoint: what solves for the derivatives in either mode; by default `solver`. One that
             differs in nothing but its tolerance shares the compiled solver.

@@ -150,7 +150,26 @@ class AbstractSolver(lx.AbstractLinearSolver[SolverState]):
 
 
 class ConjugateGradients(AbstractSolver):
-    """Conjugate gradients with a preconditioner of the subclass."""
+    """Conjugate gradients with a preconditioner of the subclass.
+
+    A subclass has `prepare`, which is called once per matrix, and `preconditioner`.
+
+    Attributes:
+        tolerance: where to stop, a share of the range of the labels; see `AbstractSolver`.
+        by_residual: stop by the residual instead.
+        max_iterations: steps at most.
+
+    Example:
+        >>> from mvedge_jax.diffusion import System, diagonal, diffuse
+        >>> class Diagonal(ConjugateGradients):
+        ...     def prepare(self, coefficients):
+        ...         return diagonal(coefficients)
+        ...     def preconditioner(self, hierarchy):
+        ...         return lambda residual: residual / hierarchy
+        >>> system = System(jnp.ones((2, 2)), jnp.ones((2, 2)), jnp.ones((2, 1)), jnp.ones((1, 2)))
+        >>> diffuse(system, solver=Diagonal()).value.round(2).tolist()
+        [[1.0, 1.0], [1.0, 1.0]]
+    """
 
     tolerance: Float[Array, ""] | float = number(1e-4, threshold=True)
     by_residual: bool = eqx.field(static=True, default=False)

@@ -8,11 +8,10 @@ from jaxtyping import Array, Float
 
 from mvedge_jax._params import number
 
-from . import _banded, _lahbpcg, _multigrid
-from ._coarsen import ratio
+from . import _banded, _multigrid
 from ._pcg import Iterate
 from ._solver import AbstractSolver, ConjugateGradients, SolverState, check_steps
-from ._stencil import Coefficients, diagonal
+from ._stencil import Coefficients
 
 # Entries of the inverses of a column that are worked on together: as many as fit in the fastest
 # cache (512 images of 9x512, on one device: 74 ms in groups of 64, 79 of 32, 109 of 16).
@@ -42,44 +41,6 @@ class Multigrid(ConjugateGradients):
     def preconditioner(self, hierarchy: Any) -> Callable[[Array], Array]:
         """One V-cycle."""
         return _multigrid.cycle(hierarchy)
-
-
-class HierarchicalBasis(ConjugateGradients):
-    """Conjugate gradients with the locally adapted hierarchical basis of the thesis (LAHBPCG).
-
-    Attributes:
-        tolerance: where to stop, a share of the range of the labels; see `AbstractSolver`.
-        by_residual: stop by the residual instead.
-        max_iterations: steps at most.
-
-    Source: Thesis 6.1 and 7.1.1.
-    """
-
-    def prepare(self, coefficients: Coefficients) -> _lahbpcg.Basis:
-        """Incomplete factors, half an octave at a time."""
-        return _lahbpcg.build(coefficients)
-
-    def preconditioner(self, hierarchy: Any) -> Callable[[Array], Array]:
-        """The product with the inverse of the incomplete factors."""
-        return _lahbpcg.solver(hierarchy)
-
-
-class Jacobi(ConjugateGradients):
-    """Conjugate gradients with the diagonal: a baseline.
-
-    Attributes:
-        tolerance: where to stop, a share of the range of the labels; see `AbstractSolver`.
-        by_residual: stop by the residual instead.
-        max_iterations: steps at most.
-    """
-
-    def prepare(self, coefficients: Coefficients) -> Array:
-        """The diagonal."""
-        return diagonal(coefficients)
-
-    def preconditioner(self, hierarchy: Any) -> Callable[[Array], Array]:
-        """Division by the diagonal."""
-        return lambda residual: ratio(residual, hierarchy)
 
 
 class Elimination(AbstractSolver):

@@ -12,7 +12,13 @@ from jaxtyping import Array, Float
 
 
 class Coefficients(NamedTuple):
-    """The matrix `diag(weight) + L_t`, with any leading batch axes."""
+    """The matrix `diag(weight) + L_t`, with any leading batch axes.
+
+    Attributes:
+        weight: data weights, at least 0, `[..., y, x]`.
+        tx: edges to the right, at least 0, `[..., y, x - 1]`.
+        ty: edges downwards, at least 0, `[..., y - 1, x]`.
+    """
 
     weight: Array
     tx: Array
@@ -60,7 +66,14 @@ def product(coefficients: Coefficients, values: Array) -> Array:
 
 
 def diagonal(coefficients: Coefficients) -> Array:
-    """The diagonal of the matrix: data weight and the weights of the pixel's edges."""
+    """The diagonal of the matrix: data weight and the weights of the pixel's edges.
+
+    Args:
+        coefficients: the matrix.
+
+    Returns:
+        An image, `[..., y, x]`: the plainest preconditioner. Differentiable.
+    """
     return coefficients.weight + around(coefficients.tx, coefficients.ty, 1)
 
 

@@ -11,8 +11,6 @@ from helpers import count_traces, shared_data
 from mvedge_jax.diffusion import (
     AutoSolver,
     Elimination,
-    HierarchicalBasis,
-    Jacobi,
     Multigrid,
     System,
     _banded,
@@ -55,10 +53,9 @@ def test_equals_direct_solve_at_more_sizes(shape, kind):
     np.testing.assert_allclose(found.value, direct(system), rtol=0, atol=1e-8)
 
 
-@pytest.mark.parametrize("kind", [Elimination, HierarchicalBasis, Jacobi])
-def test_other_solvers_find_the_same(kind):
+def test_elimination_finds_the_same():
     system = random_system(*SHAPE, key=jax.random.key(1))
-    found = diffuse(system, solver=kind(tolerance=1e-11))
+    found = diffuse(system, solver=Elimination(tolerance=1e-11))
     assert bool(found.stats.converged)
     np.testing.assert_allclose(found.value, direct(system), rtol=0, atol=1e-9)
 

@@ -12,8 +12,6 @@ from helpers import check_gradient, lean, random_like
 from mvedge_jax.diffusion import (
     AutoSolver,
     Elimination,
-    HierarchicalBasis,
-    Jacobi,
     Multigrid,
     System,
     diffuse,
@@ -256,7 +254,7 @@ def test_a_cotangent_that_is_not_finite_does_not_pass_for_zero(value):
 
 
 @pytest.mark.parametrize("scale", [1e-30, 1.0, 1e30])
-@pytest.mark.parametrize("kind", [Multigrid, Elimination, HierarchicalBasis, Jacobi])
+@pytest.mark.parametrize("kind", [Multigrid, Elimination])
 def test_lineax_says_how_an_adjoint_solve_went(kind, scale):
     system = random_system(12, 15, contrast=1.0, key=jax.random.key(23))
     operator = linear_operator(system)
@@ -269,7 +267,7 @@ def test_lineax_says_how_an_adjoint_solve_went(kind, scale):
 
 @pytest.mark.parametrize(
     "adjoint",
-    [AutoSolver(tolerance=1e-13), Jacobi(tolerance=1e-13), lx.CG(1e-13, 1e-13)],
+    [AutoSolver(tolerance=1e-13), lx.CG(1e-13, 1e-13)],
     ids=lambda solver: type(solver).__name__,
 )
 def test_the_adjoint_may_be_another_solver(adjoint):

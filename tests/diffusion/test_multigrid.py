@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from diffusion.problems import random_system
 
-from mvedge_jax.diffusion import HierarchicalBasis, Jacobi, Multigrid
+from mvedge_jax.diffusion import Multigrid
 from mvedge_jax.diffusion._coarsen import (
     Stencil,
     coarsen,
@@ -80,11 +80,10 @@ def test_interpolation_keeps_a_constant_where_there_is_no_data():
     np.testing.assert_allclose(interpolate(weights, jnp.ones((3, 4)), (6, 8)), 1, rtol=1e-14)
 
 
-@pytest.mark.parametrize("kind", [Multigrid, HierarchicalBasis, Jacobi])
 @pytest.mark.parametrize("shape", [(9, 14), (35, 3)])
-def test_preconditioner_is_symmetric_and_definite(kind, shape):
+def test_preconditioner_is_symmetric_and_definite(shape):
     system = random_system(*shape, key=jax.random.key(2))
-    cycle = kind().preconditioner(kind().prepare(system.coefficients))
+    cycle = Multigrid().preconditioner(Multigrid().prepare(system.coefficients))
     matrix = dense(jax.jit(cycle), shape)
     np.testing.assert_allclose(matrix, matrix.T, rtol=0, atol=1e-12 * np.abs(matrix).max())
     assert np.linalg.eigvalsh(matrix).min() > 0

@@ -15,7 +15,7 @@ def reproject_views(
     """Disparity of every view by moving the pixels of the centre view's map.
 
     Every pixel goes to the nearest pixel of the view, halves upwards; the nearest surface wins. A
-    hole takes the smallest of its nearest filled neighbours to the left, to the right, above and
+    hole takes the smallest of its nearest filled neighbors to the left, to the right, above and
     below.
 
     Args:

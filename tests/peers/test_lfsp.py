@@ -1,14 +1,17 @@
 """The thesis' superpixels: segments at their places, labels that follow surfaces, the bugs."""
 
+from dataclasses import replace
+
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from mvedge_jax.baselines._clustering import alike
-from mvedge_jax.baselines._lfsp_painting import Ends, agreed, painted, smoothed_labels
-from mvedge_jax.baselines._lfsp_segments import Segments, split
-from mvedge_jax.baselines._lfsp_views import propagated
-from mvedge_jax.baselines.lfsp import LfspParams, LfspSizes, thesis_superpixels
+from experiments.peers._clustering import alike
+from experiments.peers._lfsp_painting import Ends, agreed, painted, smoothed_labels
+from experiments.peers._lfsp_segments import Segments, split
+from experiments.peers._lfsp_views import propagated
+from experiments.peers.lfsp import LfspParams, LfspSizes, thesis_superpixels
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.metrics.superpixels import superpixel_scores
 
@@ -29,7 +32,9 @@ def _plane(slope, shape=(3, 3, 30, 40)):
 
 
 def _found(field, **choices):
-    return thesis_superpixels(field, LfspParams(), LfspSizes(size=10, lines=48, **choices))
+    default = LfspParams()
+    params = eqx.tree_at(lambda p: p.lines, default, replace(default.lines, capacity=48))
+    return thesis_superpixels(field, params, LfspSizes(size=10, **choices))
 
 
 @pytest.mark.parametrize("slope", [1, -1])
@@ -123,7 +128,7 @@ def test_what_leaves_a_view_is_dropped_unless_asked_for(clamped):
     labels[1, 1, 5, 14:] = [0, 7]
     labels[1, 0, 5, 15] = 0
     lab = jnp.full((*labels.shape, 3), 60.0).at[1, 1, 5, 14:].set(0.0)
-    # The last filling prefers the pixel below, by its colour.
+    # The last filling prefers the pixel below, by its color.
     lab = lab.at[1, 0, 5:7, 15].set(20.0)
     steps, disparity = LightField(lab / 100).steps, jnp.full(labels.shape, 2.0)
     found = propagated(jnp.asarray(labels), disparity, lab, steps, swapped=False, clamped=clamped)

@@ -21,13 +21,13 @@ class KMeansParams(eqx.Module):
     Attributes:
         position: of a distance in the centre view, per px.
         disparity: of all of the disparity range.
-        colour: of a difference of colour, per unit of CIE Lab.
-        fill: of a squared difference of colour where holes are filled, per square px.
+        color: of a difference of color, per unit of CIE Lab.
+        fill: of a squared difference of color where holes are filled, per square px.
     """
 
     position: Float[Array, ""] = number(1.0, "per px")
     disparity: Float[Array, ""] = number(120.0, "per range")
-    colour: Float[Array, ""] = number(2.0, "per Lab")
+    color: Float[Array, ""] = number(2.0, "per Lab")
     fill: Float[Array, ""] = number(400.0, "square px per Lab²")
 
 
@@ -56,12 +56,12 @@ def kmeans_superpixels(
     params: KMeansParams,
     sizes: KMeansSizes,
 ) -> Int[Array, "v u y x"]:
-    """Clusters the pixels of the centre view by place, disparity and colour; the baseline of Ch. 5.
+    """Clusters the pixels of the centre view by place, disparity and color; the baseline of Ch. 5.
 
     A pixel belongs to the cluster with the least sum of weighted distances, not squared ones, of
     all; labels may have many pieces. Each pixel then goes to the up to four whole pixels around its
     place in a view, the nearest surface wins, and holes take the label of the pixel near them that
-    is closest in place and colour.
+    is closest in place and color.
 
     Args:
         light_field: the views.
@@ -111,7 +111,7 @@ def kmeans_superpixels(
 def _clusters(lab: Array, disparity: Array, params: KMeansParams, sizes: KMeansSizes) -> Array:
     """k-means of the pixels of the centre view."""
     y, x = (a.astype(disparity.dtype) for a in jnp.indices(disparity.shape))
-    weights = params.position, params.disparity, params.colour
+    weights = params.position, params.disparity, params.color
     features = weighted(jnp.stack([x, y], axis=-1), scaled(disparity), lab, weights)
     height, width = disparity.shape
     rows, columns = seed_grid(height, width, sizes.size)

@@ -9,7 +9,7 @@ import pytest
 from angular.cards import cards
 from helpers import check_gradient
 
-from mvedge_jax.baselines import SparseParams, thesis_views
+from experiments.peers.thesis_views import Guiding, thesis_views
 from mvedge_jax.edges import EdgePoints
 
 
@@ -31,7 +31,7 @@ def _points(field, count=1, **fields):
 def test_what_the_centre_shows_is_moved_and_the_rest_lies_between():
     field = cards()
     truth = np.asarray(field.truth.view_disparity)
-    found = np.asarray(thesis_views(field, field.truth.disparity, _points(field), SparseParams()))
+    found = np.asarray(thesis_views(field, field.truth.disparity, _points(field), Guiding()))
     np.testing.assert_array_equal(found[2, 2], truth[2, 2])
     assert np.isfinite(found).all()
     # A diffusion makes nothing that is nearer or farther than its labels.
@@ -58,8 +58,8 @@ def test_guides_bring_surfaces_that_the_centre_view_does_not_show():
         valid=jnp.ones(rows.size, bool),
     )
     disparity = field.truth.disparity
-    with_guides = thesis_views(field, disparity, guides, SparseParams())
-    without = thesis_views(field, disparity, _points(field, rows.size), SparseParams())
+    with_guides = thesis_views(field, disparity, guides, Guiding())
+    without = thesis_views(field, disparity, _points(field, rows.size), Guiding())
     # They are seen in the leftmost view of the centre row alone, at x = 37 - 2 * .5.
     changed = np.abs(np.asarray(with_guides - without)) > 0.1
     assert changed[2, 0, 12:29, 36].mean() > 0.9
@@ -69,7 +69,7 @@ def test_guides_bring_surfaces_that_the_centre_view_does_not_show():
 @pytest.mark.parametrize("grid", [(1, 5), (5, 1), (3, 5)])
 def test_any_grid(grid):
     field = cards((*grid, 33, 40))
-    found = thesis_views(field, field.truth.disparity, _points(field), SparseParams())
+    found = thesis_views(field, field.truth.disparity, _points(field), Guiding())
     assert found.shape == field.views.shape[:4]
     assert float(jnp.median(jnp.abs(found - field.truth.view_disparity))) < 1e-3
 
@@ -80,7 +80,7 @@ def test_derivatives_equal_differences():
     disparity = field.truth.disparity + 0.01
 
     def loss(disparity):
-        return jnp.sum(weights * thesis_views(field, disparity, _points(field), SparseParams()))
+        return jnp.sum(weights * thesis_views(field, disparity, _points(field), Guiding()))
 
     check_gradient(loss, disparity, rtol=1e-4, step=1e-6, directions=1, key=jax.random.key(2))
 
@@ -89,7 +89,7 @@ def test_other_sizes_are_refused():
     field = cards()
     run = inspect.unwrap(thesis_views)
     with pytest.raises(ValueError, match="`disparity` must have the size of the views, 40x48"):
-        run(field, jnp.zeros((8, 8)), _points(field), SparseParams())
+        run(field, jnp.zeros((8, 8)), _points(field), Guiding())
     other = _points(cards((3, 3, 40, 48)))
     with pytest.raises(ValueError, match="`points.visible` must tell of 10 views"):
-        run(field, field.truth.disparity, other, SparseParams())
+        run(field, field.truth.disparity, other, Guiding())

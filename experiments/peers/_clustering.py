@@ -16,9 +16,9 @@ def weighted(
     lab: Float[Array, "*n 3"],
     weights: tuple[Float[Array, ""], Float[Array, ""], Float[Array, ""]],
 ) -> Float[Array, "*n 6"]:
-    """Features whose distance is the sum of those of place, depth and colour, each weighted."""
-    position, disparity, colour = weights
-    parts = [position * place, disparity * depth[..., None], colour * lab]
+    """Features whose distance is the sum of those of place, depth and color, each weighted."""
+    position, disparity, color = weights
+    parts = [position * place, disparity * depth[..., None], color * lab]
     return jnp.concatenate(parts, axis=-1)
 
 
@@ -55,8 +55,8 @@ def k_means(
     def nearest(centres: Array) -> Array:
         def block(some: Array) -> Array:
             away = (some[:, None] - centres[None]) ** 2
-            place, colour = jnp.sum(away[..., :2], axis=-1), jnp.sum(away[..., 3:], axis=-1)
-            distance = jnp.sqrt(place) + jnp.sqrt(away[..., 2]) + jnp.sqrt(colour)
+            place, color = jnp.sum(away[..., :2], axis=-1), jnp.sum(away[..., 3:], axis=-1)
+            distance = jnp.sqrt(place) + jnp.sqrt(away[..., 2]) + jnp.sqrt(color)
             return jnp.argmin(distance, axis=1).astype(jnp.int32)
 
         return lax.map(block, blocks).ravel()[:count]
@@ -77,17 +77,17 @@ def alike(
     known: Bool[Array, "y x"],
     lab: Float[Array, "y x 3"],
     place: Float[Array, ""],
-    colour: Float[Array, ""],
+    color: Float[Array, ""],
     *,
     radius: int,
 ) -> Int[Array, "y x"]:
-    """The known pixel near every other one that is closest in place and colour, both squared.
+    """The known pixel near every other one that is closest in place and color, both squared.
 
     Args:
         known: pixels to look at.
-        lab: colours.
+        lab: colors.
         place: weight of the squared distance, px.
-        colour: weight of the squared difference of colour.
+        color: weight of the squared difference of color.
         radius: of the square window, px.
 
     Returns:
@@ -110,7 +110,7 @@ def alike(
         inside = (row >= 0) & (row < height) & (column >= 0) & (column < width)
         other = jnp.where(inside, row * width + column, 0)
         away = jnp.sum((flat[jnp.minimum(own, size - 1)][None] - flat[other]) ** 2, axis=-1)
-        cost = jnp.where(inside & use[other], far[:, None] + colour * away, jnp.inf)
+        cost = jnp.where(inside & use[other], far[:, None] + color * away, jnp.inf)
         best = jnp.argmin(cost, axis=0)
         found = jnp.where(jnp.isfinite(jnp.min(cost, axis=0)), other[best, jnp.arange(_CHUNK)], -1)
         return start + _CHUNK, source.at[own].set(found, mode="drop")

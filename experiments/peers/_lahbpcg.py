@@ -6,13 +6,21 @@ from typing import NamedTuple
 from jaxtyping import Array
 
 from mvedge_jax._fence import fenced
-
-from ._coarsen import after_x, after_y, before_x, before_y, fill, interleave, ratio, split
-from ._stencil import Coefficients
+from mvedge_jax.diffusion import Coefficients
+from mvedge_jax.diffusion._coarsen import (
+    after_x,
+    after_y,
+    before_x,
+    before_y,
+    fill,
+    interleave,
+    ratio,
+    split,
+)
 
 
 class Octave(NamedTuple):
-    """One octave, in the kinds of pixels that `_coarsen` names.
+    """One octave, in the kinds of pixels that `mvedge_jax.diffusion._coarsen` names.
 
     Attributes:
         side_x: shares of a pixel on a horizontal side: left, right corner, upper, lower inside.
@@ -37,8 +45,8 @@ class Basis(NamedTuple):
 def build(coefficients: Coefficients) -> Basis:
     """Eliminates every other pixel, half an octave at a time.
 
-    Eliminating a pixel ties its four neighbours to each other. The ties between opposite
-    neighbours are dropped, and twice their weight goes to the four others in proportion to their
+    Eliminating a pixel ties its four neighbors to each other. The ties between opposite
+    neighbors are dropped, and twice their weight goes to the four others in proportion to their
     strength. Rows keep their sums, which are carried instead of diagonals.
     """
     octaves = []
@@ -51,7 +59,7 @@ def build(coefficients: Coefficients) -> Basis:
 def _eliminate(
     mass: Array, ties: tuple[Array, ...]
 ) -> tuple[tuple[Array, ...], Array, tuple[Array, ...]]:
-    """Eliminates pixels tied to four neighbours, given in pairs of opposite ones: a, b; c, d.
+    """Eliminates pixels tied to four neighbors, given in pairs of opposite ones: a, b; c, d.
 
     Returns:
         Shares, pivot, and the new ties a-c, a-d, b-c, b-d.

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from mvedge_jax.baselines.kmeans import KMeansParams, KMeansSizes, kmeans_superpixels
+from experiments.peers.kmeans import KMeansParams, KMeansSizes, kmeans_superpixels
 from mvedge_jax.color import srgb_to_lab
 from mvedge_jax.lightfield import LightField
 

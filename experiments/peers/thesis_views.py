@@ -8,16 +8,14 @@ from jaxtyping import Array, Bool, Float
 
 from mvedge_jax._compiler import lean_jit
 from mvedge_jax._crosshair import view_steps
-from mvedge_jax._params import cast
+from mvedge_jax._params import cast, number
 from mvedge_jax.color import srgb_to_gray, srgb_to_lab
 from mvedge_jax.diffusion import AutoSolver, System, diffuse, edge_weights
 from mvedge_jax.edges import EdgePoints, rasterise
-from mvedge_jax.edges.sides import bidirectional
+from mvedge_jax.edges.sides import DirectionalDiffusion, bidirectional, thesis_response
 from mvedge_jax.image import box_mean, convolved, gaussian
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.warping import forward_warp
-
-from ._sparse_depth import SparseParams, thesis_response
 
 # Data weights of (6.8): of projected labels, and, the authors', of the centre view's own.
 _PROJECTED, _OWN = 15.0, 5.0
@@ -30,12 +28,26 @@ _BLUR, _BLUR_REACH = 0.85, 2
 _TOLERANCE = 1e-4
 
 
+class Guiding(eqx.Module):
+    r"""Weights $e^{\min(a \lambda_e, l)}$ of the lines of hidden points.
+
+    Attributes:
+        diffusion: the two directional solves that $\lambda_e$ comes from.
+        gain: $a$, of the depth-edge confidence.
+        limit: $l$, the largest exponent; the thesis' weight is unbounded.
+    """
+
+    diffusion: DirectionalDiffusion = eqx.field(default_factory=DirectionalDiffusion)
+    gain: Float[Array, ""] = number(3.0, "1/px")
+    limit: Float[Array, ""] = number(4.0)
+
+
 @lean_jit
 def thesis_views(
     light_field: LightField,
     disparity: Float[Array, "y x"],
     points: EdgePoints,
-    params: SparseParams,
+    params: Guiding,
 ) -> Float[Array, "v u y x"]:
     r"""Disparity of every view by the thesis' angular diffusion: the baseline of `depth_of_views`.
 
@@ -52,9 +64,9 @@ def thesis_views(
     Args:
         light_field: all views that are there; ground truth is not read.
         disparity: of the centre view, sharpened, px per view step.
-        points: of `thesis_edges`, hidden ones among them; those of `multiview_edges` are all seen
-            in the centre view, and leave the diffusion without guides.
-        params: of $\lambda_e$, `gain` ($a$) and `limit`.
+        points: of `ThesisEdges`, hidden ones among them; those of `OrientedEdges` are all seen in
+            the centre view, and leave the diffusion without guides.
+        params: of the guides' weights.
 
     Returns:
         Maps of all views. Differentiable in views, map, points and parameters; which pixel goes
@@ -66,10 +78,10 @@ def thesis_views(
     Source: Thesis 6.1, Eq. 6.4-6.8 (squared gradient).
 
     Example:
-        >>> from mvedge_jax.edges import EdgeParams, EdgeSizes, multiview_edges
+        >>> from mvedge_jax import EdgeDepth, multiview_edges
         >>> flat = LightField(jnp.full((3, 3, 16, 16, 3), 0.5), disparity_range=(-1.0, 1.0))
-        >>> points = multiview_edges(flat, EdgeParams(), EdgeSizes.for_light_field(flat)).points
-        >>> thesis_views(flat, jnp.full((16, 16), 0.5), points, SparseParams())[0, 2, 8, 8].item()
+        >>> points = multiview_edges(flat, EdgeDepth.for_light_field(flat)).points
+        >>> thesis_views(flat, jnp.full((16, 16), 0.5), points, Guiding())[0, 2, 8, 8].item()
         0.5
     """
     rows, columns, height, width = light_field.views.shape[:4]
@@ -123,12 +135,12 @@ class _Guides(eqx.Module):
         return _Guides(self.xy[:, ::-1], self.disparity, self.weight, self.shown)
 
 
-def _guides(light_field: LightField, points: EdgePoints, params: SparseParams) -> _Guides:
+def _guides(light_field: LightField, points: EdgePoints, params: Guiding) -> _Guides:
     rows = light_field.views.shape[0]
     vc, uc = light_field.centre
     hidden = ~(points.visible[:, vc] & points.visible[:, rows + uc])
     gray = srgb_to_gray(light_field.centre_view)
-    passes = bidirectional(points, gray, params.bidirectional, respond=thesis_response)
+    passes = bidirectional(points, gray, params.diffusion, respond=thesis_response)
     weight = jnp.exp(jnp.minimum(params.gain * passes.confidence, params.limit))
     shown = points.visible & (points.valid & hidden)[:, None]
     return _Guides(points.xy, points.disparity, weight, shown)

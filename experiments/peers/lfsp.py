@@ -10,21 +10,28 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float, Int
 
-from mvedge_jax._params import cast, number
+from mvedge_jax._params import at_least, cast, number
 from mvedge_jax.color import srgb_to_lab
+from mvedge_jax.edges.thesis import LineSearch
 from mvedge_jax.image import convolved, gaussian_taps
 from mvedge_jax.lightfield import LightField
 
 from ._clustering import k_means, scaled, seed_grid, weighted
-from ._lfsp_painting import Ends, mean_colours, width_of
+from ._lfsp_painting import Ends, mean_colors, width_of
 from ._lfsp_segments import Segments, crosshair_segments
 from ._lfsp_views import Field, painted_views, propagated
-from ._thesis_params import ThesisParams
 
 # What of the authors' program `LfspSizes.bugs` can bring back.
 BUGS = ("steep", "strict", "scale", "median", "swapped", "clamped")
-# Where the blur of colours is cut, px.
+# Where the blur of colors is cut, px.
 _BLUR_REACH = 2
+
+
+def _lines() -> LineSearch:
+    # The authors keep lines that no gradient is aligned with here: a quarter of them are wrong.
+    return LineSearch(
+        suppression=jnp.asarray(0.22), modulate=True, alignment="count", entropy=False
+    )
 
 
 class LfspParams(eqx.Module):
@@ -33,16 +40,14 @@ class LfspParams(eqx.Module):
     Attributes:
         position: of a distance in the centre view, per px.
         disparity: of all of the disparity range.
-        colour: of a difference of colour, per unit of CIE Lab; the thesis has 3.
-        lines: of the lines; their smoothing is that of the segments' colours, too.
+        color: of a difference of color, per unit of CIE Lab; the thesis has 3.
+        lines: how lines are found; their smoothing is that of the segments' colors, too.
     """
 
     position: Float[Array, ""] = number(1.0, "per px")
     disparity: Float[Array, ""] = number(120.0, "per range")
-    colour: Float[Array, ""] = number(2.0, "per Lab")
-    lines: ThesisParams = eqx.field(
-        default_factory=lambda: ThesisParams(suppression=jnp.asarray(0.22))
-    )
+    color: Float[Array, ""] = number(2.0, "per Lab")
+    lines: LineSearch = eqx.field(default_factory=_lines)
 
 
 @dataclass(frozen=True)
@@ -52,9 +57,8 @@ class LfspSizes:
     Attributes:
         size: side of the cells of the grid of seeds, px.
         rounds: of k-means.
-        lines: slots for lines found per EPI.
         bugs: what of the authors' program to bring back, to see what it changes: "steep", lines
-            are drawn with 1/(views - 1) more slope; "strict", segments are coloured by the pixels
+            are drawn with 1/(views - 1) more slope; "strict", segments are colored by the pixels
             strictly between their lines; "scale", disparities are divided by the largest sum of
             themselves and the least magnitude; "median", fields are smoothed by the middle number
             of a label; "swapped", the propagation reads the disparity of the
@@ -63,13 +67,10 @@ class LfspSizes:
 
     size: int = 20
     rounds: int = 20
-    lines: int = 256
     bugs: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        for name in ("size", "rounds", "lines"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"`{name}` must be at least 1, got {getattr(self, name)}.")
+        at_least(self, size=1, rounds=1)
         unknown = sorted(set(self.bugs) - set(BUGS))
         if unknown:
             raise ValueError(f"`bugs` must be of {', '.join(BUGS)}, got {', '.join(unknown)}.")
@@ -83,13 +84,13 @@ def thesis_superpixels(
     1. Lines are found in the EPIs of the centre row and column of views; those that no gradient is
        aligned with are dropped (4.3). They are matched into segments (`match_segments`); wide ones
        are split at the disparity of the vertical direction.
-    2. Segments get the mean colour of the pixels that show them, and the farther line's slope; a
+    2. Segments get the mean color of the pixels that show them, and the farther line's slope; a
        nearer border moves out as far as it ever is, so that a surface goes on beneath its occluder.
-    3. k-means clusters the segments of both directions by place, disparity and colour.
+    3. k-means clusters the segments of both directions by place, disparity and color.
     4. Labels are painted into every view from both directions, far to near, and kept where the two
        agree or one is silent.
     5. From the centre outwards along the crosshair, pixels without a label take that of the pixel
-       near them that is closest in colour and place, and hand it to all views that have none there,
+       near them that is closest in color and place, and hand it to all views that have none there,
        by that pixel's disparity (5.1). The matching cost among views in (5.1) has a weight of 1e-5
        in the authors' program and is left out.
     6. What is left takes the label of a pixel beside it.
@@ -112,7 +113,7 @@ def thesis_superpixels(
 
     Example:
         >>> flat = LightField(jnp.full((3, 3, 20, 24, 3), 0.5))
-        >>> labels = thesis_superpixels(flat, LfspParams(), LfspSizes(size=10, lines=8))
+        >>> labels = thesis_superpixels(flat, LfspParams(), LfspSizes(size=10))
         >>> labels[0, 2, 5, 3::12].tolist()
         [1, 2]
     """
@@ -133,8 +134,8 @@ def thesis_superpixels(
     vc, uc = light_field.centre
     arms = lab[vc], jnp.swapaxes(lab[:, uc], 1, 2)
     smooth = [_smoothed(arm, params.lines.smoothing) for arm in arms]
-    found = crosshair_segments(arms, smooth, params.lines, lines=sizes.lines)
-    visible = [_coloured(*pair, sizes) for pair in zip(found, smooth, strict=True)]
+    found = crosshair_segments(arms, smooth, params.lines)
+    visible = [_colored(*pair, sizes) for pair in zip(found, smooth, strict=True)]
     names = _clustered(visible, params, sizes, shape=shape)
     fields, widths = [], []
     for (segments, _), label in zip(visible, names, strict=True):
@@ -170,15 +171,15 @@ def _drawn(segments: Segments, sizes: LfspSizes) -> Ends:
     return Ends.of(segments.epi, left, right)
 
 
-def _coloured(
+def _colored(
     segments: Segments, smooth: Float[Array, "u e x 3"], sizes: LfspSizes
 ) -> tuple[Segments, np.ndarray]:
-    """The segments that some view shows, and their mean colours."""
+    """The segments that some view shows, and their mean colors."""
     ends = _drawn(segments, sizes)
     width = width_of(ends, segments.views // 2)
-    colour, seen = mean_colours(smooth, ends, width=width, strict="strict" in sizes.bugs)
+    color, seen = mean_colors(smooth, ends, width=width, strict="strict" in sizes.bugs)
     seen = np.asarray(seen)
-    return segments.only(seen), np.asarray(colour)[seen]
+    return segments.only(seen), np.asarray(color)[seen]
 
 
 def _parallel(segments: Segments) -> Segments:
@@ -203,7 +204,7 @@ def _clustered(
     for (segments, _), turn in zip(visible, (1, -1), strict=True):
         middle = (segments.left[:, 0] + segments.right[:, 0]) / 2
         places.append(np.stack([middle, segments.epi], axis=1)[:, ::turn])
-    lab = jnp.asarray(np.concatenate([colour for _, colour in visible]))
+    lab = jnp.asarray(np.concatenate([color for _, color in visible]))
     place = jnp.asarray(np.concatenate(places), lab.dtype)
     disparity = jnp.asarray(np.concatenate([segments.disparity for segments, _ in visible]))
     found = _labels(place, disparity, lab, params, sizes, shape=shape)
@@ -225,7 +226,7 @@ def _labels(
     if "scale" in sizes.bugs:
         depth = disparity + jnp.abs(jnp.min(disparity))
         depth = depth / jnp.maximum(jnp.max(depth), 1e-6)
-    weights = params.position, params.disparity, params.colour
+    weights = params.position, params.disparity, params.color
     features = weighted(place, depth, lab, weights)
     rows, columns = seed_grid(*shape, sizes.size)
     seeds = jnp.stack(jnp.meshgrid(columns, rows), axis=-1).reshape(-1, 2).astype(place.dtype)

@@ -1,6 +1,5 @@
 """Segments of the EPIs of the crosshair: what the thesis' superpixels are made of (4.2.1)."""
 
-from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -10,6 +9,7 @@ from jax import lax
 from jaxtyping import Array, Bool, Float
 
 from mvedge_jax._crosshair import view_steps
+from mvedge_jax.edges.thesis import LineSearch, arm_lines
 from mvedge_jax.epi import (
     EpiLines,
     FilterBank,
@@ -20,8 +20,6 @@ from mvedge_jax.epi import (
 )
 
 from ._lfsp_painting import Ends, painted, width_of
-from ._thesis_lines import arm_lines
-from ._thesis_params import ThesisParams, ThesisSizes
 
 # Slopes of the filters, at most and apart, px over the height of an EPI; the authors'.
 _STEEPEST, _STEP = 28, 2
@@ -74,21 +72,15 @@ def bank_of(views: int, dtype) -> FilterBank:
     return prewitt_bank(slopes, views, _STEEPEST // 2 + 1)
 
 
-@partial(jax.jit, static_argnames="lines")
+@jax.jit
 def _found(
     lab: Float[Array, "u e x 3"],
     smooth: Float[Array, "u e x 3"],
-    params: ThesisParams,
-    *,
-    lines: int,
+    params: LineSearch,
 ) -> tuple[EpiLines, Bool[Array, "e m"], Float[Array, "e u x"]]:
     """Lines of an arm, which of them stay, and the edge map of every EPI."""
-    # The authors keep lines that no gradient is aligned with here: a quarter of them are wrong.
-    sizes = ThesisSizes(
-        reach=1.0, capacity=1, lines=lines, modulate=True, alignment="count", entropy=False
-    )
     bank = bank_of(lab.shape[0], lab.dtype)
-    found = arm_lines(lab, bank, params, sizes, key=None)
+    found = arm_lines(lab, bank, params, key=None)
 
     def edges(epi: Array) -> Array:
         return epi_edge_map(epi, bank, modulate=True)[0]
@@ -189,7 +181,7 @@ def centre_disparity(segments: Segments, shape: tuple[int, int]) -> np.ndarray:
     steps = jnp.zeros(2, disparity.dtype)
     index = painted(ends, disparity, steps, shape=shape, width=width_of(ends, 0))
     shown = np.asarray(jnp.where(index < 0, 0, disparity[jnp.maximum(index, 0)]))
-    # Over ten neighbours along the EPI.
+    # Over ten neighbors along the EPI.
     windows = np.pad(shown, ((0, 0), (_MEDIAN, _MEDIAN)), mode="edge")
     windows = np.lib.stride_tricks.sliding_window_view(windows, 2 * _MEDIAN + 1, axis=1)
     return np.median(windows, axis=-1)
@@ -198,24 +190,21 @@ def centre_disparity(segments: Segments, shape: tuple[int, int]) -> np.ndarray:
 def crosshair_segments(
     arms: tuple[Float[Array, "u y x 3"], Float[Array, "v x y 3"]],
     smooth: list[Float[Array, "_ _ _ 3"]],
-    params: ThesisParams,
-    *,
-    lines: int,
+    params: LineSearch,
 ) -> tuple[Segments, Segments]:
     """Segments of the EPIs of the centre row and of the centre column of views.
 
     Args:
         arms: Lab of the row; of the column, x and y swapped.
         smooth: the same, smoothed.
-        params: of the lines.
-        lines: slots for lines found per EPI.
+        params: how lines are found.
 
     Returns:
         Of both directions, split. Runs on the host, as `match_segments` does.
     """
     found = []
     for arm, blurred in zip(arms, smooth, strict=True):
-        kept, keep, edges = _found(arm, blurred, params, lines=lines)
+        kept, keep, edges = _found(arm, blurred, params)
         numbers = np.stack([np.asarray(a) for a in kept[:3]], axis=-1)
         found.append((numbers, np.asarray(keep), np.asarray(edges)))
     segments = []

@@ -1,4 +1,4 @@
-"""EPI segments drawn into views, the nearest on top; colours; two directions put together."""
+"""EPI segments drawn into views, the nearest on top; colors; two directions put together."""
 
 import math
 from functools import partial
@@ -102,10 +102,10 @@ def agreed(across: Int[Array, "y x"], down: Int[Array, "y x"]) -> Int[Array, "y 
 
 
 @partial(jax.jit, static_argnames=("width", "strict"))
-def mean_colours(
+def mean_colors(
     lab: Float[Array, "u e x 3"], ends: Ends, *, width: int, strict: bool
 ) -> tuple[Float[Array, "n 3"], Bool[Array, " n"]]:
-    """Mean colours of segments over the pixels of an arm that show them, and which are seen.
+    """Mean colors of segments over the pixels of an arm that show them, and which are seen.
 
     Args:
         lab: of the views of the arm.

@@ -18,7 +18,7 @@ from ._lfsp_painting import Ends, agreed, painted, smoothed_labels
 _REACH, _LAST, _FILLS = 10, 3, 12
 # Weight of the squared distance in the last filling.
 _CLOSE = 3.0
-# The filter of colours before the propagation: radius, px, and variance that is half kept, Lab².
+# The filter of colors before the propagation: radius, px, and variance that is half kept, Lab².
 _RADIUS, _VARIANCE = 3, 75.0
 
 
@@ -97,7 +97,7 @@ def propagated(
     Args:
         labels: of all views, 0 for none.
         disparity: of all views, NaN for none; read in the crosshair.
-        lab: colours.
+        lab: colors.
         steps: of the views.
         swapped: read the disparity of the other arm.
         clamped: let what leaves the frame land on its border.
@@ -106,13 +106,13 @@ def propagated(
     order = _crosshair(rows, columns)
     other = order % columns * columns + order // columns
     maps, flat = labels.reshape(-1, height, width), steps.reshape(-1, 2)
-    depths, colours = disparity.reshape(maps.shape), lab.reshape(*maps.shape, 3)
+    depths, colors = disparity.reshape(maps.shape), lab.reshape(*maps.shape, 3)
     one = jnp.ones((), lab.dtype)
 
     def turn(maps: Array, item: tuple[Array, Array]) -> tuple[Array, None]:
         own, read = item
         label = maps[own]
-        source = alike(label > 0, _guided(colours[own]), one, one, radius=_REACH)
+        source = alike(label > 0, _guided(colors[own]), one, one, radius=_REACH)
         found = jnp.where(source < 0, 0, label.ravel()[source])
         depth = jnp.where(source < 0, jnp.nan, depths[read].ravel()[source])
         new = (label == 0) & (found > 0) & jnp.isfinite(depth)
@@ -125,12 +125,12 @@ def propagated(
         return lax.map(push, (maps, flat)).at[own].set(found), None
 
     maps, _ = lax.scan(turn, maps, (jnp.asarray(order), jnp.asarray(other if swapped else order)))
-    filled = lax.map(lambda item: _filled(*item), (maps, colours))
+    filled = lax.map(lambda item: _filled(*item), (maps, colors))
     return filled.reshape(labels.shape)
 
 
 def _guided(lab: Float[Array, "y x 3"]) -> Float[Array, "y x 3"]:
-    """Colours smoothed where they vary little: each channel guides itself."""
+    """Colors smoothed where they vary little: each channel guides itself."""
     image = jnp.moveaxis(lab, -1, 0)
     mean = box_mean(image, _RADIUS)
     variance = jnp.maximum(box_mean(image**2, _RADIUS) - mean**2, 0)

@@ -1,0 +1,47 @@
+"""What the experiments share: origins of results, the page's tables, the table of edges."""
+
+import json
+import sys
+from pathlib import Path
+
+from experiments import _items, _report, all as page, table_edges
+
+
+def test_results_tell_commit_and_command_and_are_shown_on_the_page(tmp_path, monkeypatch):
+    script = Path(_report.__file__).parent / "table_edges.py"
+    monkeypatch.setattr(sys, "argv", [str(script), "--scenes", "edges", "--out", "a folder"])
+    rows = [{"scene": "edges", "MSE*100": 0.5}]
+    _report.write_json(tmp_path / "found.json", {"rows": rows})
+    found = json.loads((tmp_path / "found.json").read_text())
+    assert found["commit"]
+    words = "python experiments/table_edges.py --scenes edges --out 'a folder'"
+    assert found["command"] == words
+    assert list(page._tables(found, "found")) == [("found: rows", rows)]
+
+
+def test_every_item_has_its_script_and_a_name_of_its_own():
+    folder = Path(_items.__file__).parent
+    assert all((folder / item.script).is_file() for item in _items.ITEMS)
+    assert len({item.name for item in _items.ITEMS}) == len(_items.ITEMS)
+
+
+def test_the_table_of_edges_ends_with_the_mean_and_the_worst_scene():
+    columns = table_edges.COLUMNS
+    rows = [
+        {"scene": scene, "method": method, **dict.fromkeys(columns, value)}
+        for scene, value in (("edges", 1.0), ("demo", 3.0))
+        for method in ("edges", "full")
+    ]
+    found = table_edges.summary(rows)
+    assert [(row["scene"], row["method"]) for row in found] == [
+        (what, method) for what in ("mean", "worst") for method in ("edges", "full")
+    ]
+    assert [row["MSE*100"] for row in found] == [2.0, 2.0, 3.0, 3.0]
+    assert [method.name for method in table_edges.METHODS] == [
+        "thesis",
+        "edges",
+        "edges without transmittance",
+        "edges without sides",
+        "full without edges",
+        "full",
+    ]
