@@ -33,9 +33,9 @@ class ModelOptions:
     preset: Literal["full", "edges", "thesis"] = "full"
     set: Settings = ()
 
-    def check(self, *, all_views: bool = False) -> None:
-        """Refuses mistakes before any light field is read, see `model`."""
-        self._settled(of_preset(self.preset), all_views)
+    def check(self, *, all_views: bool = False) -> EdgeDepth:
+        """Refuses mistakes before any light field is read, see `model`; a model to look at."""
+        return self._settled(of_preset(self.preset), all_views)
 
     def model(self, light_field: LightField, *, all_views: bool = False) -> EdgeDepth:
         """The model for a light field.

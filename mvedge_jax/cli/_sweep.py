@@ -68,7 +68,6 @@ def sweep(
         overwrite: replace OUT if it is an earlier result of mvedge, with nothing else in it.
         options: of the model; --set holds what is not varied.
     """
-    options.check()
     with _extra("a sweep needs", "sweep"):
         import optuna
 
@@ -78,6 +77,7 @@ def sweep(
         raise ValueError(f"--workers must not be negative, got {workers}.")
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     space = Space(dict(map(_interval, vary)), dict(map(_choice, choose)))
+    space.check(options.check())
     _check_truth(scenes)
     journal = out.with_name(f"{out.name}.journal") if journal is None else journal
     before = time.perf_counter()

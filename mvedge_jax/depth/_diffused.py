@@ -65,10 +65,10 @@ def diffused(
         The map and, at `last`, the standard error of the labels that every pixel is made from, 0
         without labels; iterations and convergence of the map's own solve.
     """
-    bent = Slopes() if params.slopes is None else params.slopes
+    bent = cast(Slopes() if params.slopes is None else params.slopes, start.dtype)
     if params.slopes is None:
         sloped = jnp.zeros_like(sloped)
-    held, slopes = slope_labels(start, labels.weight, edges, cast(bent, start.dtype))
+    held, slopes = slope_labels(start, labels.weight, edges, bent)
     # What a label of this weight is known to, and at best a tenth of what counts half.
     uncertain = params.precision * jnp.sqrt(1 / jnp.clip(labels.weight, 1e-9, 0.99) - 1)
     slope, whole, nothing = bent.stiffness, params.stiffness, jnp.zeros_like(start)

@@ -99,9 +99,9 @@ def test_mistakes_are_one_line(scene, tmp_path, capsys, options, message):
 
 
 def test_nothing_is_left_behind_when_interrupted(scene, tmp_path, monkeypatch):
-    def interrupt(*_):
+    def interrupt(*_, **__):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(_depth, "compiled", lambda *_: interrupt)
+    monkeypatch.setattr(_depth, "compiled", lambda *_, **__: interrupt)
     assert _main.main(["depth", str(scene), str(tmp_path / "out"), "--range", "0", "1"]) == 130
     assert list(tmp_path.iterdir()) == []

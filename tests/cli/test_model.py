@@ -95,6 +95,7 @@ def test_a_part_that_a_preset_lacks_is_told(light_field):
 def test_every_command_refuses_before_it_reads(command, tmp_path, capsys):
     (tmp_path / "scene").mkdir()
     words = [command, str(tmp_path / "scene"), str(tmp_path / "out"), "--set", "refine.solvse=1"]
+    words += ["--vary", "refine.worse=1:2"] if command == "sweep" else []
     assert _main.main(words) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith("mvedge: error: --set refine.solvse: `refine.solvse` is no path of")
