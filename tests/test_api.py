@@ -171,7 +171,7 @@ _FLOORS = (
     ("centre",),
     ("model", "baselines", "angular"),
     ("edit", "posed", "superpixels"),
-    ("_cache", "datasets", "plotting"),
+    ("_cache", "_settings", "datasets", "plotting"),
     ("sweep", "viewer"),
     ("cli",),
     ("__init__", "__main__"),

@@ -9,12 +9,13 @@ from typing import Annotated, Any, NamedTuple
 import jax
 import tyro
 
-from mvedge_jax.depth import DepthResult, Parameters, Sizes, edge_to_depth
+from mvedge_jax.depth import DepthResult, EdgeDepth, estimate_depth
 from mvedge_jax.edges import scene_range
 from mvedge_jax.lightfield import LightField
 
 from ._common import compiled, finite, missing_views, note, stage, warn
 from ._depth import depth_report, score_depth, write_depth
+from ._model import FULL, ModelArg, ModelOptions, reads_all_views
 from ._output import MARKER, output_folder, refuse_inputs, write_json
 from ._paths import scenes_and_out
 from ._source import read_json, read_scene, source_of
@@ -36,6 +37,8 @@ class _Options(NamedTuple):
     scale: float
     all_views: bool
     video: bool
+    model: ModelOptions
+    seed: int
 
 
 def batch(
@@ -50,6 +53,8 @@ def batch(
     all_views: bool = False,
     video: bool = False,
     again: bool = False,
+    options: ModelArg = FULL,
+    seed: int = 0,
 ) -> int:
     """Estimates depth of many light fields, one after the other.
 
@@ -68,6 +73,8 @@ def batch(
         video: the light fields are the frames of one video, in order. The range is measured in the
             first, and in later ones only where something speaks against their map.
         again: compute again what is there already.
+        options: of the model.
+        seed: of the search that preset thesis draws.
 
     Returns:
         The exit code: 0, or 1 if a light field failed.
@@ -75,13 +82,14 @@ def batch(
     scenes, out = scenes_and_out(paths)
     names = _names(scenes)
     _check(views, scale, range)
+    options.check(all_views=all_views)
     for name in names:
         refuse_inputs((out / name).resolve(), scenes)
     if out.exists() and not out.is_dir():
         raise FileExistsError(f"{out} is a file, expected a folder to write into.")
     out.mkdir(parents=True, exist_ok=True)
     # A range that was asked for stays.
-    options = _Options(views, scale, all_views, video and range is None)
+    asked = _Options(views, scale, all_views, video and range is None, options, seed)
     rows: dict[str, dict[str, Any]] = {}
     kinds: dict[_Kind, list[tuple[str, Path]]] = {}
     ranges: dict[_Kind, tuple[float, float]] = {}
@@ -93,7 +101,7 @@ def batch(
             with stage(f"reading {scene}"):
                 found = read_scene(scene, views=views, scale=scale)[0].without_truth()
             kind = _Kind(found.views.shape, str(found.views.dtype))
-            ends = range or (ranges.get(kind) if options.video else None) or scene_range(found)
+            ends = range or (ranges.get(kind) if asked.video else None) or scene_range(found)
         except (ValueError, OSError, MemoryError) as reason:
             rows[name] = {"state": "failed", "reason": str(reason)}
             continue
@@ -101,7 +109,7 @@ def batch(
         ranges[kind] = min(low, ends[0]), max(high, ends[1])
         kinds.setdefault(kind, []).append((name, scene))
     for kind, members in kinds.items():
-        _run(members, kind, ranges[kind], rows, out, options)
+        _run(members, kind, ranges[kind], rows, out, asked)
         # A program holds some 1300 memory maps, of which Linux allows 65530.
         jax.clear_caches()
     return _summary({name: rows[name] for name in names}, out)
@@ -132,17 +140,18 @@ def _run(
         try:
             with stage(f"reading {scene}"):
                 found, said = read_scene(scene, views=options.views, scale=options.scale)
-            result, sizes, seconds = estimate(found, name)
+            result, model, seconds = estimate(found, name)
             # What is there is an earlier result of ours, or the folder refuses.
             with output_folder(out / name, inputs=[scene], overwrite=True) as folder:
-                report = depth_report(found, estimate.params, sizes, result, seconds)
+                report = depth_report(found, result, seconds)
+                report |= options.model.described(model) | {"seed": options.seed}
                 write_depth(folder, found, result)
                 report["scores"] = score_depth(folder, found, result)
                 report["source"] = source_of(scene, views=options.views, scale=options.scale)
                 report["warnings"] = [
                     *said,
                     *result.problems(),
-                    *(missing_views(found) if options.all_views else []),
+                    *(missing_views(found) if reads_all_views(model) else []),
                 ]
                 write_json(folder / "report.json", report)
             rows[name] = _row(out / name / "report.json", "done")
@@ -154,32 +163,32 @@ class _Estimate:
     """Depth of light fields of one kind; compiled for the first, and for frames of wider range."""
 
     def __init__(self, kind: _Kind, options: _Options, ends: tuple[float, float]):
-        self.params = Parameters()
         self._kind, self._options, self._ends = kind, options, ends
-        self._program: tuple[Any, Sizes] | None = None
+        self._key = jax.random.key(options.seed)
+        self._program: tuple[Any, EdgeDepth] | None = None
 
     def __call__(
         self, light_field: LightField, name: str
-    ) -> tuple[DepthResult, Sizes, dict[str, float]]:
-        """Depth, the sizes it was found with, and the seconds it took."""
+    ) -> tuple[DepthResult, EdgeDepth, dict[str, float]]:
+        """Depth, the model it was found with, and the seconds it took."""
         views = _anonymous(light_field)
         start = time.perf_counter()
-        program, sizes = self._compiled(views)
+        program, model = self._compiled(views)
         ready = time.perf_counter()
         with stage(f"estimating depth of {name}"):
-            result = jax.block_until_ready(program(views, self.params, sizes))
+            result = jax.block_until_ready(program(views, model, key=self._key))
         seconds = {"compilation": ready - start, "estimation": time.perf_counter() - ready}
         if self._options.video and result.problems() and self._widened(views, name):
-            result, sizes, more = self(light_field, name)
+            result, model, more = self(light_field, name)
             seconds = {key: seconds[key] + more[key] for key in seconds}
-        return result, sizes, {key: round(value, 3) for key, value in seconds.items()}
+        return result, model, {key: round(value, 3) for key, value in seconds.items()}
 
-    def _compiled(self, views: LightField) -> tuple[Any, Sizes]:
+    def _compiled(self, views: LightField) -> tuple[Any, EdgeDepth]:
         if self._program is None:
             with stage(f"compiling for views {'x'.join(map(str, self._kind.shape[:4]))}"):
-                measured = "all" if self._options.all_views else "crosshair"
-                sizes = Sizes.for_light_field(_over(views, self._ends), views=measured)
-                self._program = compiled(edge_to_depth, views, self.params, sizes), sizes
+                asked = self._options
+                model = asked.model.model(_over(views, self._ends), all_views=asked.all_views)
+                self._program = compiled(estimate_depth, views, model, key=self._key), model
         return self._program
 
     def _widened(self, views: LightField, name: str) -> bool:

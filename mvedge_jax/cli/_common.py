@@ -93,16 +93,17 @@ def missing_views(light_field: LightField) -> list[str]:
     return [f"{int((~there).sum())} of {there.size} views are missing; the others were used."]
 
 
-def compiled(function: Any, *arguments: Any) -> Callable[..., Any]:
+def compiled(function: Any, *arguments: Any, **options: Any) -> Callable[..., Any]:
     """Compiles a `lean_jit` function, and gives back the memory that it took.
 
     Args:
         function: to compile.
         arguments: what it will be called with.
+        options: the same, by name.
 
     Returns:
         The program, to be called with the same arguments.
     """
-    program = function.lower(*arguments).compile()
+    program = function.lower(*arguments, **options).compile()
     release_memory()
     return program

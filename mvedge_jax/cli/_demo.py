@@ -11,12 +11,12 @@ import jax
 import numpy as np
 import tyro
 from jax import Array
+from jaxtyping import PRNGKeyArray
 from matplotlib.figure import Figure
 
 from mvedge_jax import plotting
-from mvedge_jax.baselines import plane_sweep
 from mvedge_jax.datasets import synthetic, write_pfm
-from mvedge_jax.depth import Parameters, Sizes, edge_to_depth
+from mvedge_jax.depth import EdgeDepth, estimate_depth
 from mvedge_jax.edges import EdgePoints
 from mvedge_jax.lightfield import GroundTruth, LightField
 from mvedge_jax.metrics import (
@@ -26,30 +26,37 @@ from mvedge_jax.metrics import (
     depth_scores,
     reprojection_error,
 )
+from mvedge_jax.photometry.matching import plane_sweep
 
 from ._common import note, stage
+from ._model import FULL, ModelArg, ModelOptions
 from ._output import output_folder, write_json
 
 
 class _Estimate(NamedTuple):
-    """What a method says: the centre view's disparity, and the points that it came from, if any."""
+    """What a method says: the centre view's disparity; points and model behind it, if any."""
 
     disparity: Array
     points: EdgePoints | None = None
+    model: EdgeDepth | None = None
 
 
-def _plane_sweep(light_field: LightField) -> _Estimate:
+def _plane_sweep(light_field: LightField, options: ModelOptions, *, key: PRNGKeyArray) -> _Estimate:
+    del options, key
     return _Estimate(plane_sweep(light_field).disparity)
 
 
-def _multiview_edges(light_field: LightField) -> _Estimate:
-    result = edge_to_depth(light_field, Parameters(), Sizes.for_light_field(light_field))
-    return _Estimate(result.disparity, result.points)
+def _multiview_edges(
+    light_field: LightField, options: ModelOptions, *, key: PRNGKeyArray
+) -> _Estimate:
+    model = options.model(light_field)
+    result = estimate_depth(light_field, model, key=key)
+    return _Estimate(result.disparity, result.points, model)
 
 
 # Every method gets the light field without its truth and is timed, scored and drawn in the same
 # way; the one that matters comes last.
-_METHODS: dict[str, Callable[[LightField], _Estimate]] = {
+_METHODS: dict[str, Callable[..., _Estimate]] = {
     "plane sweep": _plane_sweep,
     "multi-view edges": _multiview_edges,
 }
@@ -74,6 +81,7 @@ class _Result(NamedTuple):
     name: str
     disparity: Array
     points: EdgePoints | None
+    model: EdgeDepth | None
     seconds: float
     depth: DepthScores
     boundary: BoundaryScores
@@ -89,6 +97,7 @@ def demo(
     size: tuple[int, int] = (256, 256),
     seed: int = 0,
     overwrite: bool = False,
+    options: ModelArg = FULL,
 ) -> None:
     """Renders a light field, estimates its depth, scores and draws it; takes a minute or two.
 
@@ -101,9 +110,11 @@ def demo(
         scene: a synthetic scene, see `mvedge render --help`.
         views: VIEWS x VIEWS views, an odd number of at least 3.
         size: height and width in px.
-        seed: of the sensor's noise.
+        seed: of the sensor's noise, and of the search that preset thesis draws.
         overwrite: replace OUT if it is an earlier result of mvedge, with nothing else in it.
+        options: of the model.
     """
+    options.check()
     if views < 3:
         raise ValueError(f"--views must be odd and at least 3, got {views}.")
     if min(size) < 32:
@@ -117,36 +128,45 @@ def demo(
             jax.block_until_ready(light_field.views)
         truth = light_field.truth
         assert truth is not None
-        results = [_run(name, light_field, truth) for name in _METHODS]
+        key = jax.random.key(seed)
+        results = [_run(name, light_field, truth, options, key=key) for name in _METHODS]
         with stage("writing figures and metrics"):
             for name, figure in _figures(light_field, truth, results):
                 figure.savefig(folder / f"{name}.png")
             for result in results:
                 path = folder / f"disparity_{result.name.replace(' ', '_')}.pfm"
                 write_pfm(path, np.asarray(result.disparity))
-            _write_metrics(folder, light_field, results)
+            _write_metrics(folder, light_field, results, options)
     note(_table(results))
     note(f"figures and metrics are in {out}")
 
 
-def _run(name: str, light_field: LightField, truth: GroundTruth) -> _Result:
+def _run(
+    name: str,
+    light_field: LightField,
+    truth: GroundTruth,
+    options: ModelOptions,
+    *,
+    key: PRNGKeyArray,
+) -> _Result:
     blind = light_field.without_truth()
     with stage(f"estimating disparity: {name}, compilation included"):
-        disparity, points = jax.block_until_ready(_METHODS[name](blind))
+        found = jax.block_until_ready(_METHODS[name](blind, options, key=key))
     with stage(f"timing a second run: {name}"):
         start = time.perf_counter()
-        jax.block_until_ready(_METHODS[name](blind))
+        jax.block_until_ready(_METHODS[name](blind, options, key=key))
         seconds = time.perf_counter() - start
     with stage(f"scoring: {name}"):
-        maps = (disparity, truth.disparity)
+        maps = (found.disparity, truth.disparity)
         return _Result(
             name,
-            disparity,
-            points,
+            found.disparity,
+            found.points,
+            found.model,
             seconds,
             depth_scores(*maps, mask=truth.valid),
             boundary_scores(*maps, mask=truth.valid),
-            reprojection_error(disparity, light_field).error,
+            reprojection_error(found.disparity, light_field).error,
         )
 
 
@@ -229,7 +249,9 @@ def _table(results: list[_Result]) -> str:
     )
 
 
-def _write_metrics(folder: Path, light_field: LightField, results: list[_Result]) -> None:
+def _write_metrics(
+    folder: Path, light_field: LightField, results: list[_Result], options: ModelOptions
+) -> None:
     with (folder / "metrics.csv").open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow(["scene", "method", *_COLUMNS, "seconds"])
@@ -249,6 +271,7 @@ def _write_metrics(folder: Path, light_field: LightField, results: list[_Result]
                 "name": result.name,
                 "seconds": round(result.seconds, 3),
                 **dict(zip(_COLUMNS, _values(result), strict=True)),
+                **({} if result.model is None else options.described(result.model)),
             }
             for result in results
         ],

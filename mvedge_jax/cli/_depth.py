@@ -10,14 +10,16 @@ import cv2
 import jax
 import numpy as np
 import tyro
+from jaxtyping import PRNGKeyArray
 
 from mvedge_jax import plotting, viewer
 from mvedge_jax.datasets import write_pfm
-from mvedge_jax.depth import DepthResult, DepthStats, Parameters, Sizes, edge_to_depth
+from mvedge_jax.depth import DepthResult, DepthStats, EdgeDepth, estimate_depth
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.metrics import boundary_scores, calibration, depth_scores
 
 from ._common import compiled, missing_views, note, stage, warn
+from ._model import FULL, ModelArg, reads_all_views
 from ._output import output_folder, write_json
 from ._points import valid_points, write_points
 from ._source import read_scene, source_of
@@ -46,6 +48,8 @@ def depth(
     all_views: bool = False,
     view: bool = False,
     overwrite: bool = False,
+    options: ModelArg = FULL,
+    seed: int = 0,
 ) -> None:
     """Estimates the disparity of every pixel of a light field's centre view.
 
@@ -53,6 +57,10 @@ def depth(
     its standard error as standard_error.pfm and .png, points.npz, points.csv, report.json and,
     where the camera is known, depth.pfm in metres. With ground truth: error maps and scores, over
     the whole frame and without 15 px per side.
+
+    `--preset edges` is the depth of the edges alone, `--preset thesis` that of the dissertation.
+    `--set smoothness.color=.3 --set refine.solves=1` sets numbers and static fields of the model by
+    their paths; report.json lists all of them with their values.
 
     Args:
         scene: folder or file of a light field; `mvedge info` tells what it is.
@@ -67,35 +75,29 @@ def depth(
             alone: more accurate, twice as slow.
         view: show the result in a browser until Ctrl-C, as `mvedge view` does.
         overwrite: replace OUT if it is an earlier result of mvedge, with nothing else in it.
+        options: of the model.
+        seed: of the search that preset thesis draws.
     """
+    options.check(all_views=all_views)
     order = {"flip_u": flip_u, "flip_v": flip_v, "swap_axes": swap_axes}
     with stage(f"reading {scene}"):
         light_field, said = read_scene(scene, views=views, scale=scale, **order)
     if range is not None:
         light_field = _within(light_field, range)
-    params = Parameters()
     with output_folder(out, inputs=[scene], overwrite=overwrite) as folder:
-        blind = light_field.without_truth()
+        blind, key = light_field.without_truth(), jax.random.key(seed)
         with stage("choosing sizes"):
-            measured = "all" if all_views else "crosshair"
-            sizes = Sizes.for_light_field(blind, views=measured)
-        before = time.perf_counter()
-        with stage("compiling, or reading what was compiled before"):
-            estimate = compiled(edge_to_depth, blind, params, sizes)
-        start = time.perf_counter()
-        with stage("estimating depth"):
-            result = jax.block_until_ready(estimate(blind, params, sizes))
-        seconds = {
-            "compilation": round(start - before, 3),
-            "estimation": round(time.perf_counter() - start, 3),
-        }
+            model = options.model(blind, all_views=all_views)
+        result, seconds = _estimate(blind, model, key=key)
         with stage("writing"):
-            report = depth_report(light_field, params, sizes, result, seconds)
+            report = depth_report(light_field, result, seconds)
+            report |= options.described(model) | {"seed": seed}
             write_depth(folder, light_field, result)
             scores = score_depth(folder, light_field, result)
             report["scores"] = scores
             report["source"] = source_of(scene, views=views, scale=scale, **order)
-            doubts = [*said, *result.problems(), *(missing_views(light_field) if all_views else [])]
+            every = reads_all_views(model)
+            doubts = [*said, *result.problems(), *(missing_views(light_field) if every else [])]
             report["warnings"] = doubts
             write_json(folder / "report.json", report)
     for doubt in doubts:
@@ -107,6 +109,22 @@ def depth(
     note(f"{found} edge points, {spent:.1f} s; written to {out}")
     if view:
         show(light_field, [viewer.result_of(result, name=out.name)])
+
+
+def _estimate(
+    blind: LightField, model: EdgeDepth, *, key: PRNGKeyArray
+) -> tuple[DepthResult, dict[str, float]]:
+    """Depth, and the seconds it took."""
+    before = time.perf_counter()
+    with stage("compiling, or reading what was compiled before"):
+        estimate = compiled(estimate_depth, blind, model, key=key)
+    start = time.perf_counter()
+    with stage("estimating depth"):
+        result = jax.block_until_ready(estimate(blind, model, key=key))
+    return result, {
+        "compilation": round(start - before, 3),
+        "estimation": round(time.perf_counter() - start, 3),
+    }
 
 
 def _within(light_field: LightField, limits: tuple[float, float]) -> LightField:
@@ -190,21 +208,15 @@ def _photometry(stats: DepthStats) -> dict[str, Any]:
 
 def depth_report(
     light_field: LightField,
-    params: Parameters,
-    sizes: Sizes,
     result: DepthResult,
     seconds: dict[str, float],
 ) -> dict[str, Any]:
-    """What was done, with what, and how it went."""
+    """What was done, and how it went."""
     disparity = np.asarray(result.disparity)
     stats = result.stats
     # Infinite where nothing is known at all.
     known = bool(np.isfinite(result.error).all())
     spread = np.quantile(result.error, (0.5, 0.95)).tolist() if known else None
-    settings = {
-        jax.tree_util.keystr(path).lstrip("."): np.asarray(leaf).tolist()
-        for path, leaf in jax.tree_util.tree_leaves_with_path(params)
-    }
     return {
         "scene": light_field.name,
         "shape [v, u, y, x]": list(light_field.views.shape[:4]),
@@ -219,8 +231,6 @@ def depth_report(
         },
         "diffusion iterations": np.asarray(stats.iterations).tolist(),
         "converged": bool(stats.converged),
-        "parameters": settings,
-        "sizes": repr(sizes),
         "versions": {name: version(name) for name in ("jax", "jaxlib", "equinox", "numpy")},
         "device": jax.devices()[0].device_kind,
         "machine": platform.platform(),

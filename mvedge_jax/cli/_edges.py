@@ -9,10 +9,12 @@ import numpy as np
 import tyro
 
 from mvedge_jax import plotting
-from mvedge_jax.edges import EdgeParams, Edges, EdgeSizes, multiview_edges
+from mvedge_jax.depth import multiview_edges
+from mvedge_jax.edges import Edges
 from mvedge_jax.lightfield import LightField
 
 from ._common import compiled, note, stage, warn
+from ._model import FULL, ModelArg
 from ._output import output_folder, write_json
 from ._points import valid_points, write_points
 from ._source import read_scene
@@ -30,6 +32,8 @@ def edges(
     swap_axes: bool = False,
     range: tuple[float, float] | None = None,
     overwrite: bool = False,
+    options: ModelArg = FULL,
+    seed: int = 0,
 ) -> None:
     """Finds edge points with their disparities in a light field's centre view.
 
@@ -47,7 +51,10 @@ def edges(
         swap_axes: exchange rows and columns of views, before they are reversed.
         range: lowest and highest disparity, px per view step; measured if not given or known.
         overwrite: replace OUT if it is an earlier result of mvedge, with nothing else in it.
+        options: of the model.
+        seed: of the search that preset thesis draws.
     """
+    options.check()
     with stage(f"reading {scene}"):
         read, said = read_scene(
             scene, views=views, scale=scale, flip_u=flip_u, flip_v=flip_v, swap_axes=swap_axes
@@ -63,13 +70,13 @@ def edges(
         )
     with output_folder(out, inputs=[scene], overwrite=overwrite) as folder:
         with stage("choosing sizes"):
-            sizes = EdgeSizes.for_light_field(light_field)
-        before, params = time.perf_counter(), EdgeParams()
+            model, key = options.model(light_field), jax.random.key(seed)
+        before = time.perf_counter()
         with stage("compiling, or reading what was compiled before"):
-            find = compiled(multiview_edges, light_field, params, sizes)
+            find = compiled(multiview_edges, light_field, model, key=key)
         start = time.perf_counter()
         with stage("finding edges"):
-            found = jax.block_until_ready(find(light_field, params, sizes))
+            found = jax.block_until_ready(find(light_field, model, key=key))
         seconds = {
             "compilation": round(start - before, 3),
             "finding": round(time.perf_counter() - start, 3),
@@ -79,10 +86,11 @@ def edges(
             report = {
                 "scene": light_field.name,
                 "shape [v, u, y, x]": list(light_field.views.shape[:4]),
-                "disparities searched": list(sizes.ends),
+                "disparities searched": list(model.searched),
                 "seconds": seconds,
                 "counts": {name: int(value) for name, value in vars(found.stats).items()},
-                "sizes": repr(sizes),
+                **options.described(model),
+                "seed": seed,
                 "warnings": (doubts := [*said, *_doubts(found)]),
             }
             write_json(folder / "report.json", report)

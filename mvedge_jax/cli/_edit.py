@@ -71,7 +71,7 @@ def edit(
             f"{given.shape[1]}x{given.shape[0]}."
         )
     with output_folder(out, inputs=inputs, overwrite=overwrite) as folder:
-        found, _, doubts = every_view(light_field)
+        found, _, _, doubts = every_view(light_field)
         doubts = [*said, *doubts]
         depths = found.disparity
         with stage("editing"):

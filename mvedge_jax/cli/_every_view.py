@@ -1,40 +1,61 @@
 """Depth of every view with progress, for `mvedge views`, `edit` and `superpixels`."""
 
 import time
+from typing import NamedTuple
 
 import jax
 
 from mvedge_jax.angular import ViewDepths, ViewParams, ViewSizes, depth_of_views
-from mvedge_jax.depth import Parameters, Sizes, edge_to_depth
+from mvedge_jax.depth import EdgeDepth, estimate_depth
 from mvedge_jax.lightfield import LightField
 
 from ._common import compiled, missing_views, stage
+from ._model import FULL, ModelOptions
 
 
-def every_view(light_field: LightField) -> tuple[ViewDepths, float, list[str]]:
+class EveryView(NamedTuple):
+    """Depth of every view.
+
+    Attributes:
+        depths: the maps.
+        model: of the centre view.
+        seconds: from the centre view's map to all of them.
+        doubts: what speaks against them, one sentence each.
+    """
+
+    depths: ViewDepths
+    model: EdgeDepth
+    seconds: float
+    doubts: list[str]
+
+
+def every_view(
+    light_field: LightField, *, options: ModelOptions = FULL, seed: int = 0
+) -> EveryView:
     """Depth of every view of a light field, stage by stage.
 
     Args:
         light_field: without ground truth.
+        options: of the model of the centre view.
+        seed: of presets that draw.
 
     Returns:
-        The maps, the seconds from the centre view's map to all of them, and what speaks against
-        them, one sentence each.
+        The maps, and how they were made.
     """
-    params, every = Parameters(), ViewParams()
+    every, key = ViewParams(), jax.random.key(seed)
     with stage("choosing sizes"):
-        sizes = Sizes.for_light_field(light_field), ViewSizes.for_light_field(light_field)
+        model, sizes = options.model(light_field), ViewSizes.for_light_field(light_field)
     with stage("compiling, or reading what was compiled before"):
-        centre = compiled(edge_to_depth, light_field, params, sizes[0])
+        centre = compiled(estimate_depth, light_field, model, key=key)
     with stage("estimating depth of the centre view"):
-        result = jax.block_until_ready(centre(light_field, params, sizes[0]))
+        result = jax.block_until_ready(centre(light_field, model, key=key))
     with stage("compiling, or reading what was compiled before"):
-        program = compiled(depth_of_views, light_field, result, every, sizes[1])
+        program = compiled(depth_of_views, light_field, result, every, sizes)
     start = time.perf_counter()
     with stage("estimating depth of all views"):
-        found = jax.block_until_ready(program(light_field, result, every, sizes[1]))
+        found = jax.block_until_ready(program(light_field, result, every, sizes))
     seconds = time.perf_counter() - start
     doubts = [*result.problems(), *missing_views(light_field)]
     if int(found.overflow):
         doubts.append(f"{int(found.overflow)} hidden samples found no slot and were left out.")
-    return found, seconds, doubts
+    return EveryView(found, model, seconds, doubts)

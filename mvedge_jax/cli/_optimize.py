@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from mvedge_jax import plotting
 from mvedge_jax.datasets import write_pfm
-from mvedge_jax.depth import Parameters, Sizes, edge_to_depth
+from mvedge_jax.depth import EdgeDepth, estimate_depth
 from mvedge_jax.lightfield import GroundTruth, LightField
 from mvedge_jax.losses.features import Colours, FilterBank, load_vgg16
 from mvedge_jax.losses.terms import Features
@@ -40,6 +40,7 @@ from mvedge_jax.model.optimisation import (
 )
 
 from ._common import compiled, missing_views, note, stage, warn
+from ._model import FULL, ModelArg, ModelOptions
 from ._output import output_folder, write_json
 from ._source import read_scene
 
@@ -72,6 +73,7 @@ def optimize(
     state: Path | None = None,
     seed: int = 0,
     overwrite: bool = False,
+    options: ModelArg = FULL,
 ) -> None:
     """Optimises points and smoothness so that the rendered map explains the views.
 
@@ -101,9 +103,11 @@ def optimize(
         views: use the central VIEWS x VIEWS views only; odd.
         scale: shrink the views by this factor, at most 1.
         state: a state.eqx of an earlier run with the same options, to go on from.
-        seed: of random views.
+        seed: of random views, and of the search that preset thesis draws.
         overwrite: replace OUT if it is an earlier result of mvedge, with nothing else in it.
+        options: of the model of the first map.
     """
+    options.check()
     growth = Growth(recycle=not no_recycle, extra=_at_least(0, "--grow-points", grow_points))
     if grow_points and not supervised:
         raise ValueError("--grow-points needs --supervised: without truth no residual is known.")
@@ -113,22 +117,23 @@ def optimize(
     table = _table(routine, iterations, fit if supervised else approach)
     light_field, said = _read(scene, views, scale, needs_truth=supervised)
     earlier = None if state is None else State.load(state)
-    options: dict[str, Any] = {"routine": table, "state": earlier, "progress": _tell}
+    running: dict[str, Any] = {"routine": table, "state": earlier, "progress": _tell}
     inputs = [path for path in (scene, vgg16, state) if path is not None]
     with output_folder(out, inputs=inputs, overwrite=overwrite) as folder:
-        start, doubts = _start(light_field.without_truth())
+        start, model, doubts = _start(light_field.without_truth(), options, seed)
         clock = time.perf_counter()
         with stage("optimising"):
             if supervised and light_field.truth is not None:
                 start = start_from_image(start, light_field.centre_view)
                 goal = light_field.truth
-                result = fit_edges(goal, start, fit, sizes, strategy=growth, **options)
+                result = fit_edges(goal, start, fit, sizes, strategy=growth, **running)
             else:
                 key = jax.random.key(seed)
-                result = optimize_edges(light_field, start, approach, sizes, key=key, **options)
+                result = optimize_edges(light_field, start, approach, sizes, key=key, **running)
         seconds = time.perf_counter() - clock
         doubts = [*said, *doubts, *missing_views(light_field), *_doubts(result)]
-        scores = _write(folder, light_field, start, result, seconds, doubts)
+        told = options.described(model) | {"seed": seed, "warnings": doubts}
+        scores = _write(folder, light_field, start, result, seconds, told)
     for doubt in doubts:
         warn(doubt)
     _conclude(scores, result, seconds, out)
@@ -173,12 +178,15 @@ def _read(
     return light_field, said
 
 
-def _start(blind: LightField) -> tuple[Start, list[str]]:
-    """The start, and what speaks against it."""
+def _start(
+    blind: LightField, options: ModelOptions, seed: int
+) -> tuple[Start, EdgeDepth, list[str]]:
+    """The start, the model that it comes from, and what speaks against it."""
     with stage("estimating depth from edges"):
-        call = blind, Parameters(), Sizes.for_light_field(blind)
-        result = jax.block_until_ready(compiled(edge_to_depth, *call)(*call))
-        return start_from_depth(blind, result), list(result.problems())
+        model, key = options.model(blind), jax.random.key(seed)
+        program = compiled(estimate_depth, blind, model, key=key)
+        result = jax.block_until_ready(program(blind, model, key=key))
+        return start_from_depth(blind, result), model, list(result.problems())
 
 
 def _tell(now: Progress) -> None:
@@ -194,9 +202,9 @@ def _write(
     start: Start,
     result: Optimised,
     seconds: float,
-    doubts: list[str],
+    told: dict[str, Any],
 ) -> dict[str, Any]:
-    """Writes all files, and returns the scores of the maps."""
+    """Writes all files, the report with what is `told`, and returns the scores of the maps."""
     model, verdict = result.model, result.verdict
     write_pfm(folder / "before.pfm", np.asarray(start.disparity))
     write_pfm(folder / "disparity.pfm", np.asarray(result.disparity))
@@ -223,7 +231,7 @@ def _write(
         "share of proposals confirmed": None if confirmed is None else float(confirmed),
         "kept the optimised points": verdict is None or bool(verdict.kept),
         "scores": scores,
-        "warnings": doubts,
+        **told,
     }
     write_json(folder / "report.json", report)
     return scores

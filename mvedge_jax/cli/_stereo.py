@@ -16,8 +16,7 @@ from mvedge_jax.model.optimisation import Progress
 from mvedge_jax.posed import (
     Photographs,
     Reference,
-    StereoParams,
-    StereoSizes,
+    StereoDepth,
     reference_of,
     stereo as estimate,
 )
@@ -25,6 +24,7 @@ from mvedge_jax.posed.scores import depth_errors
 from mvedge_jax.posed.sparse import SparseStereoParams, SparseStereoSizes, sparse_stereo
 
 from ._common import note, stage, warn
+from ._model import Settings, described, settings_of, settled
 from ._output import output_folder, write_json
 from ._paths import stems_of
 
@@ -42,6 +42,7 @@ def stereo(
     range: tuple[float, float] | None = None,
     scale: float = 1.0,
     overwrite: bool = False,
+    set: Settings = (),
 ) -> None:
     """Estimates the depth of every pixel of posed photographs.
 
@@ -67,7 +68,13 @@ def stereo(
             given.
         scale: shrink the photographs by this factor, at most 1.
         overwrite: replace OUT if it is an earlier result of mvedge, with nothing else in it.
+        set: with method dense, a number or static field of the model by its path, such as
+            smoothness.color=.3 or refine.solves=1; may be given several times. report.json lists
+            all paths.
     """
+    if set and method != "dense":
+        raise ValueError(f"--set needs --method dense, got {method}.")
+    settled(StereoDepth(hypotheses=2), set)
     source = open_photographs(model, images=images, intrinsics=intrinsics)
     names = [frame.name for frame in source.frames]
     wanted = names if reference == "all" else [reference]
@@ -88,7 +95,11 @@ def stereo(
                         points=range is None or method == "points",
                     )
             stem = stems[loaded.names[loaded.index(name)]]
-            rows[name] = _METHODS[method](folder / stem, loaded, name, range)
+            base = folder / stem
+            if method == "dense":
+                rows[name] = _dense(base, loaded, name, range, set)
+            else:
+                rows[name] = _points(base, loaded, name, range)
         report = {
             "model": str(model.resolve()),
             "method": method,
@@ -104,16 +115,18 @@ def stereo(
 
 
 def _dense(
-    base: Path, photographs: Photographs, name: str, limits: tuple[float, float] | None
+    base: Path,
+    photographs: Photographs,
+    name: str,
+    limits: tuple[float, float] | None,
+    settings: tuple[str, ...],
 ) -> dict[str, Any]:
     """Depth and its error by measurement: files, a line for the user, and what the report says."""
     chosen = reference_of(photographs, name, depth_range=limits)
-    sizes = StereoSizes.of(chosen)
+    model = StereoDepth.of(chosen, choices=settings_of(settings))
     start = time.perf_counter()
     with stage(f"estimating depth of {name} (the first one compiles)"):
-        result = jax.block_until_ready(
-            estimate(photographs.without_truth(), chosen, StereoParams(), sizes)
-        )
+        result = jax.block_until_ready(estimate(photographs.without_truth(), chosen, model))
     seconds = time.perf_counter() - start
     write_pfm(_file(base, "error.pfm"), np.asarray(result.error))
     doubt = np.asarray(result.disparity_error)
@@ -126,7 +139,7 @@ def _dense(
         "pixels without an accepted label, %": 100 * (1 - float(result.stats.labeled)),
         "noise of 255": 255 * float(result.stats.noise.deviation),
         "gains": dict(zip(photographs.names, np.asarray(result.stats.gain).tolist(), strict=True)),
-        "hypotheses": sizes.hypotheses,
+        **described(model),
         "warnings": list(result.problems()),
     }
     for problem in row["warnings"]:
@@ -156,9 +169,6 @@ def _points(
         "loss, before and after": [float(loss[0]), float(loss.min())] if loss.size else [],
         "points of the model": int(np.asarray(result.model.valid).sum()),
     }
-
-
-_METHODS = {"dense": _dense, "points": _points}
 
 
 def _shown(

@@ -24,6 +24,7 @@ from mvedge_jax.superpixels import (
 
 from ._common import compiled, in_unit_range, note, stage, warn
 from ._every_view import every_view
+from ._model import FULL, ModelArg
 from ._output import output_folder, write_json
 from ._source import read_scene
 
@@ -39,6 +40,8 @@ def superpixels(
     colour: tuple[float, float, float] = (0.9, 0.1, 0.1),
     views: int | None = None,
     overwrite: bool = False,
+    options: ModelArg = FULL,
+    seed: int = 0,
 ) -> None:
     """Cuts a light field into superpixels that all views agree about.
 
@@ -57,7 +60,10 @@ def superpixels(
         colour: red, green and blue to recolour it with, 0..1.
         views: use the central VIEWS x VIEWS views only; odd.
         overwrite: replace OUT if it is an earlier result of mvedge, with nothing else in it.
+        options: of the model of the centre view's depth.
+        seed: of the search that preset thesis draws.
     """
+    options.check()
     in_unit_range(colour)
     with stage("reading"):
         light_field, said = read_scene(scene, views=views)
@@ -75,7 +81,7 @@ def superpixels(
         raise ValueError(f"--pick must lie in the centre view, {width}x{height} px, got {pick}.")
     blind = light_field.without_truth()
     with output_folder(out, inputs=[scene], overwrite=overwrite) as folder:
-        depths, _, doubts = every_view(blind)
+        depths, centre, _, doubts = every_view(blind, options=options, seed=seed)
         doubts = [*said, *doubts]
         room = max(SuperpixelSizes.for_depths(depths).capacity, int(4 * height * width / size**2))
         sizes = SuperpixelSizes.for_depths(depths, capacity=min(room, 32000))
@@ -88,6 +94,7 @@ def superpixels(
             _write(folder, blind, found)
             report: dict[str, Any] = {"scene": light_field.name, "count": int(found.number)}
             report["size"] = size
+            report |= options.described(centre) | {"seed": seed}
             report["scores"] = _score(folder, light_field, found)
             if pick is not None:
                 label = int(found.labels[(*light_field.centre, pick[1], pick[0])])

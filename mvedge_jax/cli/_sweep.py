@@ -16,6 +16,7 @@ from mvedge_jax._cache import compilation_cache
 from mvedge_jax.datasets import load_light_field
 
 from ._common import note
+from ._model import FULL, ModelArg, ModelOptions, read_value, settings_of
 from ._output import output_folder, write_json
 from ._paths import scenes_and_out
 
@@ -39,19 +40,20 @@ def sweep(
     workers: int = 0,
     scheduler: str | None = None,
     overwrite: bool = False,
+    options: ModelArg = FULL,
 ) -> None:
     """Looks for the parameters of `mvedge depth` that score best on average over light fields.
 
     OUT gets best.json (the setting), trials.csv (every setting with its score on every scene),
     sweep.png (history, importances, slices) and report.json. A sweep that was stopped goes on from
-    its journal. Example: `mvedge sweep a b OUT --vary centre.precision=0.002:0.02
-    centre.trust=0.7:2.8 --choose views=crosshair,all`.
+    its journal. Example: `mvedge sweep a b OUT --vary refine.precision=0.002:0.02
+    dense.trust=0.7:2.8 --choose measurement.views=crosshair,all`.
 
     Args:
         paths: light fields, then the folder to make.
-        vary: numbers as NAME=LOW:HIGH, even in the logarithm, or NAME=LOW:HIGH:linear;
-            report.json of `mvedge depth` lists the names.
-        choose: fields of `Sizes` as NAME=A,B,...; each combination is compiled for itself.
+        vary: numbers as PATH=LOW:HIGH, even in the logarithm, or PATH=LOW:HIGH:linear;
+            report.json of `mvedge depth` lists the paths.
+        choose: static fields as PATH=A,B,...; each combination is compiled for itself.
         trials: settings to try, those in the journal included.
         batch: settings per call of the compiled program; memory grows with it.
         wave: settings asked at a time; later ones learn from earlier waves only.
@@ -64,6 +66,7 @@ def sweep(
         scheduler: address of a Dask scheduler to use instead, such as tcp://host:8786; its workers
             must see the scenes under the same paths.
         overwrite: replace OUT if it is an earlier result of mvedge, with nothing else in it.
+        options: of the model; --set holds what is not varied.
     """
     with _extra("a sweep needs", "sweep"):
         import optuna
@@ -74,6 +77,7 @@ def sweep(
         raise ValueError(f"--workers must not be negative, got {workers}.")
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     space = Space(dict(map(_interval, vary)), dict(map(_choice, choose)))
+    space.check(options.check())
     _check_truth(scenes)
     journal = out.with_name(f"{out.name}.journal") if journal is None else journal
     before = time.perf_counter()
@@ -83,6 +87,8 @@ def sweep(
             found = search(
                 [scene.resolve() for scene in scenes],
                 space,
+                preset=options.preset,
+                start=settings_of(options.set),
                 trials=trials,
                 batch=batch,
                 wave=wave,
@@ -97,7 +103,7 @@ def sweep(
                 ),
             )
         seconds = time.perf_counter() - before
-        _write(folder, found, scenes, objective, journal, seconds)
+        _write(folder, found, scenes, objective, journal, seconds, options)
         plot_sweep(found).savefig(folder / "sweep.png")
     first = _number(found.rows[0]["mean"])
     note(f"{objective} {found.value:.4g} (first setting: {first}); written to {out}")
@@ -128,9 +134,11 @@ def _write(
     objective: str,
     journal: Path,
     seconds: float,
+    options: ModelOptions,
 ) -> None:
     """The setting, every trial, and what was done."""
-    write_json(folder / "best.json", {"setting": found.study.best_params, objective: found.value})
+    best = {"preset": options.preset, "setting": found.choices, objective: found.value}
+    write_json(folder / "best.json", best)
     with (folder / "trials.csv").open("w", newline="", encoding="utf-8") as file:
         writer = csv.DictWriter(file, fieldnames=list(found.rows[0]))
         writer.writeheader()
@@ -138,6 +146,8 @@ def _write(
     report = {
         "scenes": [str(scene) for scene in scenes],
         "objective": objective,
+        "preset": options.preset,
+        "set": settings_of(options.set),
         "settings": len(found.rows),
         "given up": sum(row["state"] == "pruned" for row in found.rows),
         "first setting": found.rows[0]["mean"],
@@ -163,7 +173,7 @@ def _number(value: Any) -> str:
 
 
 def _interval(text: str) -> tuple[str, Any]:
-    """`NAME=LOW:HIGH` or `NAME=LOW:HIGH:linear`."""
+    """`PATH=LOW:HIGH` or `PATH=LOW:HIGH:linear`."""
     from mvedge_jax.sweep import Interval
 
     name, _, ends = text.partition("=")
@@ -173,7 +183,7 @@ def _interval(text: str) -> tuple[str, Any]:
         low, high = (float(part) for part in (parts[:2] if linear else parts))
     except ValueError:
         raise ValueError(
-            f"--vary {text}: expected NAME=LOW:HIGH or NAME=LOW:HIGH:linear, with numbers."
+            f"--vary {text}: expected PATH=LOW:HIGH or PATH=LOW:HIGH:linear, with numbers."
         ) from None
     if not np.isfinite((low, high)).all():
         raise ValueError(f"--vary {text}: the ends must be finite.")
@@ -181,18 +191,11 @@ def _interval(text: str) -> tuple[str, Any]:
 
 
 def _choice(text: str) -> tuple[str, tuple]:
-    """`NAME=A,B,...`; what reads as a number is one."""
+    """`PATH=A,B,...`; what reads as a number is one."""
     name, _, values = text.partition("=")
     if not values:
-        raise ValueError(f"--choose {text}: expected NAME=A,B,...")
-
-    def read(value: str) -> Any:
-        for kind in (int, float):
-            with contextlib.suppress(ValueError):
-                return kind(value)
-        return value
-
-    return name, tuple(read(value) for value in values.split(","))
+        raise ValueError(f"--choose {text}: expected PATH=A,B,...")
+    return name, tuple(map(read_value, values.split(",")))
 
 
 @contextlib.contextmanager

@@ -17,6 +17,7 @@ from mvedge_jax.metrics.depth import bad_pixels, mse
 
 from ._common import note, stage, warn
 from ._every_view import every_view
+from ._model import FULL, ModelArg
 from ._output import output_folder, write_json
 from ._source import read_scene, source_of
 
@@ -28,6 +29,8 @@ def views(
     *,
     views: int | None = None,
     overwrite: bool = False,
+    options: ModelArg = FULL,
+    seed: int = 0,
 ) -> None:
     """Estimates the disparity of every pixel of every view of a light field.
 
@@ -41,14 +44,19 @@ def views(
         out: folder to make.
         views: use the central VIEWS x VIEWS views only; odd.
         overwrite: replace OUT if it is an earlier result of mvedge, with nothing else in it.
+        options: of the model of the centre view, whose map is carried to the others.
+        seed: of the search that preset thesis draws.
     """
+    options.check()
     with stage("reading"):
         light_field, said = read_scene(scene, views=views)
     with output_folder(out, inputs=[scene], overwrite=overwrite) as folder:
-        found, seconds, doubts = every_view(light_field.without_truth())
+        blind = light_field.without_truth()
+        found, model, seconds, doubts = every_view(blind, options=options, seed=seed)
         with stage("writing"):
             _write(folder, found)
             report = {"scene": light_field.name, "seconds": round(seconds, 3), **_report(found)}
+            report |= options.described(model) | {"seed": seed}
             report["scores"] = _score(folder, light_field, found)
             report["source"] = source_of(scene, views=views)
             report["warnings"] = doubts = [*said, *doubts]

@@ -3,7 +3,6 @@
 import functools
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -11,12 +10,11 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from mvedge_jax._compiler import lean_jit
+from mvedge_jax._settings import Setting, with_settings
 from mvedge_jax.datasets import load_light_field
-from mvedge_jax.depth import DepthResult, Parameters, Sizes, edge_to_depth
+from mvedge_jax.depth import DepthResult, EdgeDepth, estimate_depth
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.metrics import DepthScores, depth_scores
-
-from ._space import with_numbers
 
 Objective = str | Callable[[DepthResult, LightField], Float[Array, ""]]
 
@@ -42,35 +40,46 @@ def _score(objective: Objective, result: DepthResult, light_field: LightField) -
 @lean_jit
 def _scores(
     rows: Float[Array, "b k"],
-    params: Parameters,
+    model: EdgeDepth,
     light_field: LightField,
-    sizes: Sizes,
     names: tuple[str, ...],
     objective: Objective,
 ) -> Float[Array, " b"]:
     blind = light_field.without_truth()
 
     def one(row: Float[Array, " k"]) -> Float[Array, ""]:
-        found = edge_to_depth(blind, with_numbers(params, names, row), sizes)
+        varied = model.replace({name: row[i] for i, name in enumerate(names)})
+        # Parts that draw do so alike for every setting.
+        found = estimate_depth(blind, varied, key=jax.random.key(0))
         return _score(objective, found, light_field)
 
     # What no varied number reaches is computed once for all settings.
     return jax.vmap(one)(rows)
 
 
+def _model(
+    light_field: LightField, preset: str, choices: tuple[tuple[str, Setting], ...]
+) -> EdgeDepth:
+    blind = light_field.without_truth()
+    model = EdgeDepth.for_light_field(blind, preset=preset)  # pyright: ignore
+    return with_settings(model, dict(choices))
+
+
 @functools.lru_cache(maxsize=8)
-def _read(path: Path, choices: tuple[tuple[str, Any], ...]) -> tuple[LightField, Sizes]:
+def _read(
+    path: Path, preset: str, choices: tuple[tuple[str, Setting], ...]
+) -> tuple[LightField, EdgeDepth]:
     light_field = load_light_field(path)
-    return light_field, Sizes.for_light_field(light_field.without_truth(), **dict(choices))
+    return light_field, _model(light_field, preset, choices)
 
 
 def evaluate(
     scene: str | Path | LightField,
     rows: Float[np.ndarray, "b k"],
-    params: Parameters,
     *,
     names: tuple[str, ...],
-    choices: dict[str, Any],
+    choices: dict[str, Setting],
+    preset: str,
     objective: Objective,
     batch: int,
 ) -> Float[np.ndarray, " b"]:
@@ -79,9 +88,9 @@ def evaluate(
     Args:
         scene: a light field, or the path of one, which is then kept for the next call.
         rows: values of the numbers at `names`, one setting a row.
-        params: everything else.
         names: paths of the numbers.
-        choices: fields of `Sizes` set by hand.
+        choices: other numbers and static fields of the model, by path.
+        preset: see `EdgeDepth.for_light_field`.
         objective: the name of a field of `DepthScores`, or a jittable function of the result and
             the light field.
         batch: settings per call of the program; fewer are filled up, so that it is compiled once.
@@ -93,11 +102,11 @@ def evaluate(
         ValueError: the objective is unknown, or needs a ground truth that the scene lacks.
     """
     check_objective(objective)
+    chosen = tuple(sorted(choices.items()))
     if isinstance(scene, LightField):
-        sizes = Sizes.for_light_field(scene.without_truth(), **choices)
-        light_field = scene
+        light_field, model = scene, _model(scene, preset, chosen)
     else:
-        light_field, sizes = _read(Path(scene), tuple(sorted(choices.items())))
+        light_field, model = _read(Path(scene), preset, chosen)
     if isinstance(objective, str) and light_field.truth is None:
         raise ValueError(
             f"scene {light_field.name} has no ground truth; give a function as `objective`."
@@ -108,6 +117,6 @@ def evaluate(
     for start in range(0, len(rows), batch):
         part = rows[start : start + batch]
         filled = np.concatenate([part, np.repeat(part[-1:], batch - len(part), axis=0)])
-        found = _scores(jnp.asarray(filled, dtype), params, light_field, sizes, names, objective)
+        found = _scores(jnp.asarray(filled, dtype), model, light_field, names, objective)
         scores.append(np.asarray(found)[: len(part)])
     return np.concatenate(scores) if scores else np.zeros(0)

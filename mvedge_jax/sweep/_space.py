@@ -1,17 +1,13 @@
-"""What is varied: numbers of `Parameters`, and choices of `Sizes`."""
+"""What is varied: numbers and static fields of `EdgeDepth`, by path."""
 
-import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, get_args, get_type_hints
 
-import equinox as eqx
 import numpy as np
 
-from mvedge_jax.depth import Parameters, Sizes
-from mvedge_jax.edges import EdgeSizes
-
-CHOICE = "sizes."
+from mvedge_jax._paths import value_at
+from mvedge_jax._settings import Setting, is_number, with_settings
+from mvedge_jax.depth import EdgeDepth
 
 
 @dataclass(frozen=True)
@@ -40,22 +36,21 @@ class Interval:
 
 @dataclass(frozen=True)
 class Space:
-    """What a sweep varies.
+    """What a sweep varies; the paths are those of `describe(model)`.
 
     Attributes:
-        numbers: leaves of `Parameters` by their path, such as `"centre.precision"`. They are
-            traced: settings that differ in them alone share a program.
-        choices: fields of `Sizes` with the values to try, such as `{"views": ("crosshair",
-            "all")}`. Each combination is a program of its own.
+        numbers: traced numbers of the model by path, such as `"smoothness.color"`. Settings that
+            differ in them alone share a program.
+        choices: static fields by path, with the values to try, such as `{"measurement.views":
+            ("crosshair", "all")}`. Each combination is a program of its own.
 
     Raises:
-        ValueError: a name is not one of `Parameters` or `Sizes`, a choice is none of `Sizes`, or
-            nothing is varied.
+        ValueError: nothing is varied, or a choice has no values.
 
     Example:
-        >>> space = Space({"centre.precision": Interval(0.002, 0.02)}, {"solves": (1, 2)})
-        >>> list(space.names)
-        ['centre.precision']
+        >>> space = Space({"smoothness.color": Interval(0.1, 1.0)}, {"refine.solves": (1, 2)})
+        >>> space.names
+        ('smoothness.color',)
     """
 
     numbers: Mapping[str, Interval] = field(default_factory=dict)
@@ -64,70 +59,53 @@ class Space:
     def __post_init__(self) -> None:
         if not self.numbers and not self.choices:
             raise ValueError("a sweep must vary at least one number or choice, got none.")
-        known = number_names(Parameters())
-        for name in self.numbers:
-            if name not in known:
-                raise ValueError(f"{name!r} is not a number of `Parameters`; they are {known}.")
-        sizes = [f.name for f in dataclasses.fields(Sizes) if f.name != "edges"]
         for name, values in self.choices.items():
-            if name not in sizes:
-                raise ValueError(f"{name!r} is not a choice of `Sizes`; they are {sizes}.")
             if not values:
                 raise ValueError(f"choice {name!r} must have at least one value, got none.")
-            kind = get_type_hints(Sizes)[name]
-            for value in values:
-                if get_args(kind) and value not in get_args(kind):
-                    raise ValueError(f"choice {name!r} must be of {get_args(kind)}, got {value!r}.")
-                if kind is int and not isinstance(value, int):
-                    raise ValueError(f"choice {name!r} must be a whole number, got {value!r}.")
-                least = Sizes(EdgeSizes(0, 3, 1), hypotheses=2, radius=1)
-                dataclasses.replace(least, **{name: value})  # raises where it is out of range
 
     @property
     def names(self) -> tuple[str, ...]:
         """Paths of the numbers, in order."""
         return tuple(self.numbers)
 
-    def start(self, params: Parameters) -> dict[str, Any] | None:
-        """The setting of `params` and the first choices; None if it is not within the intervals."""
+    def check(self, model: EdgeDepth) -> None:
+        """Refuses what cannot be varied.
+
+        Args:
+            model: of the preset that is swept.
+
+        Raises:
+            ValueError: a path is not that of a number or of a static field of the model, or a value
+                is of another kind or out of range.
+        """
+        for name, interval in self.numbers.items():
+            if not is_number(value_at(model, name)):
+                raise ValueError(
+                    f"`{name}` is not a number, as an interval needs; static fields are choices."
+                )
+            for end in (interval.low, interval.high):
+                with_settings(model, {name: float(end)})
+        for name, values in self.choices.items():
+            if is_number(value_at(model, name)):
+                raise ValueError(f"`{name}` is a number, not a static field; give it an interval.")
+            for value in values:
+                with_settings(model, {name: value})
+
+    def start(self, model: EdgeDepth) -> dict[str, Setting] | None:
+        """The first setting: the model's numbers and the first value of each choice.
+
+        Args:
+            model: of the preset that is swept.
+
+        Returns:
+            Values by path; None if a number of the model is not within its interval.
+        """
         numbers = {}
         for name, interval in self.numbers.items():
-            value = np.asarray(leaf(params, name))
+            value = np.asarray(value_at(model, name))
             # A bound that is the default is so but for the rounding of the latter.
             low, high = (value.dtype.type(end) for end in (interval.low, interval.high))
             if not low <= value <= high:
                 return None
             numbers[name] = min(max(float(value), interval.low), interval.high)
-        return {**numbers, **{CHOICE + n: values[0] for n, values in self.choices.items()}}
-
-
-def number_names(params: Parameters) -> list[str]:
-    """Paths of all scalar numbers of `params`."""
-    names = []
-
-    def walk(module: eqx.Module, prefix: str) -> None:
-        for one in dataclasses.fields(module):
-            value = getattr(module, one.name)
-            if isinstance(value, eqx.Module):
-                walk(value, f"{prefix}{one.name}.")
-            elif eqx.is_inexact_array(value) and value.ndim == 0:
-                names.append(prefix + one.name)
-
-    walk(params, "")
-    return names
-
-
-def leaf(params: Parameters, name: str) -> Any:
-    """The number at a path such as `"centre.precision"`."""
-    value: Any = params
-    for part in name.split("."):
-        value = getattr(value, part)
-    return value
-
-
-def with_numbers(params: Parameters, names: tuple[str, ...], values: Any) -> Parameters:
-    """`params` with the numbers at some paths replaced; `values[i]` belongs to `names[i]`."""
-    if not names:
-        return params
-    new = [values[i] for i in range(len(names))]
-    return eqx.tree_at(lambda p: [leaf(p, name) for name in names], params, new)
+        return {**numbers, **{name: values[0] for name, values in self.choices.items()}}

@@ -3,11 +3,10 @@
 import contextlib
 import os
 import socket
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 import optuna
 from optuna.distributions import CategoricalDistribution, FloatDistribution
@@ -15,11 +14,11 @@ from optuna.storages import JournalStorage
 from optuna.storages.journal import JournalFileBackend
 from optuna.trial import TrialState
 
-from mvedge_jax.depth import Parameters
+from mvedge_jax._settings import Setting, of_preset, with_settings
 from mvedge_jax.lightfield import LightField
 
 from ._evaluate import Objective, check_objective, evaluate
-from ._space import CHOICE, Space, with_numbers
+from ._space import Space
 from ._submit import Submit, in_threads
 
 _OWNER, _LOST = "owner", "lost"
@@ -32,16 +31,15 @@ class Swept(NamedTuple):
 
     Attributes:
         study: everything that was tried, for Optuna's own tools.
-        params: the best setting.
-        choices: its choices of `Sizes`.
+        choices: the best setting by path, numbers and static fields, `start` included:
+            `EdgeDepth.for_light_field(light_field, preset=preset, choices=choices)` is its model.
         value: its score, the mean over the scenes.
         rows: one dictionary per setting: number, state, what was varied, the score on each scene
             and their mean.
     """
 
     study: optuna.Study
-    params: Parameters
-    choices: dict[str, Any]
+    choices: dict[str, Setting]
     value: float
     rows: list[dict[str, Any]]
 
@@ -50,7 +48,8 @@ def sweep(
     scenes: Sequence[str | Path | LightField],
     space: Space,
     *,
-    start: Parameters | None = None,
+    preset: Literal["full", "edges", "thesis"] = "full",
+    start: Mapping[str, Setting] | None = None,
     trials: int = 64,
     batch: int = 4,
     wave: int = 16,
@@ -63,7 +62,7 @@ def sweep(
     submit: Submit | None = None,
     progress: Callable[[int, float], None] | None = None,
 ) -> Swept:
-    """Looks for the setting of `edge_to_depth` with the least mean score over scenes.
+    """Looks for the setting of an `EdgeDepth` with the least mean score over scenes.
 
     Settings are asked of Optuna in waves and scored scene after scene. Those that differ in traced
     numbers alone run in batches through one `vmap`-ed program, which computes once what no varied
@@ -74,8 +73,9 @@ def sweep(
     Args:
         scenes: light fields, or their paths, which is what workers elsewhere need.
         space: what is varied.
-        start: values of everything else; where they lie in `space`, they are the first setting.
-            `Parameters()` by default.
+        preset: of the model, see `EdgeDepth.for_light_field`.
+        start: other numbers and static fields, by path; the preset's by default. What `space`
+            varies starts from them where they lie in its intervals.
         trials: settings to have tried in the end, those in `journal` included.
         batch: settings per call of the program; memory grows with it.
         wave: settings asked at a time. Later ones learn from earlier waves only.
@@ -98,7 +98,8 @@ def sweep(
 
     Raises:
         ValueError: there are no scenes, a count is below 1, the objective is unknown, the journal
-            holds a sweep over another space, or no setting had a finite score.
+            holds a sweep over another space, `space` or `start` do not fit the preset's model, or
+            no setting had a finite score.
     """
     scenes = list(scenes)
     counts = {"scenes": len(scenes), "trials": trials, "batch": batch, "wave": wave}
@@ -106,22 +107,34 @@ def sweep(
         if count < 1:
             raise ValueError(f"`{label}` must be at least 1, got {count}.")
     check_objective(objective)
-    start = Parameters() if start is None else start
+    start = dict(start or {})
+    model = with_settings(of_preset(preset), start)
+    space.check(model)
+    run = _Run(dict(zip(_names(scenes), scenes, strict=True)), space, preset, start, objective)
     study = _study(journal, name, sampler, pruner)
-    named = dict(zip(_names(scenes), scenes, strict=True))
-    _adopt(study, space, list(named), objective)
-    if not study.trials and (first := space.start(start)) is not None:
+    _adopt(study, run)
+    if not study.trials and (first := space.start(model)) is not None:
         study.enqueue_trial(first)
     distributions = _distributions(space)
-    with in_threads(threads) if submit is None else contextlib.nullcontext(submit) as run:
+    with in_threads(threads) if submit is None else contextlib.nullcontext(submit) as calls:
         while (left := trials - _finished(study)) > 0:
             asked = [study.ask(distributions) for _ in range(min(wave, left))]
             for trial in asked:
                 trial.set_user_attr(_OWNER, _owner())
-            _run_wave(study, asked, named, space, start, objective, batch, run)
+            _run_wave(study, asked, run, batch, calls)
             if progress is not None:
                 progress(_finished(study), _best(study))
-    return _swept(study, space, start)
+    return _swept(study, start)
+
+
+class _Run(NamedTuple):
+    """What every setting of a sweep has in common."""
+
+    scenes: dict[str, str | Path | LightField]
+    space: Space
+    preset: str
+    start: dict[str, Setting]
+    objective: Objective
 
 
 def _study(
@@ -144,12 +157,14 @@ def _study(
     )
 
 
-def _adopt(study: optuna.Study, space: Space, scenes: list[str], objective: Objective) -> None:
+def _adopt(study: optuna.Study, run: _Run) -> None:
     """Refuses the journal of another sweep, and asks anew what a killed process had asked."""
     told = {
-        "space": repr(_distributions(space)),
-        "scenes": scenes,
-        "objective": objective if isinstance(objective, str) else "a function",
+        "space": repr(_distributions(run.space)),
+        "scenes": list(run.scenes),
+        "objective": run.objective if isinstance(run.objective, str) else "a function",
+        "preset": run.preset,
+        "start": run.start,
     }
     for key, value in told.items():
         before = study.user_attrs.get(key)
@@ -194,7 +209,7 @@ def _alive(owner: str) -> bool:
 def _distributions(space: Space) -> dict[str, Any]:
     return {
         **{n: FloatDistribution(i.low, i.high, log=i.log) for n, i in space.numbers.items()},
-        **{CHOICE + n: CategoricalDistribution(v) for n, v in space.choices.items()},
+        **{n: CategoricalDistribution(v) for n, v in space.choices.items()},
     }
 
 
@@ -222,27 +237,25 @@ def _names(scenes: Sequence[str | Path | LightField]) -> list[str]:
 def _run_wave(
     study: optuna.Study,
     trials: list[optuna.Trial],
-    scenes: dict[str, str | Path | LightField],
-    space: Space,
-    params: Parameters,
-    objective: Objective,
+    run: _Run,
     batch: int,
     submit: Submit,
 ) -> None:
     """Scores settings scene after scene; the pruner may give some up in between."""
-    total = {trial.number: 0.0 for trial in trials}
-    for index, (name, scene) in enumerate(scenes.items()):
+    total, space = {trial.number: 0.0 for trial in trials}, run.space
+    for index, (name, scene) in enumerate(run.scenes.items()):
         running = []
-        for part in _batches(trials, batch):
+        for part in _batches(trials, space, batch):
             rows = np.asarray([[trial.params[n] for n in space.names] for trial in part])
             options = {
                 "names": space.names,
-                "choices": {n: part[0].params[CHOICE + n] for n in space.choices},
-                "objective": objective,
+                "choices": run.start | {n: part[0].params[n] for n in space.choices},
+                "preset": run.preset,
+                "objective": run.objective,
                 "batch": batch,
             }
             rows = rows.reshape(len(part), len(space.names))
-            running.append((part, submit(evaluate, scene, rows, params, **options)))
+            running.append((part, submit(evaluate, scene, rows, **options)))
         left = []
         for part, future in running:
             for trial, score in zip(part, future.result(), strict=True):
@@ -253,26 +266,28 @@ def _run_wave(
                 total[trial.number] += float(score)
                 trial.report(total[trial.number] / (index + 1), index)
                 left.append(trial)
-        last = index + 1 == len(scenes)
+        last = index + 1 == len(run.scenes)
         trials = [] if last else [trial for trial in left if not trial.should_prune()]
         for trial in left:
             if last:
-                study.tell(trial, total[trial.number] / len(scenes))
+                study.tell(trial, total[trial.number] / len(run.scenes))
             elif trial not in trials:
                 study.tell(trial, state=TrialState.PRUNED)
 
 
-def _batches(trials: Sequence[optuna.Trial], batch: int) -> Iterable[list[optuna.Trial]]:
+def _batches(
+    trials: Sequence[optuna.Trial], space: Space, batch: int
+) -> Iterable[list[optuna.Trial]]:
     """Settings that share a program, a few at a time."""
     groups: dict[tuple, list[optuna.Trial]] = {}
     for trial in trials:
-        choices = tuple(v for n, v in sorted(trial.params.items()) if n.startswith(CHOICE))
+        choices = tuple(trial.params[name] for name in space.choices)
         groups.setdefault(choices, []).append(trial)
     for group in groups.values():
         yield from (group[i : i + batch] for i in range(0, len(group), batch))
 
 
-def _swept(study: optuna.Study, space: Space, start: Parameters) -> Swept:
+def _swept(study: optuna.Study, start: dict[str, Setting]) -> Swept:
     rows, lost = [], _lost(study)
     for trial in study.get_trials(deepcopy=False):
         if trial.number in lost or not trial.state.is_finished():
@@ -285,9 +300,5 @@ def _swept(study: optuna.Study, space: Space, start: Parameters) -> Swept:
         )
     if not np.isfinite(_best(study)):
         raise ValueError("no setting had a finite score on every scene.")
-    best = study.best_trial
-    dtype = start.centre.precision.dtype
-    values = [jnp.asarray(best.params[n], dtype) for n in space.names]
-    choices = {n: best.params[CHOICE + n] for n in space.choices}
-    params = with_numbers(start, space.names, values)
-    return Swept(study, params, choices, float(study.best_value), rows)
+    choices = start | study.best_trial.params
+    return Swept(study, choices, float(study.best_value), rows)

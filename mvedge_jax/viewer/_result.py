@@ -43,7 +43,7 @@ class Result(NamedTuple):
 
 
 def result_of(depth: DepthResult, *, name: str = "result") -> Result:
-    """What `edge_to_depth` gives, for the page.
+    """What `EdgeDepth` gives, for the page.
 
     Args:
         depth: the map, its error, points and surface vectors.

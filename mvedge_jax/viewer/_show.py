@@ -48,7 +48,7 @@ def show(
 
     Args:
         light_field: the views.
-        results: of `edge_to_depth`, or maps as `Result`, which have names; two are compared.
+        results: of `EdgeDepth`, or maps as `Result`, which have names; two are compared.
         quality: of the views, 1 to 100.
         height: of the frame, px.
 

@@ -39,9 +39,9 @@ def compilations(monkeypatch):
     """What was compiled: the arguments of every call."""
     calls, compiled = [], _batch.compiled
 
-    def counted(function, *arguments):
+    def counted(function, *arguments, **options):
         calls.append(arguments)
-        return compiled(function, *arguments)
+        return compiled(function, *arguments, **options)
 
     monkeypatch.setattr(_batch, "compiled", counted)
     return calls

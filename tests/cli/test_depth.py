@@ -46,7 +46,11 @@ def test_depth_writes_everything_and_is_right(scene, tmp_path, capsys, monkeypat
     assert 0 <= photometry["share that noise rules"] < 1
     assert photometry["brightened by"] >= 1
     assert np.allclose(photometry["gain of the centre row of views"], 1, atol=0.02)
-    assert report["parameters"]["centre.precision"] == pytest.approx(0.005)
+    assert report["preset"] == "full"
+    assert report["numbers"]["refine.precision"] == 0.005
+    assert report["numbers"]["smoothness.color"] == 0.3
+    assert report["static fields"]["refine.solves"] == 2
+    assert report["static fields"]["measurement.views"] == "crosshair"
     error = read_pfm(out / "standard_error.pfm")
     assert error.shape == found.shape
     assert 0 < report["standard error, median and 95 %"][0] == pytest.approx(np.median(error))
@@ -54,6 +58,20 @@ def test_depth_writes_everything_and_is_right(scene, tmp_path, capsys, monkeypat
     for name in ("disparity.png", "standard_error.png", "error_log.png", "error_signed.png"):
         assert cv2.imread(str(out / name)) is not None, name
     assert "written to" in capsys.readouterr().out
+
+
+def test_a_preset_and_settings_are_estimated_with_and_reported(scene, tmp_path):
+    words = ["--preset", "edges", "--set", "smoothness.color=.4", "--set", "refine.solves=1"]
+    words += ["--range", "-0.5", "1", "--seed", "3"]
+    assert _main.main(["depth", str(scene), str(tmp_path / "out"), *words]) == 0
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    assert (report["preset"], report["seed"]) == ("edges", 3)
+    assert report["numbers"]["smoothness.color"] == 0.4
+    assert report["static fields"]["refine.solves"] == 1
+    # Two directional diffusions and one solve.
+    assert len(report["diffusion iterations"]) == 3
+    found = read_pfm(tmp_path / "out" / "disparity.pfm")
+    assert np.median(np.abs(found - 0.4)) < 0.01
 
 
 def test_an_existing_folder_is_not_touched(scene, tmp_path, capsys):
@@ -68,6 +86,8 @@ def test_an_existing_folder_is_not_touched(scene, tmp_path, capsys):
     [
         (["--range", "1", "-1"], "low < high"),
         (["--views", "4"], "odd"),
+        (["--set", "smoothness"], "--set smoothness: expected PATH=VALUE"),
+        (["--all-views", "--preset", "thesis"], "--all-views needs dense labels"),
     ],
 )
 def test_mistakes_are_one_line(scene, tmp_path, capsys, options, message):
@@ -79,10 +99,10 @@ def test_mistakes_are_one_line(scene, tmp_path, capsys, options, message):
 
 
 def test_nothing_is_left_behind_when_interrupted(scene, tmp_path, monkeypatch):
-    def interrupt(*_):
+    def interrupt(*_, **__):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(_depth, "compiled", lambda *_: interrupt)
+    monkeypatch.setattr(_depth, "compiled", lambda *_, **__: interrupt)
     assert _main.main(["depth", str(scene), str(tmp_path / "out"), "--range", "0", "1"]) == 130
     assert list(tmp_path.iterdir()) == []
 

@@ -39,6 +39,21 @@ def test_edges_writes_everything_and_is_right(scene, tmp_path, capsys):
     assert "choosing sizes" in text.err
 
 
+@pytest.mark.slow
+def test_the_edges_of_the_thesis_are_drawn_from_a_seed(scene, tmp_path):
+    found = []
+    for name, seed in (("one", 0), ("again", 0), ("other", 1)):
+        words = ["--range", "-0.5", "1", "--preset", "thesis", "--seed", str(seed)]
+        assert _main.main(["edges", str(scene), str(tmp_path / name), *words]) == 0
+        report = json.loads((tmp_path / name / "report.json").read_text())
+        assert (report["preset"], report["seed"]) == ("thesis", seed)
+        assert report["numbers"]["edges.lines.decay"] == 0.88
+        found.append(np.load(tmp_path / name / "points.npz")["disparity"])
+    one, again, other = found
+    np.testing.assert_array_equal(one, again)
+    assert one.shape != other.shape or np.any(one != other)
+
+
 def test_the_epi_with_the_widest_spread_is_drawn():
     # Row 0 is far from the rest, but all of it at one depth; row 2 has two depths.
     index = np.array([0, 0, 0, 1, 1, 2, 2, 2])

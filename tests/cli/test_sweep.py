@@ -19,39 +19,44 @@ def scenes(tmp_path):
 
 @pytest.fixture
 def scored(monkeypatch):
-    def score(scene, rows, params, *, names, choices, objective, batch):
-        return (np.log(rows[:, 0] / 0.008)) ** 2 + (choices["views"] == "all")
+    def score(scene, rows, *, names, choices, preset, objective, batch):
+        return (np.log(rows[:, 0] / 0.008)) ** 2 + (choices["measurement.views"] == "all")
 
     monkeypatch.setattr("mvedge_jax.sweep._sweep.evaluate", score)
 
 
 def test_a_sweep_writes_the_best_setting(scenes, scored, tmp_path, capsys):
     out = tmp_path / "out"
-    words = ["sweep", *map(str, scenes), str(out), "--vary", "centre.precision=0.002:0.02"]
-    words += ["--choose", "views=crosshair,all", "--trials", "40"]
+    words = ["sweep", *map(str, scenes), str(out), "--vary", "refine.precision=0.002:0.02"]
+    words += ["--choose", "measurement.views=crosshair,all", "--trials", "40"]
     assert _main.main(words) == 0
     best = json.loads((out / "best.json").read_text())
-    assert best["setting"]["centre.precision"] == pytest.approx(0.008, rel=0.2)
-    assert best["setting"]["sizes.views"] == "crosshair"
+    assert best["setting"]["refine.precision"] == pytest.approx(0.008, rel=0.2)
+    assert best["setting"]["measurement.views"] == "crosshair"
     with (out / "trials.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert len(rows) == 40
     assert min(float(row["mean"]) for row in rows) == pytest.approx(best["bad_07"])
-    assert float(rows[0]["centre.precision"]) == pytest.approx(0.005)
+    assert float(rows[0]["refine.precision"]) == pytest.approx(0.005)
     assert (out / "sweep.png").stat().st_size > 10_000
     assert (tmp_path / "out.journal").exists()
-    assert "centre.precision = " in capsys.readouterr().out
+    assert "refine.precision = " in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["--vary", "centre.precision"], "expected NAME=LOW:HIGH"),
-        (["--vary", "centre.precision=1:x"], "expected NAME=LOW:HIGH"),
-        (["--vary", "centre.precision=1:nan"], "must be finite"),
-        (["--vary", "centre.precison=1:2"], "'centre.precison' is not a number"),
-        (["--choose", "views"], "expected NAME=A,B"),
-        (["--vary", "centre.trust=1:2", "--workers", "-1"], "--workers must not be negative"),
+        (["--vary", "refine.precision"], "expected PATH=LOW:HIGH"),
+        (["--vary", "refine.precision=1:x"], "expected PATH=LOW:HIGH"),
+        (["--vary", "refine.precision=1:nan"], "must be finite"),
+        (["--vary", "refine.precison=1:2"], "`refine.precison` is no path of `EdgeDepth`"),
+        (["--vary", "dense.trust=1:2", "--preset", "edges"], "`dense.trust` is no path"),
+        (
+            ["--vary", "dense.trust=1:2", "--set", "refine.solves=0"],
+            "--set refine.solves: `solves`",
+        ),
+        (["--choose", "views"], "expected PATH=A,B"),
+        (["--vary", "dense.trust=1:2", "--workers", "-1"], "--workers must not be negative"),
         ([], "at least one number or choice"),
     ],
 )
@@ -62,7 +67,8 @@ def test_mistakes_are_told(words, message, scenes, tmp_path, capsys):
 
 
 def test_intervals_and_choices_are_read():
-    assert _interval("centre.trust=0.7:2.8") == ("centre.trust", Interval(0.7, 2.8))
+    assert _interval("dense.trust=0.7:2.8") == ("dense.trust", Interval(0.7, 2.8))
     assert _interval("x=-1:2:linear") == ("x", Interval(-1.0, 2.0, log=False))
-    assert _choice("solves=1,2") == ("solves", (1, 2))
+    assert _choice("refine.solves=1,2") == ("refine.solves", (1, 2))
+    assert _choice("refine.outlines=true,false") == ("refine.outlines", (True, False))
     assert _choice("views=crosshair,all") == ("views", ("crosshair", "all"))

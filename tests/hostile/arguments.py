@@ -4,16 +4,15 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from hostile.case import Case, refuses
 
-from mvedge_jax import LightField, Parameters, Sizes, edge_to_depth, multiview_edges
+from mvedge_jax import EdgeDepth, LightField, describe, multiview_edges
+from mvedge_jax.depth import estimate_depth
 from mvedge_jax.diffusion import AutoSolver, System, diffuse
-from mvedge_jax.edges import EdgeParams, EdgeSizes
-from mvedge_jax.edges.sides import BidirectionalParams, SurfaceParams
+from mvedge_jax.edges import OrientedEdges
 
 _WRONG = (TypeError, ValueError)
 
@@ -21,8 +20,9 @@ _WRONG = (TypeError, ValueError)
 def cases() -> Iterator[Case]:
     """All of them; none compiles a program."""
     yield from _light_fields()
-    yield from _parameters()
-    yield from _sizes()
+    yield from _numbers()
+    yield from _static_fields()
+    yield from _paths()
     yield from _orders()
     yield from _tolerances()
     yield from _traced()
@@ -76,99 +76,91 @@ def _light_fields() -> Iterator[Case]:
         yield Case(f"a light field of {name}", run)
 
 
-def _full() -> Parameters:
-    """Parameters with the optional groups, too."""
-    return Parameters(bidirectional=BidirectionalParams(), surface=SurfaceParams())
+def _model(preset: Any = "full") -> EdgeDepth:
+    return EdgeDepth.for_light_field(_light_field(), preset=preset)
 
 
-def _parameters() -> Iterator[Case]:
-    leaves = jax.tree_util.tree_leaves_with_path(_full())
-    names = [jax.tree_util.keystr(path).lstrip(".") for path, _ in leaves]
-    for index, name in enumerate(names):
-        for value in (np.nan, np.inf, -np.inf, -1.0):
+def _numbers() -> Iterator[Case]:
+    for preset in ("full", "edges", "thesis"):
+        names = [row.path for row in describe(_model(preset)) if not row.static]
+        for name in names:
+            for value in (np.nan, np.inf, -np.inf, -1.0):
 
-            def run(_: Path, index=index, name=name, value=value) -> None:
-                light_field = _light_field()
-                sizes = Sizes.for_light_field(light_field)
-                for bad in (value, jnp.float32(value)):
-                    params = eqx.tree_at(lambda p: jax.tree.leaves(p)[index], _full(), bad)
-                    refuses(lambda p=params: edge_to_depth(light_field, p, sizes), f"params.{name}")
+                def run(_: Path, preset=preset, name=name, value=value) -> None:
+                    for bad in (value, jnp.float32(value)):
+                        model = _model(preset).replace({name: bad})
+                        refuses(lambda m=model: estimate_depth(_light_field(), m), f"`{name}`")
 
-            yield Case(f"{name} = {value}", run)
-    for field in ("strength_floor", "error_limit"):
+                yield Case(f"{name} = {value} in preset {preset}", run, fast=preset == "full")
+    for name in ("edges.strength_floor", "measurement.outlier"):
 
-        def edges(_: Path, field=field) -> None:
-            light_field = _light_field()
-            params = EdgeParams(**{field: jnp.float32(np.nan)})
-            sizes = EdgeSizes.for_light_field(light_field)
-            refuses(lambda: multiview_edges(light_field, params, sizes), f"params.{field}")
+        def edges(_: Path, name=name) -> None:
+            model = _model().replace({name: jnp.float32(np.nan)})
+            refuses(lambda: multiview_edges(_light_field(), model), f"`{name}`")
 
-        yield Case(f"EdgeParams.{field} = nan", edges)
+        yield Case(f"edges with {name} = nan", edges)
 
 
-def _sizes() -> Iterator[Case]:
-    choices: list[dict[str, Any]] = [
-        {"hypotheses": 0}, {"hypotheses": 1}, {"radius": 0}, {"solves": 0}, {"solves": -1},
-        {"window": -1}, {"passes": -1}, {"median_radius": 0}, {"levels": 1}, {"tolerance": 0.0},
-        {"tolerance": -1.0}, {"tolerance": float("nan")},
+def _static_fields() -> Iterator[Case]:
+    choices: list[tuple[str, Any]] = [
+        ("calibration.hypotheses", 0), ("calibration.hypotheses", 1), ("measurement.radius", 0),
+        ("refine.solves", 0), ("refine.solves", -1), ("calibration.window", -1),
+        ("measurement.passes", -1), ("refine.sharpen.radius", 0), ("refine.sharpen.levels", 1),
+        ("edges.filters", 2), ("edges.capacity", 0), ("edges.spacing", 0.0),
+        ("edges.spacing", float("nan")),
     ]  # fmt: skip
-    for choice in choices:
+    for path, value in choices:
 
-        def run(_: Path, choice=choice) -> None:
-            refuses(
-                lambda: Sizes.for_light_field(_light_field(), **choice), f"`{next(iter(choice))}`"
-            )
+        def run(_: Path, path=path, value=value) -> None:
+            field, wrong = path.rpartition(".")[2], {path: value}
+            refuses(lambda: EdgeDepth.for_light_field(_light_field(), choices=wrong), f"`{field}`")
 
-        yield Case(f"Sizes with {choice}", run)
+        yield Case(f"{path} = {value}", run)
     for choice in ({"filters": 2}, {"capacity": 0}, {"spacing": 0.0}, {"spacing": float("nan")}):
 
         def edges(_: Path, choice=choice) -> None:
             given: dict[str, Any] = {"first": -10, "filters": 21, "capacity": 64} | choice
-            refuses(lambda: EdgeSizes(**given), f"`{next(iter(choice))}`")
+            refuses(lambda: OrientedEdges(**given), f"`{next(iter(choice))}`")
 
-        yield Case(f"EdgeSizes with {choice}", edges)
+        yield Case(f"OrientedEdges with {choice}", edges)
     for other in ((-0.5, 0.5), (2.0, 4.0), (-1.0, 0.5)):
 
         def another_range(_: Path, other=other) -> None:
-            sizes = Sizes.for_light_field(LightField(_views(), disparity_range=other))
-            refuses(lambda: edge_to_depth(_light_field(), Parameters(), sizes), "`sizes`", "-1")
+            narrow = LightField(_views(), disparity_range=other)
+            model = EdgeDepth.for_light_field(narrow)
+            refuses(lambda: estimate_depth(_light_field(), model), "`model`", "-1")
 
-        yield Case(f"sizes for a range of {other}", another_range)
+        yield Case(f"a model for a range of {other}", another_range)
+
+
+def _paths() -> Iterator[Case]:
+    for path in ("", ".", "smoothness.colour", "smoothness.color.", "a.b", "dense.trust.x"):
+
+        def run(_: Path, path=path) -> None:
+            wrong = {path: 1.0}
+            refuses(lambda: _model().replace(wrong), f"`{path}` is no path of `EdgeDepth`")
+
+        yield Case(f"a model's {path!r}", run)
 
 
 def _orders() -> Iterator[Case]:
-    def arguments() -> dict[str, Any]:
-        light_field = _light_field()
-        return {
-            "light_field": light_field,
-            "params": Parameters(),
-            "sizes": Sizes.for_light_field(light_field),
-        }
+    def swapped(_: Path) -> None:
+        call: Any = estimate_depth
+        refuses(lambda: call(_model(), _light_field()), "the order is", kinds=_WRONG)
 
-    orders = {
-        "params, light_field, sizes": ("params", "light_field", "sizes"),
-        "light_field, sizes, params": ("light_field", "sizes", "params"),
-        "sizes, params, light_field": ("sizes", "params", "light_field"),
-    }
-    for name, order in orders.items():
-
-        def swapped(_: Path, order=order) -> None:
-            given = arguments()
-            refuses(lambda: edge_to_depth(*(given[k] for k in order)), "the order is", kinds=_WRONG)
-
-        yield Case(f"edge_to_depth({name})", swapped)
+    yield Case("estimate_depth(model, light_field)", swapped)
     others: dict[str, Any] = {
         "None": None, "a number": 3.0, "text": "x", "an array": np.zeros((3, 3, 8, 8, 3), "f4"),
-        "a dictionary": {}, "a class": Parameters,
+        "a dictionary": {}, "a class": EdgeDepth,
     }  # fmt: skip
-    for argument in ("light_field", "params", "sizes"):
+    for argument in ("light_field", "model"):
         for name, value in others.items():
 
             def other(_: Path, argument=argument, value=value) -> None:
-                given = arguments() | {argument: value}
-                refuses(lambda: edge_to_depth(**given), f"`{argument}` must be", kinds=_WRONG)
+                given = {"light_field": _light_field(), "model": _model()} | {argument: value}
+                refuses(lambda: estimate_depth(**given), f"`{argument}` must be", kinds=_WRONG)
 
-            yield Case(f"edge_to_depth({argument} = {name})", other)
+            yield Case(f"estimate_depth({argument} = {name})", other)
 
 
 def _tolerances() -> Iterator[Case]:

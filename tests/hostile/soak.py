@@ -1,7 +1,7 @@
 """Many calls of one process: `python tests/hostile/soak.py --calls 300`.
 
 Light fields of five shapes take turns, each call with other views, and the compiled programs are
-forgotten now and then, as `edge_to_depth` advises. Resident memory is read after every call. The
+forgotten now and then, as `estimate_depth` advises. Resident memory is read after every call. The
 first round may compile, which takes memory of its own; the largest of every later round may exceed
 that of the second by a tenth.
 """
@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from mvedge_jax import LightField, Parameters, Sizes, compilation_cache, edge_to_depth
+from mvedge_jax import EdgeDepth, LightField, compilation_cache
 
 _SHAPES = ((48, 48), (48, 64), (64, 48), (56, 80), (96, 72))
 _ALLOWED = 1.1
@@ -42,16 +42,17 @@ def main() -> int:
     parser.add_argument("--rounds", type=int, default=6, help="programs are forgotten after each")
     options = parser.parse_args()
     compilation_cache()
-    sizes = [Sizes.for_light_field(light_field(s, key=jax.random.key(0))) for s in _SHAPES]
+    fields = (light_field(shape, key=jax.random.key(0)) for shape in _SHAPES)
+    models = [EdgeDepth.for_light_field(field) for field in fields]
     if options.rounds < 3:
         parser.error("--rounds must be at least 3")
-    params, peaks, start = Parameters(), [], time.perf_counter()
+    peaks, start = [], time.perf_counter()
     for number, calls in enumerate(np.array_split(np.arange(options.calls), options.rounds)):
         peak = 0.0
         for call in calls:
             which = call % len(_SHAPES)
             field = light_field(_SHAPES[which], key=jax.random.key(call))
-            found = edge_to_depth(field, params, sizes[which])
+            found = models[which](field)
             off = float(jnp.median(jnp.abs(found.disparity - 1)))
             if not off < 0.05:
                 sys.stdout.write(f"call {call}: off by {off:.3g} px\n")

@@ -1,6 +1,6 @@
 """Whether results depend on the number of threads: `python tests/hostile/threads.py`.
 
-A rendered scene goes through `edge_to_depth`, value and gradient, in processes that may use one
+A rendered scene goes through `EdgeDepth`, value and gradient, in processes that may use one
 core or all of them, twice each; the arrays are compared bit by bit. The exit code is 1 if a process
 differs from its repetition on as many cores.
 """
@@ -19,17 +19,18 @@ _SCENE = "demo"
 
 def compute(file: Path, size: int) -> None:
     """What a process does: map, error, gradients by leaf, into an archive."""
+    import equinox as eqx
     import jax
 
-    from mvedge_jax import Parameters, Sizes, compilation_cache, edge_to_depth
+    from mvedge_jax import EdgeDepth, compilation_cache
     from mvedge_jax.datasets.synthetic import render, scene
 
     compilation_cache()
     key = jax.random.key(0)
     field = render(scene(_SCENE), shape=(5, 5, size, size), samples=2, key=key).without_truth()
-    sizes = Sizes.for_light_field(field)
-    found = edge_to_depth(field, Parameters(), sizes)
-    gradient = jax.grad(lambda p: edge_to_depth(field, p, sizes).disparity.mean())(Parameters())
+    model = EdgeDepth.for_light_field(field)
+    found = model(field)
+    gradient = eqx.filter_grad(lambda m: m(field).disparity.mean())(model)
     leaves = [np.ravel(leaf) for leaf in jax.tree.leaves(gradient)]
     np.savez(
         file,

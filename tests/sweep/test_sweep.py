@@ -3,6 +3,7 @@
 import contextlib
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -10,23 +11,24 @@ import time
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import optuna
 import pytest
 
-from mvedge_jax.depth import DepthResult, Parameters, Sizes, edge_to_depth
+from mvedge_jax._settings import of_preset
 from mvedge_jax.datasets import synthetic, write_hci
+from mvedge_jax.depth import DepthResult, EdgeDepth
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.metrics import depth_scores
 from mvedge_jax.sweep import Interval, Space, _evaluate, evaluate, plot_sweep, sweep
-from mvedge_jax.sweep._space import leaf, number_names, with_numbers
 
 optuna.logging.set_verbosity(optuna.logging.WARNING)
 
-SPACE = Space({"centre.precision": Interval(0.002, 0.02), "centre.trust": Interval(0.7, 2.8)})
+SPACE = Space({"refine.precision": Interval(0.002, 0.02), "dense.trust": Interval(0.7, 2.8)})
+
+WIDE, BELOW = Interval(1.0, 2.0), Interval(-1.0, 1.0, log=False)
 
 
 @pytest.fixture
@@ -34,30 +36,24 @@ def bowl(monkeypatch):
     """Scores with a minimum that is known, in place of the chain."""
     calls = []
 
-    def score(scene, rows, params, *, names, choices, objective, batch):
+    def score(scene, rows, *, names, choices, preset, objective, batch):
         calls.append((scene, len(rows), dict(choices)))
         target = np.log([0.006, 1.2])[: len(names)]
-        return ((np.log(rows) - target) ** 2).sum(-1) + choices.get("solves", 0) + len(str(scene))
+        return (
+            ((np.log(rows) - target) ** 2).sum(-1)
+            + choices.get("refine.solves", 0)
+            + len(str(scene))
+        )
 
     monkeypatch.setattr("mvedge_jax.sweep._sweep.evaluate", score)
     return calls
-
-
-def test_every_number_has_a_name_and_can_be_replaced():
-    params = Parameters()
-    names = number_names(params)
-    assert len(names) == len(jax.tree.leaves(params))
-    new = with_numbers(params, tuple(names), jnp.arange(1.0, len(names) + 1))
-    assert [float(leaf(new, name)) for name in names] == list(range(1, len(names) + 1))
 
 
 @pytest.mark.parametrize(
     ("make", "message"),
     [
         (lambda: Space(), "at least one number or choice"),
-        (lambda: Space({"centre.precisoin": Interval(1, 2)}), "'centre.precisoin' is not a number"),
-        (lambda: Space({}, {"solvse": (1,)}), "'solvse' is not a choice"),
-        (lambda: Space({}, {"solves": ()}), "at least one value"),
+        (lambda: Space({}, {"refine.solves": ()}), "at least one value"),
         (lambda: Interval(2.0, 1.0), "increasing order, got 2.0 and 1.0"),
         (lambda: Interval(0.0, 1.0), "must be positive, got 0.0"),
         (lambda: sweep([], SPACE), "`scenes` must be at least 1, got 0"),
@@ -71,13 +67,61 @@ def test_mistakes_are_told(make, message):
         make()
 
 
+@pytest.mark.parametrize(
+    ("numbers", "choices", "message"),
+    [
+        (
+            {"refine.precisoin": WIDE},
+            {},
+            "`refine.precisoin` is no path of `EdgeDepth`: the fields",
+        ),
+        ({"refine.solves": WIDE}, {}, "`refine.solves` is not a number, as an interval needs"),
+        ({"refine.precision": BELOW}, {}, "`refine.precision` must be finite and not negative"),
+        ({}, {"refine.solvse": (1,)}, "`refine.solvse` is no path of `EdgeDepth`: the fields of"),
+        ({}, {"refine.precision": (0.1,)}, "`refine.precision` is a number, not a static field"),
+        ({}, {"refine": (1,)}, "`refine` is a part, whose numbers and static fields are"),
+        ({}, {"refine.solves": (1, 1.5)}, "`refine.solves` must be a whole number, got 1.5"),
+        ({}, {"refine.solves": (0,)}, "`solves` must be at least 1, got 0"),
+        ({}, {"refine.outlines": (1,)}, "`refine.outlines` must be true or false, got 1"),
+    ],
+)
+def test_what_the_model_does_not_have_is_not_varied(numbers, choices, message, bowl):
+    with pytest.raises(ValueError, match=re.escape(message)):
+        sweep(["a"], Space(numbers, choices))
+    assert not bowl
+
+
+def test_a_space_and_a_start_belong_to_a_preset(bowl):
+    with pytest.raises(ValueError, match="`dense.trust` is no path of `EdgeDepth`"):
+        sweep(["a"], SPACE, preset="edges")
+    with pytest.raises(ValueError, match="`refine.solves` must be a whole number, got 'two'"):
+        sweep(["a"], SPACE, start={"refine.solves": "two"})
+    assert not bowl
+
+
+def test_a_preset_and_what_is_held_reach_every_scene(monkeypatch):
+    calls = []
+
+    def score(scene, rows, *, names, choices, preset, objective, batch):
+        calls.append((preset, choices))
+        return rows[:, 0]
+
+    monkeypatch.setattr("mvedge_jax.sweep._sweep.evaluate", score)
+    space = Space({"labels.gain": Interval(1.0, 10.0)}, {"refine.solves": (1,)})
+    start = {"smoothness.color": 0.5, "labels.gain": 2.0}
+    found = sweep(["a"], space, preset="edges", start=start, trials=4)
+    assert found.rows[0]["labels.gain"] == pytest.approx(2.0)
+    assert {preset for preset, _ in calls} == {"edges"}
+    assert all(choices == {**start, "refine.solves": 1} for _, choices in calls)
+    assert found.choices == {**start, "refine.solves": 1, "labels.gain": found.value}
+
+
 def test_a_minimum_is_found_and_the_defaults_come_first(bowl):
     seen = []
     found = sweep(["a", "bc"], SPACE, trials=60, progress=lambda *now: seen.append(now))
-    assert found.rows[0]["centre.precision"] == pytest.approx(0.005)
+    assert found.rows[0]["refine.precision"] == pytest.approx(0.005)
     assert found.value < 1.5 + 0.05
-    assert float(found.params.centre.precision) == pytest.approx(0.006, rel=0.3)
-    assert float(found.params.centre.slant) == float(Parameters().centre.slant)
+    assert found.choices["refine.precision"] == pytest.approx(0.006, rel=0.3)
     assert len(found.rows) == 60
     assert [n for n, _ in seen] == [16, 32, 48, 60]
     row = found.rows[7]
@@ -86,12 +130,12 @@ def test_a_minimum_is_found_and_the_defaults_come_first(bowl):
 
 def test_a_bound_that_is_the_default_holds_it(bowl):
     """Though its nearest number of single precision may lie beyond."""
-    space = Space({"centre.precision": Interval(0.005, 0.05), "centre.trust": Interval(0.7, 1.4)})
+    space = Space({"refine.precision": Interval(0.005, 0.05), "dense.trust": Interval(0.7, 1.4)})
     first = sweep(["a"], space, trials=1).rows[0]
-    assert first["centre.precision"] == pytest.approx(0.005, rel=1e-6)
-    assert first["centre.trust"] == pytest.approx(1.4, rel=1e-6)
-    beyond = Space({"centre.precision": Interval(0.0051, 0.05)})
-    assert beyond.start(Parameters()) is None
+    assert first["refine.precision"] == pytest.approx(0.005, rel=1e-6)
+    assert first["dense.trust"] == pytest.approx(1.4, rel=1e-6)
+    beyond = Space({"refine.precision": Interval(0.0051, 0.05)})
+    assert beyond.start(of_preset("full")) is None
 
 
 def test_scenes_of_one_name_keep_their_scores(bowl):
@@ -103,9 +147,9 @@ def test_scenes_of_one_name_keep_their_scores(bowl):
 
 
 def test_choices_are_grouped(bowl):
-    space = Space(SPACE.numbers, {"solves": (2, 1)})
+    space = Space(SPACE.numbers, {"refine.solves": (2, 1)})
     found = sweep(["a"], space, trials=32, batch=4)
-    assert found.choices == {"solves": 1}
+    assert found.choices["refine.solves"] == 1
     assert all(count <= 4 for _, count, _ in bowl)
     # One wave of 16 in two groups: no more calls than full batches and one rest each.
     assert len(bowl) <= 2 * (4 + 2)
@@ -121,20 +165,20 @@ def test_a_pool_gives_the_same_result(bowl):
 def test_threads_run_side_by_side_but_what_may_compile_runs_alone(monkeypatch):
     running, most, beside, seen = [], [], [], set()
 
-    def score(scene, rows, params, *, names, choices, objective, batch):
+    def score(scene, rows, *, names, choices, preset, objective, batch):
         running.append(scene)
         most.append(len(running))
-        program = scene, choices["solves"]
+        program = scene, choices["refine.solves"]
         first = program not in seen
         seen.add(program)
         time.sleep(0.05)
         if first:
             beside.append(len(running) - 1)
         running.remove(scene)
-        return rows[:, 0] * choices["solves"] + len(scene)
+        return rows[:, 0] * choices["refine.solves"] + len(scene)
 
     monkeypatch.setattr("mvedge_jax.sweep._sweep.evaluate", score)
-    space = Space({"centre.trust": Interval(0.7, 2.8)}, {"solves": (1, 2)})
+    space = Space({"dense.trust": Interval(0.7, 2.8)}, {"refine.solves": (1, 2)})
     options: Any = {"trials": 24, "batch": 2, "wave": 24}
     found = sweep(["a", "bc"], space, threads=2, **options)
     assert beside == [0, 0, 0, 0]
@@ -145,7 +189,7 @@ def test_threads_run_side_by_side_but_what_may_compile_runs_alone(monkeypatch):
 
 
 def test_a_mistake_in_a_thread_is_the_sweeps(monkeypatch):
-    def score(scene, rows, params, **options):
+    def score(scene, rows, **options):
         if len(rows) < 4:
             raise ValueError("what went wrong")
         return rows[:, 0]
@@ -173,20 +217,20 @@ def test_a_journal_is_gone_on_from(bowl, tmp_path):
     with pytest.raises(ValueError, match="a sweep with scenes"):
         sweep(["b"], SPACE, trials=40, journal=journal)
     with pytest.raises(ValueError, match="a sweep with space"):
-        sweep(["a"], Space({"centre.trust": Interval(0.7, 2.8)}), trials=40, journal=journal)
+        sweep(["a"], Space({"dense.trust": Interval(0.7, 2.8)}), trials=40, journal=journal)
 
 
 _KILLED = """
 import sys, time
 from mvedge_jax.sweep import Interval, Space, sweep
 import mvedge_jax.sweep._sweep as module
-def slow(scene, rows, params, **options):
+def slow(scene, rows, **options):
     if scene == "second":
         print("started", flush=True)
         time.sleep(60)
     return rows[:, 0]
 module.evaluate = slow
-space = Space({"centre.precision": Interval(0.002, 0.02), "centre.trust": Interval(0.7, 2.8)})
+space = Space({"refine.precision": Interval(0.002, 0.02), "dense.trust": Interval(0.7, 2.8)})
 sweep(["first", "second"], space, trials=32, journal=sys.argv[1])
 """
 
@@ -213,24 +257,26 @@ def test_nothing_is_lost_when_a_sweep_is_killed(bowl, tmp_path):
 def test_scores_that_are_not_finite_fail(bowl, monkeypatch):
     monkeypatch.setattr(
         "mvedge_jax.sweep._sweep.evaluate",
-        lambda scene, rows, params, **options: np.where(rows[:, 0] > 0.006, np.nan, rows[:, 0]),
+        lambda scene, rows, **options: np.where(rows[:, 0] > 0.006, np.nan, rows[:, 0]),
     )
     found = sweep(["a"], SPACE, trials=20)
     assert {row["state"] for row in found.rows} == {"complete", "fail"}
     assert len(found.rows) == 20
     monkeypatch.setattr(
         "mvedge_jax.sweep._sweep.evaluate",
-        lambda scene, rows, params, **options: np.full(len(rows), np.nan),
+        lambda scene, rows, **options: np.full(len(rows), np.nan),
     )
     with pytest.raises(ValueError, match="no setting had a finite score"):
         sweep(["a"], SPACE, trials=4)
 
 
 def test_the_figure_shows_every_number(bowl):
-    found = sweep(["a"], Space(SPACE.numbers, {"views": ("crosshair", "all")}), trials=24)
+    found = sweep(
+        ["a"], Space(SPACE.numbers, {"measurement.views": ("crosshair", "all")}), trials=24
+    )
     labels = [axes.get_xlabel() for axes in plot_sweep(found).axes]
     assert labels[:2] == ["setting", "importance"]
-    assert set(labels[2:]) == {"centre.precision", "centre.trust", "sizes.views"}
+    assert set(labels[2:]) == {"refine.precision", "dense.trust", "measurement.views"}
 
 
 @pytest.mark.slow
@@ -239,17 +285,14 @@ def test_scores_of_a_batch_are_those_of_single_calls():
         synthetic.scene("demo"), shape=(5, 5, 40, 48), samples=1, key=jax.random.key(0)
     )
     rows = np.array([[0.005, 1.4], [0.02, 0.5], [0.003, 3.0]])
-    names = ("centre.precision", "centre.trust")
-    options = {"names": names, "choices": {}, "objective": "mae", "batch": 2}
-    found = evaluate(light_field, rows, Parameters(), **options)
+    names = ("refine.precision", "dense.trust")
+    options: Any = {"names": names, "choices": {"refine.solves": 1}, "preset": "full"}
+    found = evaluate(light_field, rows, **options, objective="mae", batch=2)
     blind, truth = light_field.without_truth(), light_field.truth
     assert truth is not None
-    sizes = Sizes.for_light_field(blind)
     for row, score in zip(rows, found, strict=True):
-        params = eqx.tree_at(
-            lambda p: [p.centre.precision, p.centre.trust], Parameters(), [*map(jnp.asarray, row)]
-        )
-        depth = edge_to_depth(blind, params, sizes).disparity
+        setting = {"refine.solves": 1, **dict(zip(names, map(float, row), strict=True))}
+        depth = EdgeDepth.for_light_field(blind, choices=setting)(blind).disparity
         expected = depth_scores(depth, truth.disparity, mask=truth.valid).mae
         np.testing.assert_allclose(score, expected, rtol=1e-3)
 
@@ -261,20 +304,21 @@ def test_scenes_of_one_kind_share_a_program_whatever_their_names(monkeypatch):
         traces.append(light_field.name)
         return result.disparity
 
-    def mean(field, *_):
+    def mean(field, *_, **__):
         unread: Any = [None] * 5
         return DepthResult(field.views.mean(), *unread)
 
-    monkeypatch.setattr(_evaluate, "edge_to_depth", mean)
+    monkeypatch.setattr(_evaluate, "estimate_depth", mean)
     views = jnp.full((3, 3, 8, 8, 3), 0.5)
-    options: Any = {"names": ("centre.trust",), "choices": {}, "objective": width, "batch": 2}
+    options: Any = {"names": ("dense.trust",), "choices": {}, "preset": "full", "batch": 2}
+    options["objective"] = width
     for name, value in (("one", 0.5), ("two", 0.25)):
         field = LightField(value * views, disparity_range=(-1.0, 1.0), name=name)
-        found = evaluate(field, np.array([[1.0]]), Parameters(), **options)
+        found = evaluate(field, np.array([[1.0]]), **options)
         np.testing.assert_allclose(found, [0.5 * value])
     assert traces == [""]
     with pytest.raises(ValueError, match="scene two has no ground truth"):
-        evaluate(field, np.array([[1.0]]), Parameters(), **{**options, "objective": "mae"})
+        evaluate(field, np.array([[1.0]]), **{**options, "objective": "mae"})
 
 
 @contextlib.contextmanager

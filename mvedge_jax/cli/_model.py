@@ -1,0 +1,147 @@
+"""`--preset` and `--set`: the model that a command runs, and what its report says of it."""
+
+import contextlib
+import dataclasses
+from typing import Annotated, Any, Literal, TypeVar
+
+import equinox as eqx
+import numpy as np
+import tyro
+
+from mvedge_jax._paths import describe
+from mvedge_jax._settings import Setting, of_preset, with_settings
+from mvedge_jax.depth import EdgeDepth
+from mvedge_jax.lightfield import LightField
+
+_Module = TypeVar("_Module", bound=eqx.Module)
+Settings = Annotated[
+    tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="PATH=VALUE")
+]
+
+
+@dataclasses.dataclass(frozen=True)
+class ModelOptions:
+    """The options of every command that runs an `EdgeDepth`.
+
+    Attributes:
+        preset: of the steps: full has edges and a label measured at every pixel; edges has the
+            edges alone, splatted with transmittance; thesis has the steps of Chapters 4 and 6.
+        set: a number or static field of the model by its path, such as smoothness.color=.3 or
+            refine.solves=1; may be given several times. report.json lists all paths.
+    """
+
+    preset: Literal["full", "edges", "thesis"] = "full"
+    set: Settings = ()
+
+    def check(self, *, all_views: bool = False) -> EdgeDepth:
+        """Refuses mistakes before any light field is read, see `model`; a model to look at."""
+        return self._settled(of_preset(self.preset), all_views)
+
+    def model(self, light_field: LightField, *, all_views: bool = False) -> EdgeDepth:
+        """The model for a light field.
+
+        Args:
+            light_field: its disparity range is measured where it does not come with one.
+            all_views: measure labels in all views at the end.
+
+        Returns:
+            The model.
+
+        Raises:
+            ValueError: the light field has one view, a setting is none of the preset's or out of
+                range, or `all_views` asks a preset without dense labels.
+        """
+        views = "all" if all_views else "crosshair"
+        model = EdgeDepth.for_light_field(light_field, preset=self.preset, views=views)
+        return self._settled(model, all_views)
+
+    def _settled(self, model: EdgeDepth, all_views: bool) -> EdgeDepth:
+        if all_views and model.dense is None:
+            raise ValueError(
+                f"--all-views needs dense labels, which preset {self.preset} does not have; leave "
+                "out one of both."
+            )
+        return settled(model, self.set)
+
+    def described(self, model: EdgeDepth) -> dict[str, Any]:
+        """What a report says of the model: preset, numbers and static fields by path."""
+        return {"preset": self.preset, **described(model)}
+
+
+ModelArg = Annotated[ModelOptions, tyro.conf.arg(name="")]
+# What a command runs that is not told otherwise.
+FULL = ModelOptions()
+
+
+def settled(model: _Module, words: tuple[str, ...]) -> _Module:
+    """A model with what `--set` asks for.
+
+    Args:
+        model: any.
+        words: `PATH=VALUE`, one a setting; later ones win.
+
+    Returns:
+        The new model.
+
+    Raises:
+        ValueError: naming the setting, and what was expected.
+    """
+    for path, value in settings_of(words).items():
+        try:
+            model = with_settings(model, {path: value})
+        except ValueError as mistake:
+            raise ValueError(f"--set {path}: {mistake}") from None
+    return model
+
+
+def settings_of(words: tuple[str, ...]) -> dict[str, Setting]:
+    """Values by path.
+
+    Args:
+        words: `PATH=VALUE`, one a setting; later ones win.
+
+    Returns:
+        What they mean, unchecked.
+
+    Raises:
+        ValueError: a word is not of this form.
+    """
+    found = {}
+    for word in words:
+        path, _, text = word.partition("=")
+        if not (path and text):
+            raise ValueError(f"--set {word}: expected PATH=VALUE, such as smoothness.color=0.3.")
+        found[path] = read_value(text)
+    return found
+
+
+def read_value(text: str) -> Setting:
+    """What a word of the command line means: true, false, a number, or itself."""
+    if text in ("true", "false"):
+        return text == "true"
+    for kind in (int, float):
+        with contextlib.suppress(ValueError):
+            return kind(text)
+    return text
+
+
+def described(model: eqx.Module) -> dict[str, Any]:
+    """Numbers and static fields of a model by path, for a report."""
+    rows = describe(model)
+    return {
+        "numbers": {row.path: _plain(row.value) for row in rows if not row.static},
+        "static fields": {row.path: _plain(row.value) for row in rows if row.static},
+    }
+
+
+def _plain(value: Any) -> Any:
+    """A value as JSON has it; numbers as short as their precision allows."""
+    if eqx.is_array(value):
+        array = np.asarray(value)
+        return float(str(array)) if array.ndim == 0 else array.tolist()
+    return value if isinstance(value, bool | int | float | str | tuple) else repr(value)
+
+
+def reads_all_views(model: EdgeDepth) -> bool:
+    """Whether labels are measured in all views, missing ones included."""
+    return model.measurement is not None and model.measurement.views == "all"
