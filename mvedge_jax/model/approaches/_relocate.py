@@ -6,6 +6,7 @@ from jaxtyping import Array, Bool, Float
 
 from mvedge_jax._compiler import lean_jit
 from mvedge_jax._params import cast, number
+from mvedge_jax._paths import replaced
 from mvedge_jax.color import planes_to_lab
 from mvedge_jax.diffusion import System, diffuse
 from mvedge_jax.smoothness import ColorAndDepth, edge_smoothness
@@ -25,7 +26,9 @@ class RelocateParams(eqx.Module):
     step: Float[Array, ""] = number(0.2)
     trust: Float[Array, ""] = number(1e4)
     smoothness: ColorAndDepth = eqx.field(
-        default_factory=lambda: ColorAndDepth(color=0.5, color_power=4.0, depth_power=0.0)
+        default_factory=lambda: replaced(
+            ColorAndDepth(), {"color": 0.5, "color_power": 4.0, "depth_power": 0.0}
+        )
     )
 
 
