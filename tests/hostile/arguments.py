@@ -84,7 +84,7 @@ def _numbers() -> Iterator[Case]:
     for preset in ("full", "edges", "thesis"):
         names = [row.path for row in describe(_model(preset)) if not row.static]
         for name in names:
-            for value in (np.nan, np.inf, -np.inf, -1.0):
+            for value in (np.nan, np.inf, -np.inf, -1.0) if preset == "full" else (np.nan,):
 
                 def run(_: Path, preset=preset, name=name, value=value) -> None:
                     for bad in (value, jnp.float32(value)):
