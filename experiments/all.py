@@ -27,7 +27,7 @@ from experiments._report import commit as commit_now, environment, print_table, 
 
 HERE = Path(__file__).resolve().parent
 # Seconds after which a script is stopped.
-LIMITS = {"quick": 240, "full": 5400}
+LIMITS = {"quick": 600, "full": 5400}
 
 
 def main() -> int:
