@@ -10,8 +10,7 @@ from scipy import ndimage
 
 from mvedge_jax._crosshair import crosshair
 from mvedge_jax.lightfield import LightField
-from mvedge_jax.photometry import Matching
-from mvedge_jax.photometry.matching import hypotheses
+from mvedge_jax.photometry.matching import Matching, hypotheses
 from mvedge_jax.photometry.matching._paths import aggregate
 
 
@@ -98,9 +97,7 @@ def test_a_plain_surface_follows_its_surroundings():
     planes = across.planes.at[hole].set(0.5), down.planes.at[..., 10:18, 6:14].set(0.5)
     arms = across._replace(planes=planes[0]), down._replace(planes=planes[1])
     # Colours alike, so that nothing but the neighbours can fill the hole in the texture.
-    found = hypotheses(
-        *arms, jnp.zeros((3, 20, 28)), jnp.linspace(-1, 1, 9), Matching(), window=1
-    )
+    found = hypotheses(*arms, jnp.zeros((3, 20, 28)), jnp.linspace(-1, 1, 9), Matching(), window=1)
     assert float(jnp.median(jnp.abs(found[6:14, 10:18] - 0.5))) < 0.1
 
 
