@@ -161,15 +161,24 @@ def test_no_file_is_too_long_to_be_one_idea():
 
 
 _FLOORS = (
-    ("_compiler", "_export", "_params", "_fence", "_linear_map", "_product", "_root"),
+    (
+        "_compiler",
+        "_export",
+        "_params",
+        "_paths",
+        "_fence",
+        "_linear_map",
+        "_product",
+        "_root",
+    ),
     ("_known", "_unstack", "color", "image", "interpolation"),
     ("_checks", "lightfield"),
     ("_crosshair",),
     ("photometry",),
     ("diffusion", "splatting", "warping", "epi"),
-    ("edges", "losses", "metrics"),
-    ("centre",),
-    ("model", "baselines", "angular"),
+    ("smoothness", "edges", "losses", "metrics"),
+    ("depth",),
+    ("model", "angular"),
     ("edit", "posed", "superpixels"),
     ("_cache", "_settings", "datasets", "plotting"),
     ("sweep", "viewer"),

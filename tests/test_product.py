@@ -10,8 +10,8 @@ import pytest
 
 from mvedge_jax._product import product
 from mvedge_jax.angular import ViewParams, ViewSizes, depth_of_views
-from mvedge_jax.depth import Parameters, Sizes, edge_to_depth
 from mvedge_jax.color import srgb_to_gray, srgb_to_lab
+from mvedge_jax.depth import EdgeDepth
 from mvedge_jax.epi._response import correlate
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.losses.features import FilterBank
@@ -39,10 +39,10 @@ def _chain(views):
     """All that becomes of the views: centre view, every view, superpixels."""
     with jax.ensure_compile_time_eval():
         blank = LightField(jnp.asarray(_VIEWS), disparity_range=(-1.0, 1.0))
-        sizes = Sizes.for_light_field(blank), ViewSizes.for_light_field(blank)
+        model, sizes = EdgeDepth.for_light_field(blank), ViewSizes.for_light_field(blank)
     field = eqx.tree_at(lambda f: f.views, blank, views)
-    result = edge_to_depth(field, Parameters(), sizes[0])
-    depths = depth_of_views(field, result, ViewParams(), sizes[1])
+    result = model(field)
+    depths = depth_of_views(field, result, ViewParams(), sizes)
     patches = SuperpixelSizes(capacity=64, margin=2)
     found = superpixels(field, depths, SuperpixelParams(), patches)
     return depths.disparity, found.plane

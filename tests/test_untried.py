@@ -1,6 +1,6 @@
 """Every verb on views that tell nothing, and of the least sizes.
 
-`edge_to_depth` alone has `tests/centre/test_nothing_to_see.py`.
+`EdgeDepth` alone has `tests/depth/test_nothing_to_see.py`.
 """
 
 import equinox as eqx
@@ -9,12 +9,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from mvedge_jax import LightField, Parameters, Sizes, edge_to_depth
+from mvedge_jax import EdgeDepth, LightField
 from mvedge_jax.angular import ViewParams, ViewSizes, depth_of_views
 from mvedge_jax.model import ModelSizes, optimize_edges, start_from_depth
 from mvedge_jax.model.approaches import ByEvidence
 from mvedge_jax.model.optimisation import all_at_once
-from mvedge_jax.posed import Photographs, StereoParams, StereoSizes, reference_of, stereo
+from mvedge_jax.posed import Photographs, StereoDepth, reference_of, stereo
 from mvedge_jax.superpixels import (
     SuperpixelParams,
     SuperpixelSizes,
@@ -36,8 +36,8 @@ def _field(name, shape=(16, 16)):
 
 
 def _centre(field):
-    sizes = Sizes.for_light_field(field, levels=4, median_radius=2)
-    return edge_to_depth(field, Parameters(), sizes)
+    choices = {"refine.sharpen.levels": 4, "refine.sharpen.radius": 2}
+    return EdgeDepth.for_light_field(field, choices=choices)(field)
 
 
 def _finite(tree):
@@ -115,16 +115,17 @@ def _photographs(name, shape):
 def test_photographs_and_their_gradients(name, shape):
     photographs, images = _photographs(name, shape)
     reference = reference_of(photographs, 0, depth_range=(1.0, 4.0))
-    sizes = StereoSizes.of(reference, solves=1, levels=4)
-    found = stereo(photographs, reference, StereoParams(), sizes)
+    choices = {"refine.solves": 1, "refine.sharpen.levels": 4}
+    model = StereoDepth.of(reference, choices=choices)
+    found = stereo(photographs, reference, model)
     _finite((found.depth, found.disparity, found.disparity_error))
     assert bool((found.disparity_error > 0).all())
 
-    def total(params, images):
+    def total(model, images):
         seen = eqx.tree_at(lambda p: p.images, photographs, images)
-        return stereo(seen, reference, params, sizes).disparity.sum()
+        return stereo(seen, reference, model).disparity.sum()
 
-    _finite(jax.jit(jax.grad(total, argnums=(0, 1)))(StereoParams(), images))
+    _finite(jax.jit(jax.grad(total, argnums=(0, 1)))(model, images))
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (1, 40), (40, 1)])

@@ -13,9 +13,9 @@ from helpers import dot, random_like, with_values
 
 from mvedge_jax.angular import ViewParams, ViewSizes, depth_of_views
 from mvedge_jax.baselines import reproject_views
-from mvedge_jax.depth import DepthResult, DepthStats, Parameters, Sizes, edge_to_depth
+from mvedge_jax.depth import DepthResult, DepthStats, EdgeDepth
 from mvedge_jax.lightfield import LightField
-from mvedge_jax.photometry import Exposure, Noise
+from mvedge_jax.photometry.brightness import Exposure, Noise
 
 
 def _known(field):
@@ -43,7 +43,7 @@ def _known(field):
 @pytest.mark.parametrize("shape", [(16, 16), (1, 40), (1, 1)])
 def test_views_that_show_nothing_have_errors_as_wide_as_the_range(shape):
     field = LightField(jnp.full((3, 3, *shape, 3), 0.5), disparity_range=(-1.0, 2.0))
-    result = edge_to_depth(field, Parameters(), Sizes.for_light_field(field))
+    result = EdgeDepth.for_light_field(field)(field)
     found = depth_of_views(field, result, ViewParams(), ViewSizes.for_light_field(field))
     assert bool(jnp.isfinite(found.disparity).all())
     assert float(found.error.min()) >= 3

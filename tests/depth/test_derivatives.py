@@ -1,6 +1,7 @@
-"""Every leaf of the parameters and the views: both modes against differences.
+"""Every leaf of the model and the views: both modes against differences.
 
-Leaves are walked by path: a new one is tested from its first day.
+Leaves are walked by path, so that a new one is tested from its first day. Those that `describe`
+marks as thresholds have the derivative 0, and no others but those that a preset does not read.
 """
 
 import equinox as eqx
@@ -11,91 +12,90 @@ import pytest
 from depth.derivatives import check_rows, noisy_scene, rows, table
 from helpers import check_modes
 
-from mvedge_jax.depth import Parameters, Sizes, edge_to_depth
-from mvedge_jax.edges import EdgeSizes
-from mvedge_jax.edges.sides import BidirectionalParams, SurfaceParams
-from mvedge_jax.lightfield import LightField
+from mvedge_jax import describe
+from mvedge_jax.depth import EdgeDepth
 
-# Leaves that only select: which candidates are points. Their derivative is 0 almost everywhere, and
-# rightly so.
-THRESHOLDS = {
-    "edges.strength_floor": "which pixels are candidates",
-    "edges.error_limit": "which points are accepted",
+# Of the parts of a preset, what it does not read.
+UNREAD = {
+    # That is for labels of all views.
+    "full": {"refine.parted"},
+    "edges": {
+        *(f"sides.vote.{n}" for n in ("response", "neighbors", "dense", "radius", "cap")),
+        "sides.vote.temperature",
+        "edges.half_confidence",
+        "refine.parted",
+    },
 }
-# The same among those of the groups that are only read if given.
-_GIVEN = {
-    "bidirectional.offset": "which pixel a label is rounded to",
-    "bidirectional.floor": "the least smoothness of the directional solves",
-}
+PRESETS = tuple(UNREAD)
 
 
-def _problem(name, size, *, given=False, dtype: type = np.float64, **choices):
+def _problem(name, size, preset, *, dtype: type = np.float64, **choices):
     blind = noisy_scene(name, size, dtype=dtype)
     # Differences see what is left of the solver's error, derivatives do not.
-    sizes = Sizes.for_light_field(blind, tolerance=1e-12, **choices)
-    params = Parameters()
-    if given:
-        params = Parameters(bidirectional=BidirectionalParams(), surface=SurfaceParams())
+    tight = {"solver.tolerance": 1e-12, "sides.diffusion.solver.tolerance": 1e-10}
+    model = EdgeDepth.for_light_field(blind, preset=preset, choices=tight | choices)
     phase = jax.random.normal(jax.random.key(5), (size, size), dtype)
 
     def loss(tree):
-        params, views = tree
-        field = eqx.tree_at(lambda f: f.views, blind, views)
-        found = edge_to_depth(field, params, sizes)
-        return jnp.mean(jnp.sin(3 * found.disparity + phase))
+        model, views = tree
+        found = model(eqx.tree_at(lambda f: f.views, blind, views))
+        # Relative to what the views tell: errors reach the width of the range.
+        error = jnp.mean(jnp.cos(phase) * jnp.log(found.error))
+        return jnp.mean(jnp.sin(3 * found.disparity + phase)) + 0.1 * error
 
-    return loss, params, blind.views
+    return loss, model, blind.views
 
 
-def _check(name, size, zero, *, directions=2, **choices):
-    check_rows(*_problem(name, size, **choices), zero, directions=directions)
+def _check(name, size, preset, *, directions=2, **choices):
+    loss, model, views = _problem(name, size, preset, **choices)
+    thresholds = {row.path for row in describe(model) if row.threshold}
+    check_rows(loss, model, views, thresholds | UNREAD[preset], directions=directions)
 
 
 SCENES = pytest.mark.parametrize("name", ["edges", "demo"])
 CASES = [(name, side) for name in ("edges", "demo") for side in (40, 64, 96)]
 
 
+@pytest.mark.parametrize("preset", PRESETS)
 @pytest.mark.parametrize(
     ("name", "side"),
     [CASES[0], *(pytest.param(*case, marks=pytest.mark.slow) for case in CASES[1:])],
 )
-def test_every_leaf_by_default(name, side):
-    _check(name, side, set(THRESHOLDS))
+def test_every_leaf(name, side, preset):
+    _check(name, side, preset)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("name", "side"), CASES)
-def test_every_leaf_of_the_optional_groups(name, side):
-    _check(name, side, {*THRESHOLDS, *_GIVEN}, directions=1, given=True)
-
-
-@pytest.mark.slow
+@pytest.mark.parametrize("preset", PRESETS)
 @SCENES
-def test_the_taps_of_the_filters_reach_the_map(name):
+def test_the_taps_of_the_filters_reach_the_map(name, preset):
     """A random direction of each arm's taps. The filters' disparities only name them."""
-    side = 40
-    loss, params, views = _problem(name, side)
-    sizes = EdgeSizes.for_light_field(LightField(views))
+    loss, model, views = _problem(name, 40, preset)
 
     def of_banks(tree):
         banks, views = tree
-        edges = eqx.tree_at(lambda p: p.banks, params.edges, banks, is_leaf=lambda b: b is None)
-        return loss((eqx.tree_at(lambda p: p.edges, params, edges), views))
+        return loss((model.replace({"edges.banks": banks}), views))
 
-    banks = sizes.banks(views.shape, views.dtype)
+    banks = model.edges.prewitt(views.shape, views.dtype)
     found = rows(of_banks, banks, views, agree=3e-4, directions=0, key=jax.random.key(1))
     report = table(found)
     assert {r.name for r in found if r.zero} == {"[0].disparity", "[1].disparity"}, report
     assert max(r.error for r in found) < 1e-3, report
 
 
+def _small(name, preset, *, dtype: type = np.float64):
+    choices = {"refine.sharpen.levels": 12, "refine.sharpen.radius": 3}
+    return _problem(name, 32, preset, dtype=dtype, **choices)
+
+
 @pytest.mark.slow
+@pytest.mark.parametrize("preset", PRESETS)
 @SCENES
-def test_second_derivatives_of_the_chain(name):
+def test_second_derivatives_of_the_chain(name, preset):
     """Forward over reverse, and what `linearize` gives, along a direction of everything."""
-    loss, params, views = _problem(name, 32, levels=12, median_radius=3)
-    # In the logarithm of the parameters and in grey levels of the views: alike in size.
-    logs = jax.tree.map(jnp.log, params)
+    loss, model, views = _small(name, preset)
+    # In the logarithm of the numbers and in grey levels of the views: alike in size.
+    logs = jax.tree.map(jnp.log, model)
 
     def value(tree):
         logs, change = tree
@@ -112,7 +112,7 @@ def test_second_derivatives_of_the_chain(name):
         pytest.param(
             (1e-20, 1e-10, 1e10, 1e20),
             marks=pytest.mark.xfail(
-                reason="sums that cancel round otherwise: 1e-10 changes `median.epsilon` by 1.3e-4",
+                reason="sums that cancel round otherwise: 1e-10 changes `sharpen.epsilon` by 1e-4",
                 strict=True,
             ),
         ),
@@ -121,11 +121,11 @@ def test_second_derivatives_of_the_chain(name):
 )
 def test_the_chain_keeps_the_gradient_of_a_loss_of_any_size(scales):
     """In float32. A power of two changes no rounding, so what differs there has left the range."""
-    loss, params, views = _problem("edges", 32, dtype=np.float32, levels=12, median_radius=3)
+    loss, model, views = _small("edges", "full", dtype=np.float32)
 
     @jax.jit
     def gradient(scale):
-        return jax.grad(lambda tree: scale * loss(tree))((params, views))
+        return jax.grad(lambda tree: scale * loss(tree))((model, views))
 
     expected = gradient(jnp.float32(1))
     for scale in scales:

@@ -1,6 +1,6 @@
 """The whole chain: right, robust, differentiable, one program."""
 
-import dataclasses
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -9,15 +9,14 @@ import numpy as np
 import pytest
 from helpers import count_traces, shared_data
 
-from mvedge_jax.baselines import plane_sweep
-from mvedge_jax.depth import Parameters, Sizes, edge_to_depth
 from mvedge_jax.datasets import load_light_field, synthetic
+from mvedge_jax.depth import EdgeDepth, depth, estimate_depth
 from mvedge_jax.edges import scene_range
-from mvedge_jax.edges.sides import SurfaceParams
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.metrics import boundary_scores, depth_scores
+from mvedge_jax.photometry.matching import plane_sweep
 
-SMALL = {"levels": 16, "median_radius": 3}
+SMALL = {"refine.sharpen.levels": 16, "refine.sharpen.radius": 3}
 
 
 def small_scene(name="edges", *, shape=(5, 5, 48, 56), dtype: type = np.float32):
@@ -32,9 +31,13 @@ def edges_scene():
     return small_scene()
 
 
+def small_model(light_field, **options):
+    return EdgeDepth.for_light_field(light_field, choices=SMALL, **options)
+
+
 def test_a_scene_with_depth_edges(edges_scene):
-    sizes = Sizes.for_light_field(edges_scene, **SMALL)
-    result = edge_to_depth(edges_scene, Parameters(), sizes)
+    model = small_model(edges_scene)
+    result = model(edges_scene)
     truth = edges_scene.truth
     assert result.disparity.dtype == edges_scene.views.dtype
     assert bool(jnp.isfinite(result.disparity).all())
@@ -46,16 +49,15 @@ def test_a_scene_with_depth_edges(edges_scene):
     assert float(result.error.min()) > 0
     assert (error <= result.error).mean() > 0.68
     # The truth is never read, nor is the name; the same input gives the same output.
-    before = edge_to_depth.traces
-    again = edge_to_depth(edges_scene.without_truth().renamed("again"), Parameters(), sizes)
+    before = estimate_depth.traces
+    again = model(edges_scene.without_truth().renamed("again"))
     np.testing.assert_array_equal(again.disparity, result.disparity)
-    assert edge_to_depth.traces == before
+    assert estimate_depth.traces == before
 
 
 def test_all_views_know_more_than_those_of_the_crosshair(edges_scene):
     few, every = (
-        edge_to_depth(edges_scene, Parameters(), Sizes.for_light_field(edges_scene, **choice))
-        for choice in (SMALL, {**SMALL, "views": "all"})
+        small_model(edges_scene, views=views)(edges_scene) for views in ("crosshair", "all")
     )
     truth = np.asarray(edges_scene.truth.disparity)
     wrong, less = (np.abs(np.asarray(r.disparity) - truth) for r in (few, every))
@@ -66,16 +68,15 @@ def test_all_views_know_more_than_those_of_the_crosshair(edges_scene):
 
 
 @pytest.mark.slow
-def test_one_trace_serves_every_parameter(edges_scene):
+def test_one_trace_serves_every_number(edges_scene):
     blind = edges_scene.without_truth()
-    sizes = Sizes.for_light_field(edges_scene, **SMALL)
-    run, traces = count_traces(lambda p: edge_to_depth(blind, p, sizes).disparity)
-    first = run(Parameters())
-    changed = eqx.tree_at(lambda p: p.centre.smoothness, Parameters(), replace_fn=lambda s: 6 * s)
-    second = run(changed)
+    model = small_model(edges_scene)
+    run, traces = count_traces(lambda m: m(blind).disparity)
+    first = run(model)
+    second = run(model.replace({"refine.stiffness": 9.0}))
     assert float(jnp.abs(first - second).max()) > 1e-4
     # Selections would drop NaN on its way to the map.
-    leaves, tree = jax.tree.flatten(Parameters())
+    leaves, tree = jax.tree.flatten(model)
     for index in range(len(leaves)):
         for value in (jnp.nan, jnp.inf, -1.0):
             spoilt = [jnp.full_like(x, value) if i == index else x for i, x in enumerate(leaves)]
@@ -87,50 +88,57 @@ def test_one_trace_serves_every_parameter(edges_scene):
 @pytest.mark.parametrize("value", [0.0, 0.5])
 def test_constant_images_give_a_finite_map(value):
     flat = LightField(jnp.full((3, 3, 16, 16, 3), value), disparity_range=(-1.0, 1.0))
-    result = edge_to_depth(flat, Parameters(), Sizes.for_light_field(flat))
+    result = depth(flat)
     assert bool(jnp.isfinite(result.disparity).all())
     assert float(jnp.abs(result.disparity).max()) <= 1.5
     # Nothing tells the disparity, and the result says so.
     assert float(result.error.min()) > 1
 
 
-def test_sizes_follow_the_range_and_explain_mistakes():
+def test_static_fields_follow_the_range_and_explain_mistakes():
     views = jnp.zeros((9, 9, 32, 32, 3))
     narrow, wide = (
-        Sizes.for_light_field(LightField(views, disparity_range=(-r, r))) for r in (1.0, 3.5)
+        EdgeDepth.for_light_field(LightField(views, disparity_range=(-r, r))) for r in (1.0, 3.5)
     )
-    assert wide.hypotheses > 2.5 * narrow.hypotheses
-    assert (narrow.radius, wide.radius) == (8, 28)
-    assert hash(narrow) != hash(wide)
+    hypotheses = [model.calibration.hypotheses for model in (narrow, wide)]
+    assert hypotheses[1] > 2.5 * hypotheses[0]
+    assert [model.measurement.radius for model in (narrow, wide)] == [8, 28]
+    assert [model.searched for model in (narrow, wide)] == [(-1.0, 1.0), (-3.5, 3.5)]
     with pytest.raises(ValueError, match="`solves` must be at least 1, got 0"):
-        dataclasses.replace(narrow, solves=0)
-    # Past the annotations, which are checked in tests only.
-    wrong = dataclasses.replace(narrow)
-    object.__setattr__(wrong, "views", "some")
-    with pytest.raises(ValueError, match="`views` must be one of .*'some'"):
-        wrong.__post_init__()
+        narrow.replace({"refine.solves": 0})
+    with pytest.raises(ValueError, match=r"searches disparities from -1 to 1, but .* -3.5 to 3.5"):
+        narrow(LightField(views, disparity_range=(-3.5, 3.5)))
     single = LightField(jnp.zeros((1, 1, 8, 8, 3)), disparity_range=(0.0, 1.0))
     with pytest.raises(ValueError, match="single view"):
-        Sizes.for_light_field(single)
+        EdgeDepth.for_light_field(single)
     with pytest.raises(ValueError, match="at least three views.*1x1"):
-        edge_to_depth(single, Parameters(), narrow)
+        narrow(single)
+    swapped: Any = (narrow, LightField(views))
+    number: Any = 3.0
+    with pytest.raises(TypeError, match="`light_field` must be LightField, got EdgeDepth; .*order"):
+        estimate_depth(*swapped)
+    with pytest.raises(TypeError, match="`model` must be EdgeDepth, got 3.0; .*for_light_field"):
+        estimate_depth(LightField(views), number)
 
 
-def l1(params, light_field, sizes, truth):
-    return jnp.mean(jnp.abs(edge_to_depth(light_field, params, sizes).disparity - truth))
+@pytest.mark.parametrize("value", [float("nan"), -1.0])
+def test_numbers_that_are_none_are_named(value):
+    flat = LightField(jnp.full((3, 3, 16, 16, 3), 0.5), disparity_range=(-1.0, 1.0))
+    model = EdgeDepth.for_light_field(flat).replace({"sides.diffusion.data": value})
+    with pytest.raises(ValueError, match="`sides.diffusion.data` must be finite and not negative"):
+        model(flat)
 
 
-def test_parameters_are_few_and_say_their_units():
-    leaves = jax.tree.leaves(Parameters())
-    lines = str(Parameters()).splitlines()
-    assert len(leaves) == len(lines) <= 20
-    assert "centre.precision = 0.005 px" in lines
-    # Optional groups appear when they are given, and what is traced has a type instead of a value.
-    given = str(Parameters(surface=SurfaceParams()))
-    assert "surface.cap = 0.3 px" in given.splitlines()
+def test_the_model_prints_its_numbers_and_their_units():
+    flat = LightField(jnp.full((3, 3, 16, 16, 3), 0.5), disparity_range=(-1.0, 1.0))
+    model = EdgeDepth.for_light_field(flat)
+    lines = str(model).splitlines()
+    assert len(lines) == len(jax.tree.leaves(model))
+    assert "refine.precision = 0.005 px" in lines
+    # What is traced has a type instead of a value.
     shown = []
-    jax.eval_shape(lambda p: shown.append(str(p)), Parameters())
-    assert "centre.precision = f64[] px" in shown[0]
+    jax.eval_shape(lambda m: shown.append(str(m)), model)
+    assert "refine.precision = f64[] px" in shown[0]
 
 
 @pytest.mark.slow
@@ -140,7 +148,7 @@ def test_parameters_are_few_and_say_their_units():
 def test_any_shape_of_noise_gives_a_finite_map(shape):
     views = jax.random.uniform(jax.random.key(0), (*shape, 3), jnp.float32)
     noise = LightField(views, disparity_range=(-3.5, 3.5))
-    result = edge_to_depth(noise, Parameters(), Sizes.for_light_field(noise))
+    result = depth(noise)
     assert result.disparity.shape == shape[2:]
     assert bool(jnp.isfinite(result.disparity).all())
 
@@ -148,12 +156,11 @@ def test_any_shape_of_noise_gives_a_finite_map(shape):
 @pytest.mark.slow
 def test_vmap_over_settings_equals_a_loop(edges_scene):
     blind = edges_scene.without_truth()
-    sizes = Sizes.for_light_field(edges_scene, **SMALL)
+    model = small_model(edges_scene)
     values = jnp.array([0.5, 2.0, 8.0])
 
     def run(value):
-        params = eqx.tree_at(lambda p: p.centre.smoothness, Parameters(), value)
-        return edge_to_depth(blind, params, sizes).disparity
+        return model.replace({"refine.stiffness": value})(blind).disparity
 
     together = jax.jit(jax.vmap(run))(values)
     for value, found in zip(values, together, strict=True):
@@ -174,36 +181,32 @@ def test_vmap_over_settings_equals_a_loop(edges_scene):
         ),
     ],
 )
-def test_adam_mends_bad_parameters_on_another_scene_too(name):
+def test_adam_mends_bad_numbers_on_another_scene_too(name):
     """From a bad start: with the defaults, what a step gains is less than what single pixels do."""
     import optax
 
     train, test = small_scene(name), small_scene("slanted")
-    sizes = [Sizes.for_light_field(f, **SMALL) for f in (train, test)]
-    moving, rest = eqx.partition(Parameters().centre, eqx.is_inexact_array)
-    bad = eqx.tree_at(
-        lambda c: (c.precision, c.trust, c.smoothness),
-        moving,
-        (moving.precision / 8, moving.trust * 8, moving.smoothness / 8),
-    )
-    logs = jax.tree.map(jnp.log, bad)
+    models = [small_model(f) for f in (train, test)]
+    # The defaults, spoilt by a factor of eight.
+    logs = jnp.log(jnp.asarray([0.005 / 8, 1.4 * 8, 1.5 / 8]))
 
-    def loss(logs, field, size):
-        centre = eqx.combine(jax.tree.map(jnp.exp, logs), rest)
-        params = eqx.tree_at(lambda p: p.centre, Parameters(), centre)
-        return l1(params, field.without_truth(), size, field.truth.disparity)
+    def loss(logs, field, model):
+        paths = "refine.precision", "dense.trust", "refine.stiffness"
+        moved = model.replace(dict(zip(paths, jnp.exp(logs), strict=True)))
+        found = moved(field.without_truth()).disparity
+        return jnp.mean(jnp.abs(found - field.truth.disparity))
 
     optimiser = optax.adam(0.1)
     state = optimiser.init(logs)
-    step = eqx.filter_jit(jax.value_and_grad(lambda p: loss(p, train, sizes[0])))
-    before = [float(loss(logs, f, s)) for f, s in zip((train, test), sizes, strict=True)]
+    step = eqx.filter_jit(jax.value_and_grad(lambda p: loss(p, train, models[0])))
+    before = [float(loss(logs, f, m)) for f, m in zip((train, test), models, strict=True)]
     for _ in range(30):
         _, gradient = step(logs)
         # Optax divides by an integer count.
         with jax.numpy_dtype_promotion("standard"):
             updates, state = optimiser.update(gradient, state)
         logs = optax.apply_updates(logs, updates)
-    after = [float(loss(logs, f, s)) for f, s in zip((train, test), sizes, strict=True)]
+    after = [float(loss(logs, f, m)) for f, m in zip((train, test), models, strict=True)]
     assert after[0] < 0.95 * before[0], (before, after)
     assert after[1] < before[1], (before, after)
 
@@ -221,8 +224,8 @@ def test_adam_mends_bad_parameters_on_another_scene_too(name):
 def test_benchmark_scenes(name, views, bars):
     """Today's figures, and a tenth."""
     light_field = load_light_field(shared_data("hci", name))
-    sizes = Sizes.for_light_field(light_field, views=views)
-    result = edge_to_depth(light_field.without_truth(), Parameters(), sizes)
+    model = EdgeDepth.for_light_field(light_field, views=views)
+    result = model(light_field.without_truth())
     truth = light_field.truth
     assert truth is not None
     scores = depth_scores(result.disparity, truth.disparity, mask=truth.valid)
@@ -249,7 +252,7 @@ def test_boundaries_are_better_than_those_of_a_plane_sweep(name):
     blind, truth = light_field.without_truth(), light_field.truth
     assert truth is not None
     swept = plane_sweep(blind, disparity_range=scene_range(blind)).disparity
-    found = edge_to_depth(blind, Parameters(), Sizes.for_light_field(blind)).disparity
+    found = depth(blind).disparity
     ours, theirs = (boundary_scores(d, truth.disparity, mask=truth.valid) for d in (found, swept))
     assert float(ours.peak_f1) > float(theirs.peak_f1)
     assert float(ours.auc) > float(theirs.auc)
@@ -258,7 +261,7 @@ def test_boundaries_are_better_than_those_of_a_plane_sweep(name):
 @pytest.mark.slow
 def test_a_real_light_field():
     light_field = load_light_field(shared_data("lytro", "2067"), views=7)
-    result = edge_to_depth(light_field, Parameters(), Sizes.for_light_field(light_field))
+    result = depth(light_field)
     assert bool(jnp.isfinite(result.disparity).all())
     assert int(result.stats.edges.valid) > 5000
 
@@ -267,13 +270,13 @@ def test_a_real_light_field():
 def test_rounding_does_not_turn_the_gradient():
     whole = load_light_field(shared_data("hci", "cotton")).without_truth()
     light_field = eqx.tree_at(lambda f: f.views, whole, whole.views[:, :, 128:320, 128:320])
-    params, sizes = Parameters(), Sizes.for_light_field(light_field)
+    model = EdgeDepth.for_light_field(light_field)
 
     @jax.jit
     def gradient(views):
         def loss(views):
             seen = eqx.tree_at(lambda f: f.views, light_field, views)
-            return jnp.mean(jnp.sin(3 * edge_to_depth(seen, params, sizes).disparity))
+            return jnp.mean(jnp.sin(3 * model(seen).disparity))
 
         return jax.grad(loss)(views)
 

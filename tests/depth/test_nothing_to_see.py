@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from mvedge_jax import LightField, Parameters, Sizes, edge_to_depth
+from mvedge_jax import EdgeDepth, LightField
 
 RANGE = (-1.0, 2.0)
 FLAT = {"black": (0.0, 0.0, 0.0), "constant": (0.5, 0.4, 0.6), "saturated": (1.0, 1.0, 1.0)}
@@ -18,18 +18,19 @@ def _same(image, grid=(3, 3), dtype=np.float32):
     return LightField(jnp.asarray(views, dtype), disparity_range=RANGE)
 
 
-def _flat(colour, shape=(16, 16), grid=(3, 3)):
-    return _same(np.full((*shape, 3), colour), grid)
+def _flat(color, shape=(16, 16), grid=(3, 3)):
+    return _same(np.full((*shape, 3), color), grid)
 
 
-def _two_colours(shape=(16, 16), grid=(3, 3)):
+def _two_colors(shape=(16, 16), grid=(3, 3)):
     image = np.full((*shape, 3), (0.2, 0.2, 0.2))
     image[:, shape[1] // 2 :] = (0.9, 0.6, 0.1)
     return _same(image, grid)
 
 
-def _sizes(field, **choices):
-    return Sizes.for_light_field(field, levels=4, median_radius=2, **choices)
+def _model(field):
+    choices = {"refine.sharpen.levels": 4, "refine.sharpen.radius": 2}
+    return EdgeDepth.for_light_field(field, choices=choices)
 
 
 def _is_sound(found):
@@ -43,7 +44,7 @@ def _is_sound(found):
 @pytest.mark.parametrize("name", FLAT)
 def test_without_evidence_the_error_is_as_wide_as_the_range(name):
     field = _flat(FLAT[name])
-    found = edge_to_depth(field, Parameters(), _sizes(field))
+    found = _model(field)(field)
     _is_sound(found)
     assert float(found.error.min()) >= RANGE[1] - RANGE[0]
     said = " ".join(found.problems())
@@ -51,42 +52,41 @@ def test_without_evidence_the_error_is_as_wide_as_the_range(name):
     assert "half of the pixels have a standard error above" in said
 
 
-def test_two_colours_and_noise_alone():
-    field = _two_colours()
-    _is_sound(edge_to_depth(field, Parameters(), _sizes(field)))
+def test_two_colors_and_noise_alone():
+    field = _two_colors()
+    _is_sound(_model(field)(field))
     noise = np.random.default_rng(0).uniform(size=field.views.shape)
     noisy = eqx.tree_at(lambda f: f.views, field, jnp.asarray(noise, jnp.float32))
-    found = edge_to_depth(noisy, Parameters(), _sizes(field))
+    found = _model(field)(noisy)
     _is_sound(found)
     assert found.problems()
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("make", [lambda *a: _flat(FLAT["constant"], *a), _two_colours])
+@pytest.mark.parametrize("make", [lambda *a: _flat(FLAT["constant"], *a), _two_colors])
 @pytest.mark.parametrize(
     ("shape", "grid"),
     [((1, 1), (3, 3)), ((1, 40), (3, 3)), ((40, 1), (3, 3)), ((2, 3), (1, 3)), ((24, 24), (3, 1))],
 )
 def test_the_least_sizes(make, shape, grid):
     field = make(shape, grid)
-    _is_sound(edge_to_depth(field, Parameters(), _sizes(field)))
+    _is_sound(_model(field)(field))
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", [*FLAT, "two colours"])
+@pytest.mark.parametrize("name", [*FLAT, "two colors"])
 def test_gradients_are_finite_there(name):
-    field = _two_colours() if name == "two colours" else _flat(FLAT[name])
-    sizes = _sizes(field)
+    field = _two_colors() if name == "two colors" else _flat(FLAT[name])
 
     @jax.jit
-    def gradient(params, views):
-        def total(params, views):
-            found = edge_to_depth(eqx.tree_at(lambda f: f.views, field, views), params, sizes)
+    def gradient(model, views):
+        def total(model, views):
+            found = model(eqx.tree_at(lambda f: f.views, field, views))
             return found.disparity.sum() + found.error.sum()
 
-        return jax.grad(total, argnums=(0, 1))(params, views)
+        return jax.grad(total, argnums=(0, 1))(model, views)
 
-    for leaf in jax.tree.leaves(gradient(Parameters(), field.views)):
+    for leaf in jax.tree.leaves(gradient(_model(field), field.views)):
         assert bool(jnp.isfinite(leaf).all())
 
 
@@ -103,31 +103,31 @@ def _plane(seed):
 
 
 @pytest.mark.slow
-def test_vmap_over_light_fields_and_over_every_parameter_is_the_loop():
+def test_vmap_over_light_fields_and_over_every_number_is_the_loop():
     field = LightField(jnp.asarray(_plane(0)), disparity_range=RANGE)
-    sizes = _sizes(field)
+    model = _model(field)
 
-    def one(params, views):
-        found = edge_to_depth(eqx.tree_at(lambda f: f.views, field, views), params, sizes)
+    def one(model, views):
+        found = model(eqx.tree_at(lambda f: f.views, field, views))
         return found.disparity, found.error
 
     single = jax.jit(one)
-    # Textured, constant, of two colours: each stops on its own.
+    # Textured, constant, of two colors: each stops on its own.
     every = [
         _plane(0),
         _plane(1),
         np.full(field.views.shape, 0.5),
-        np.asarray(_two_colours().views),
+        np.asarray(_two_colors().views),
     ]
     views = jnp.stack([jnp.asarray(v, field.views.dtype) for v in every])
-    leaves, tree = jax.tree.flatten(Parameters())
+    leaves, tree = jax.tree.flatten(model)
     moved = [
         [leaf * 1.2 if i == k else leaf for i, leaf in enumerate(leaves)]
         for k in range(len(leaves))
     ]
     stacked = tree.unflatten([jnp.stack(rows) for rows in zip(*moved, strict=True)])
     cases = [
-        (jax.vmap(one, (None, 0)), (Parameters(), views), [(Parameters(), v) for v in views]),
+        (jax.vmap(one, (None, 0)), (model, views), [(model, v) for v in views]),
         (
             jax.vmap(one, (0, None)),
             (stacked, field.views),

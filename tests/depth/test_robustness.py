@@ -7,8 +7,8 @@ import pytest
 from photometry.scenes import changed, cross_gains
 
 from experiments import robustness
-from mvedge_jax.depth import Parameters, Sizes, edge_to_depth
 from mvedge_jax.datasets import synthetic
+from mvedge_jax.depth import EdgeDepth
 from mvedge_jax.lightfield import LightField
 
 
@@ -22,11 +22,12 @@ def scene():
 @pytest.fixture(scope="module")
 def estimate(scene):
     # One range, one program.
-    sizes = Sizes.for_light_field(scene.without_truth(), levels=16, median_radius=3)
+    choices = {"refine.sharpen.levels": 16, "refine.sharpen.radius": 3}
+    model = EdgeDepth.for_light_field(scene.without_truth(), choices=choices)
 
     def run(light_field):
         field = LightField(light_field.views, disparity_range=scene.disparity_range)
-        return edge_to_depth(field, Parameters(), sizes)
+        return model(field)
 
     return run
 

@@ -1,32 +1,28 @@
-"""The parts of the centre view's reconstruction: smoothness, median."""
+"""Sharpening by the weighted median, and the smoothness of color and depth steps."""
+
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers import check_gradient, check_modes, count_traces, with_values
+from helpers import check_gradient, check_modes, count_traces
 from scipy import ndimage
 
-from mvedge_jax.depth import (
-    MedianParams,
-    Sharpening,
-    SmoothnessParams,
-    edge_smoothness,
-    sharpen,
-    weighted_median,
-)
-from mvedge_jax.depth._median import _box_sum
+from mvedge_jax.depth import Sharpen
+from mvedge_jax.depth._median import _box_sum, weighted_median
+from mvedge_jax.smoothness import ColorAndDepth, edge_smoothness
 
 
 def test_smoothness_needs_both_steps_to_cut():
     lab = jnp.zeros((3, 1, 5)).at[0, 0, 2:].set(40.0)
     depth = jnp.array([[0.0, 0.0, 1.0, 1.0, 1.0]])
-    params = SmoothnessParams()
+    params = ColorAndDepth()
     both, _ = edge_smoothness(lab, depth, params)
-    colour, _ = edge_smoothness(lab, jnp.zeros_like(depth), params)
+    color, _ = edge_smoothness(lab, jnp.zeros_like(depth), params)
     step, _ = edge_smoothness(jnp.zeros_like(lab), depth, params)
     assert float(both[0, 1]) < 1e-4
-    assert float(colour.min()) > 0.99
+    assert float(color.min()) > 0.99
     assert float(step.min()) > 0.99
     # The formula, written out.
     expected = 1 / (1 + (40 / 0.3) ** 1.5 * (1 / 0.05) ** 2)
@@ -44,7 +40,7 @@ def test_smoothness_gradient_matches_differences_and_is_finite_when_flat():
         tx, ty = edge_smoothness(lab, depth, params)
         return jnp.sum(jnp.sqrt(tx)) + jnp.sum(jnp.sqrt(ty))
 
-    logs = jax.tree.map(jnp.log, SmoothnessParams())
+    logs = jax.tree.map(jnp.log, ColorAndDepth())
     check_gradient(loss, (lab, depth, logs), rtol=1e-5, step=1e-6, key=key)
     flat = jax.grad(loss)((jnp.zeros((3, 4, 4)), jnp.zeros((4, 4)), logs))
     assert all(bool(jnp.isfinite(leaf).all()) for leaf in jax.tree.leaves(flat))
@@ -66,14 +62,13 @@ def blurred_step():
     return jnp.asarray(np.tile(ramp, (24, 1))), jnp.asarray(guide), step
 
 
-def test_sharpening_moves_a_blurred_step_onto_the_colour_step():
+def test_sharpening_moves_a_blurred_step_onto_the_color_step():
     blurred, guide, step = blurred_step()
     before = np.abs(np.asarray(blurred) - step).mean()
-    modes: tuple[Sharpening, ...] = ("clip", "median", "quantised")
-    for mode in modes:
-        sharp = sharpen(blurred, guide, MedianParams(), radius=6, mode=mode)
+    for mode in ("clip", "median", "quantised"):
+        sharp = Sharpen(radius=6, mode=mode)(blurred, guide)
         assert np.abs(np.asarray(sharp) - step).mean() < 0.4 * before
-    same = sharpen(blurred, guide, MedianParams(), mode="none")
+    same = Sharpen(mode="none")(blurred, guide)
     np.testing.assert_array_equal(same, blurred)
 
 
@@ -81,8 +76,8 @@ def test_clip_keeps_precision_where_there_is_nothing_to_sharpen():
     y, x = np.mgrid[0:24, 0:30]
     slope = jnp.asarray(0.003 * x + 0.001 * y)
     guide = jnp.asarray(np.random.default_rng(0).uniform(size=(3, 24, 30)))
-    np.testing.assert_allclose(sharpen(slope, guide, MedianParams(), radius=5), slope, atol=5e-3)
-    gradient = jax.grad(lambda d: sharpen(d, guide, MedianParams(), radius=3).sum())(slope)
+    np.testing.assert_allclose(Sharpen(radius=5)(slope, guide), slope, atol=5e-3)
+    gradient = jax.grad(lambda d: Sharpen(radius=3)(d, guide).sum())(slope)
     assert bool(jnp.isfinite(gradient).all())
     assert float(gradient.mean()) > 0.5
 
@@ -122,15 +117,15 @@ def test_median_has_both_modes_and_a_second_derivative():
 
 
 def test_unknown_modes_are_named():
-    blurred, guide, _ = blurred_step()
+    wrong: Any = "bilateral"
     with pytest.raises((ValueError, TypeError), match="bilateral"):
-        sharpen(blurred, guide, MedianParams(), mode="bilateral")  # pyright: ignore[reportArgumentType]
+        Sharpen(mode=wrong)
 
 
 def test_one_trace_serves_every_parameter():
     blurred, guide, _ = blurred_step()
-    run, traces = count_traces(lambda p: sharpen(blurred, guide, p, radius=3, levels=8))
-    wide = run(with_values(MedianParams, slack=0.2))
-    tight = run(with_values(MedianParams, slack=0.01, epsilon=1e-5))
+    run, traces = count_traces(lambda part: part(blurred, guide))
+    wide = run(Sharpen(radius=3, levels=8, slack=jnp.asarray(0.2)))
+    tight = run(Sharpen(radius=3, levels=8, slack=jnp.asarray(0.01)))
     assert traces() == 1
     assert float(jnp.abs(wide - tight).max()) > 0

@@ -1,24 +1,22 @@
-"""Slopes: what neighbouring pixels should differ by."""
+"""Slopes: what neighboring pixels should differ by."""
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from helpers import check_gradient
 
-from mvedge_jax.depth._slant import rises, slope_labels
+from mvedge_jax.depth._slopes import Slopes, rises, slope_labels
 from mvedge_jax.diffusion import AutoSolver, System, diffuse
 
-SETTINGS = {"steepest": jnp.asarray(0.3), "flat": jnp.asarray(1e-4)}
-STIFFNESS = jnp.asarray(30.0)
 
-
-def asked(disparity, weight, edges, settings=SETTINGS, *, stiffness=STIFFNESS, tolerance=1e-3):
+def asked(disparity, weight, edges, *, params=None, tolerance=1e-3):
     """The rises that follow from a map, as the chain solves for them."""
-    along = [stiffness * t for t in edges]
+    params = Slopes() if params is None else params
+    along = [params.stiffness * t for t in edges]
     solver = AutoSolver(tolerance=jnp.asarray(tolerance))
     found = [
         diffuse(System(held, label, *along), solver=solver).value
-        for held, label in zip(*slope_labels(disparity, weight, edges, **settings), strict=True)
+        for held, label in zip(*slope_labels(disparity, weight, edges, params), strict=True)
     ]
     return rises(jnp.stack(found))
 
@@ -68,9 +66,9 @@ def test_gradient_matches_differences():
     )
 
     def loss(tree):
-        disparity, weight, tx, ty, settings = tree
-        along_x, along_y = asked(disparity, weight, (tx, ty), settings, tolerance=1e-12)
+        disparity, weight, tx, ty, params = tree
+        along_x, along_y = asked(disparity, weight, (tx, ty), params=params, tolerance=1e-12)
         return jnp.sum(along_x**2) + jnp.sum((along_y - 0.1) ** 2)
 
-    tree = disparity, weight, tx, ty, SETTINGS
+    tree = disparity, weight, tx, ty, Slopes()
     check_gradient(loss, tree, rtol=1e-5, step=1e-6, key=keys[0])

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from mvedge_jax import LightField, Parameters, Sizes, edge_to_depth
+from mvedge_jax import EdgeDepth, LightField
 
 pytestmark = pytest.mark.slow  # half a minute of tracing
 
@@ -15,51 +15,47 @@ FIELD = LightField(jnp.full((3, 3, 16, 16, 3), 0.5), disparity_range=(-1.0, 1.0)
 
 
 @pytest.fixture(scope="module")
-def sizes():
-    return Sizes.for_light_field(FIELD, levels=4, median_radius=2)
+def model():
+    choices = {"refine.sharpen.levels": 4, "refine.sharpen.radius": 2}
+    return EdgeDepth.for_light_field(FIELD, choices=choices)
 
 
-@pytest.fixture
-def map_of(sizes):
-    return lambda params, field=FIELD: edge_to_depth(field, params, sizes).disparity
+def map_of(model, field=FIELD):
+    return model(field).disparity
 
 
 def _with(views):
     return eqx.tree_at(lambda field: field.views, FIELD, views)
 
 
-def test_grad_in_parameters_and_in_views(map_of):
-    params = Parameters()
-    found = jax.eval_shape(jax.grad(lambda p: map_of(p).sum()), params)
-    assert jax.tree.structure(found) == jax.tree.structure(params)
-    found = jax.eval_shape(jax.grad(lambda v: map_of(params, _with(v)).sum()), FIELD.views)
+def test_grad_in_the_model_and_in_views(model):
+    found = jax.eval_shape(jax.grad(lambda m: map_of(m).sum()), model)
+    assert jax.tree.structure(found) == jax.tree.structure(model)
+    found = jax.eval_shape(jax.grad(lambda v: map_of(model, _with(v)).sum()), FIELD.views)
     assert found.shape == FIELD.views.shape
 
 
-def test_filter_grad_in_a_whole_light_field(map_of):
-    found = eqx.filter_eval_shape(
-        eqx.filter_grad(lambda field: map_of(Parameters(), field).sum()), FIELD
-    )
+def test_filter_grad_in_a_whole_light_field(model):
+    found = eqx.filter_eval_shape(eqx.filter_grad(lambda field: map_of(model, field).sum()), FIELD)
     assert found.views.shape == FIELD.views.shape
     assert found.disparity_range.shape == (2,)
     assert found.available is None
     with pytest.raises(TypeError, match="bool"):
-        jax.eval_shape(jax.grad(lambda field: map_of(Parameters(), field).sum()), FIELD)
+        jax.eval_shape(jax.grad(lambda field: map_of(model, field).sum()), FIELD)
 
 
-def test_vmap_over_parameters_and_over_views(map_of):
-    many = jax.tree.map(lambda leaf: jnp.stack([leaf, 2 * leaf]), Parameters())
+def test_vmap_over_models_and_over_views(model):
+    many = jax.tree.map(lambda leaf: jnp.stack([leaf, 2 * leaf]), model)
     assert jax.eval_shape(jax.vmap(map_of), many).shape == (2, 16, 16)
     views = jnp.stack([FIELD.views] * 3)
-    mapped = jax.vmap(lambda v: map_of(Parameters(), _with(v)))
+    mapped = jax.vmap(lambda v: map_of(model, _with(v)))
     assert jax.eval_shape(mapped, views).shape == (3, 16, 16)
 
 
-def test_jit_and_forward_mode(map_of):
-    params = Parameters()
-    assert jax.eval_shape(jax.jit(map_of), params).shape == (16, 16)
-    ones = jax.tree.map(jnp.ones_like, params)
-    _, moved = jax.eval_shape(lambda p, t: jax.jvp(map_of, (p,), (t,)), params, ones)
+def test_jit_and_forward_mode(model):
+    assert jax.eval_shape(jax.jit(map_of), model).shape == (16, 16)
+    ones = jax.tree.map(jnp.ones_like, model)
+    _, moved = jax.eval_shape(lambda m, t: jax.jvp(map_of, (m,), (t,)), model, ones)
     assert moved.shape == (16, 16)
 
 
@@ -70,21 +66,21 @@ def _textured(seed):
     return jnp.asarray(rows)
 
 
-def test_vmap_over_every_parameter_equals_the_loop(map_of):
-    """One row per number in `Parameters`, a tenth above its default, in one `vmap`."""
-    base, unravel = jax.flatten_util.ravel_pytree(Parameters())
+def test_vmap_over_every_number_equals_the_loop(model):
+    """One row per number of the model, a tenth above its default, in one `vmap`."""
+    base, unravel = jax.flatten_util.ravel_pytree(model)
     rows = base[None] * (1 + 0.1 * jnp.eye(base.size))
     seen = _with(_textured(0))
     one = jax.jit(lambda row: map_of(unravel(row), seen))
     many = jax.jit(jax.vmap(one))(rows)
     assert bool(jnp.isfinite(many).all())
     np.testing.assert_allclose(many, jnp.stack([one(row) for row in rows]), atol=1e-8)
-    assert int(jnp.any(many != one(base)[None], axis=(1, 2)).sum()) > base.size // 2
+    assert int(jnp.any(many != one(base)[None], axis=(1, 2)).sum()) > 20
 
 
-def test_vmap_over_light_fields_equals_the_loop(map_of):
+def test_vmap_over_light_fields_equals_the_loop(model):
     views = jnp.stack([_textured(seed) for seed in range(3)])
-    one = jax.jit(lambda v: map_of(Parameters(), _with(v)))
+    one = jax.jit(lambda v: map_of(model, _with(v)))
     many = jax.jit(jax.vmap(one))(views)
     np.testing.assert_allclose(many, jnp.stack([one(v) for v in views]), atol=1e-8)
     assert float(jnp.abs(many[0] - many[1]).max()) > 1e-6

@@ -12,13 +12,26 @@ from scipy import ndimage
 from experiments._crossings import crossing_table, crossings, survive
 from experiments.edge_accuracy import depth_edges
 from mvedge_jax.datasets import synthetic
-from mvedge_jax.edges import EdgeParams, EdgeSizes, multiview_edges
+from mvedge_jax.depth import EdgeDepth, multiview_edges
+from mvedge_jax.edges import OrientedEdges
 from mvedge_jax.edges._range import disparity_range
-from mvedge_jax.epi import prewitt_bank
 from mvedge_jax.lightfield import LightField
 
-# Of `flat_plane`: one program for most tests.
-_SIZES = EdgeSizes(first=0, filters=8, capacity=700)
+
+def _model(light_field, **choices):
+    """The default chain, of which edge points are read; with the filters of `choices`, if any."""
+    model = EdgeDepth.for_light_field(light_field)
+    if not choices:
+        return model
+    edges = OrientedEdges(**choices)
+    return model.replace(edges=edges, searched=edges.searched)
+
+
+def _flat(**choices):
+    """Of `flat_plane`: one program for most tests."""
+    return _model(
+        plane(0.37, size=(32, 40)), **{"first": 0, "filters": 8, "capacity": 700} | choices
+    )
 
 
 @pytest.fixture(scope="module")
@@ -28,7 +41,7 @@ def flat_plane():
 
 @pytest.fixture(scope="module")
 def found(flat_plane):
-    return multiview_edges(flat_plane, EdgeParams(), _SIZES)
+    return multiview_edges(flat_plane, _flat())
 
 
 def test_points_of_a_plane_are_precise(found):
@@ -69,7 +82,7 @@ def test_confidence_and_normals_are_in_range(found):
 
 def test_float32_stays_float32_and_is_close_to_float64(flat_plane, found):
     assert found.points.disparity.dtype == jnp.float32
-    exact = multiview_edges(plane(0.37, size=(32, 40), dtype=jnp.float64), EdgeParams(), _SIZES)
+    exact = multiview_edges(plane(0.37, size=(32, 40), dtype=jnp.float64), _flat())
     assert exact.points.disparity.dtype == jnp.float64
     both = np.asarray(exact.points.valid & found.points.valid)
     same = both & np.all(
@@ -83,8 +96,7 @@ def test_float32_stays_float32_and_is_close_to_float64(flat_plane, found):
 
 
 def test_overflow_keeps_the_strongest_and_is_counted(flat_plane, found):
-    few = EdgeSizes(first=0, filters=8, capacity=64)
-    edges = multiview_edges(flat_plane, EdgeParams(), few)
+    edges = multiview_edges(flat_plane, _flat(capacity=64))
     assert int(edges.stats.candidates) == int(found.stats.candidates)
     assert int(edges.stats.overflow) == int(edges.stats.candidates) - 64
     rows = np.asarray(edges.points.xy)[np.asarray(edges.points.valid), 1]
@@ -94,7 +106,7 @@ def test_overflow_keeps_the_strongest_and_is_counted(flat_plane, found):
 
 def test_a_wide_range_and_a_rectangular_grid_of_views_lose_nothing():
     light_field = plane(3.2, views=9, rows=5, size=(40, 56), span=(-3.5, 3.5))
-    edges = multiview_edges(light_field, EdgeParams(), EdgeSizes.for_light_field(light_field))
+    edges = multiview_edges(light_field, _model(light_field))
     keep = np.asarray(edges.points.valid)
     assert edges.points.visible.shape[1] == 14
     assert keep.sum() > 250
@@ -103,7 +115,7 @@ def test_a_wide_range_and_a_rectangular_grid_of_views_lose_nothing():
 
 def test_both_sides_of_an_occluding_edge_are_found():
     light_field = two_planes(0.8, -0.6, edge=30.2)
-    edges = multiview_edges(light_field, EdgeParams(), EdgeSizes.for_light_field(light_field))
+    edges = multiview_edges(light_field, _model(light_field))
     keep = np.asarray(edges.points.valid)
     x, d = np.asarray(edges.points.xy)[keep, 0], np.asarray(edges.points.disparity)[keep]
     for side, truth in ((x < 29, 0.8), (x > 32, -0.6)):
@@ -116,7 +128,7 @@ def test_both_sides_of_an_occluding_edge_are_found():
 
 
 def _points(light_field):
-    return multiview_edges(light_field, EdgeParams(), EdgeSizes.for_light_field(light_field)).points
+    return multiview_edges(light_field, _model(light_field)).points
 
 
 def test_both_lines_of_a_crossing_survive():
@@ -174,11 +186,11 @@ def test_depth_edges_have_points(name):
 
 def test_a_view_that_does_not_show_a_point_is_told(flat_plane):
     painted = flat_plane.views.at[2, 0].set(0.5)
-    edges = multiview_edges(LightField(painted), EdgeParams(), _SIZES)
+    edges = multiview_edges(LightField(painted), _flat())
     keep = np.asarray(edges.points.valid)
     seen = np.asarray(edges.points.visible)[keep]
     assert keep.sum() > 40
-    # A point of about the painted colour does look the same there.
+    # A point of about the painted color does look the same there.
     assert seen[:, 5].mean() < 0.4
     assert seen[:, [2, 6, 7]].mean() > 0.95
     assert np.median(np.abs(np.asarray(edges.points.disparity)[keep] - 0.37)) < 0.01
@@ -195,39 +207,39 @@ def _scalar(points, keep):
 @pytest.fixture(scope="module")
 def tiny():
     """Few strong edges, so that no selection flips under the difference steps."""
-    sizes = EdgeSizes(first=0, filters=6, capacity=64)
     light_field = plane(0.27, views=3, size=(9, 13), dtype=jnp.float64)
-    edges = multiview_edges(light_field, EdgeParams(), sizes)
+    model = _model(light_field, first=0, filters=6, capacity=64)
+    edges = multiview_edges(light_field, model)
     assert int(edges.stats.valid) > 5
-    return light_field, sizes, edges.points.valid
+    return light_field, model, edges.points.valid
 
 
 def test_gradient_with_respect_to_views_taps_and_every_parameter(tiny):
-    light_field, sizes, keep = tiny
-    disparity = 0.1 * jnp.arange(6.0)
-    banks = (prewitt_bank(disparity, 3, 4), prewitt_bank(disparity, 3, 4))
+    light_field, model, keep = tiny
+    banks = model.edges.prewitt((3, 3), jnp.float64)
+    model = model.replace({"edges.banks": banks})
+    read = model.calibration, model.measurement, model.edges
 
     def loss(tree):
-        views, params = tree
+        views, (calibration, measurement, edges) = tree
         field = eqx.tree_at(lambda f: f.views, light_field, views)
-        return _scalar(multiview_edges(field, params, sizes).points, keep)
+        parts = {"calibration": calibration, "measurement": measurement, "edges": edges}
+        return _scalar(multiview_edges(field, model.replace(parts)).points, keep)
 
-    tree = (light_field.views, EdgeParams(banks=banks))
-    check_gradient(loss, tree, rtol=1e-4, step=1e-7, directions=3, key=jax.random.key(0))
+    check_gradient(
+        loss, (light_field.views, read), rtol=1e-4, step=1e-7, directions=3, key=jax.random.key(0)
+    )
 
 
 @pytest.mark.usefixtures("found")
 def test_one_trace_for_many_values_and_vmap_is_a_loop(flat_plane):
     before, limits = multiview_edges.traces, [0.001, 0.003, 0.03]
-    loop = [
-        multiview_edges(flat_plane, EdgeParams(error_limit=jnp.asarray(value)), _SIZES).points.valid
-        for value in limits
-    ]
+    loop = [multiview_edges(flat_plane, _flat(error_limit=value)).points.valid for value in limits]
     # That of the fixture, or of another test, serves all of them.
     assert multiview_edges.traces == before
-    together = jax.vmap(
-        lambda value: multiview_edges(flat_plane, EdgeParams(error_limit=value), _SIZES)
-    )(jnp.asarray(limits))
+    together = jax.vmap(lambda value: multiview_edges(flat_plane, _flat(error_limit=value)))(
+        jnp.asarray(limits)
+    )
     np.testing.assert_array_equal(together.points.valid, jnp.stack(loop))
 
 
@@ -247,7 +259,7 @@ def test_noise_makes_points_less_precise_but_does_not_remove_them(flat_plane, fo
     views = flat_plane.views
     grain = 0.03 * jax.random.normal(jax.random.key(0), views.shape, views.dtype)
     noisy = LightField(jnp.clip(views + grain, 0, 1))
-    exact, rough = found.points, multiview_edges(noisy, EdgeParams(), _SIZES).points
+    exact, rough = found.points, multiview_edges(noisy, _flat()).points
     keep = np.asarray(rough.valid)
     assert keep.sum() > 0.5 * np.asarray(exact.valid).sum()
     error = np.asarray(rough.error)[keep]
@@ -266,13 +278,13 @@ def test_a_scene_without_edges_says_so():
     ("change", "message"),
     [
         ({"filters": 2}, "`filters` must be at least 3, got 2"),
-        ({"capacity": 0}, "`capacity` must be positive, got 0"),
+        ({"capacity": 0}, "`capacity` must be at least 1, got 0"),
         ({"spacing": 0.0}, "`spacing` must be positive, got 0"),
     ],
 )
 def test_impossible_sizes_are_refused(change, message):
     with pytest.raises(ValueError, match=message):
-        EdgeSizes(**{"first": 0, "filters": 8, "capacity": 128} | change)
+        OrientedEdges(**{"first": 0, "filters": 8, "capacity": 128} | change)
 
 
 @pytest.mark.slow
@@ -284,7 +296,7 @@ def test_precision_on_the_benchmark(name, least):
     assert light_field.truth is not None
     truth = np.asarray(light_field.truth.disparity)
     blind = light_field.without_truth()
-    points = multiview_edges(blind, EdgeParams(), EdgeSizes.for_light_field(blind)).points
+    points = multiview_edges(blind, _model(blind)).points
     keep = np.asarray(points.valid)
     x, y = np.clip(np.rint(np.asarray(points.xy)[keep]).astype(int), 0, 511).T
     padded = np.pad(truth, 1, mode="edge")

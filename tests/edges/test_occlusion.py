@@ -1,5 +1,6 @@
 """Surface vectors, depth-edge confidence, and what they are made from."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -9,26 +10,20 @@ from helpers import check_gradient, count_traces
 from mvedge_jax.diffusion import AutoSolver
 from mvedge_jax.edges import EdgePoints, rasterise
 from mvedge_jax.edges.sides import (
-    BidirectionalParams,
-    SurfaceParams,
+    DirectionalDiffusion,
+    SideVote,
     bidirectional,
-    choose,
     depth_edge_confidence,
     step_response,
     surface_vectors,
 )
 from mvedge_jax.edges.sides._evidence import map_evidence, neighbour_evidence
 from mvedge_jax.edges.sides._profile import profiles
-from mvedge_jax.edges.sides._surface import along_edge
+from mvedge_jax.edges.sides._surface import along_edge, choose
 from mvedge_jax.photometry.measuring import occlusion_reach
 
 SHAPE = (24, 32)
 EDGE = 16  # first column of the near surface in `square_wave`
-
-
-def with_values(parameters, **values):
-    """Parameters with some numbers set."""
-    return parameters(**{name: jnp.asarray(value) for name, value in values.items()})
 
 
 def make_points(xy, disparity, normal, valid=None):
@@ -116,7 +111,7 @@ def test_profiles_of_a_plane_are_linear_along_the_normal():
 
 def test_bidirectional_diffusion_finds_the_near_side_of_an_occlusion_edge():
     points, gray, truth = square_wave()
-    passes = bidirectional(points, gray, BidirectionalParams())
+    passes = bidirectional(points, gray, DirectionalDiffusion())
     edge = at_the_edge(points)
     signs = np.sign(np.asarray(passes.response)) * np.asarray(points.normal[:, 0])
     # The near surface is on the right; the ends of the edge see it only from one side.
@@ -131,10 +126,10 @@ def test_bidirectional_diffusion_finds_the_near_side_of_an_occlusion_edge():
 
 def test_surface_vectors_move_labels_onto_their_surface():
     points, gray, truth = square_wave()
-    passes = bidirectional(points, gray, BidirectionalParams())
+    passes = bidirectional(points, gray, DirectionalDiffusion())
     for response, dense in ((passes.response, None), (None, None), (None, truth)):
         dense = None if dense is None else jnp.broadcast_to(jnp.asarray(dense), SHAPE)
-        surface = surface_vectors(points, response, dense, SurfaceParams(), shape=SHAPE)
+        surface = surface_vectors(points, response, dense, SideVote(), shape=SHAPE)
         edge = at_the_edge(points)
         np.testing.assert_allclose(np.asarray(surface.offset)[edge], [[1.0, 0.0]] * edge.sum())
 
@@ -142,7 +137,7 @@ def test_surface_vectors_move_labels_onto_their_surface():
 def test_probabilities_approach_a_choice_and_have_a_gradient():
     points, _, _ = square_wave()
     score = jnp.linspace(-0.3, 0.3, points.disparity.shape[0])
-    cold, warm = (with_values(SurfaceParams, temperature=t) for t in (1e-4, 0.1))
+    cold, warm = (SideVote(temperature=jnp.asarray(t)) for t in (1e-4, 0.1))
     np.testing.assert_allclose(choose(points, score, cold).forward, score > 0, atol=1e-6)
     gradient = jax.grad(lambda s: choose(points, s, warm).forward.sum())(score)
     assert float(jnp.abs(gradient).min()) > 0
@@ -164,11 +159,11 @@ def test_invalid_slots_take_no_part():
         [(14.0, 5.0), (15.0, 9.0)], [9.0, -9.0], [(0.0, 1.0), (1.0, 0.0)], [False, False]
     )
     both = jax.tree.map(lambda a, b: jnp.concatenate([a, b]), points, junk)
-    alone, more = (bidirectional(p, gray, BidirectionalParams()) for p in (points, both))
+    alone, more = (bidirectional(p, gray, DirectionalDiffusion()) for p in (points, both))
     np.testing.assert_array_equal(alone.forward, more.forward)
     np.testing.assert_array_equal(more.response[-2:], 0)
     one, two = (
-        surface_vectors(p, b.response, None, SurfaceParams(), shape=SHAPE)
+        surface_vectors(p, b.response, None, SideVote(), shape=SHAPE)
         for p, b in ((points, alone), (both, more))
     )
     np.testing.assert_array_equal(one.offset, two.offset[:-2])
@@ -177,7 +172,7 @@ def test_invalid_slots_take_no_part():
 
 def test_no_points_at_all_is_a_flat_map():
     points = make_points([(0, 0)], [1.0], [(1, 0)], [False])
-    passes = bidirectional(points, jnp.full((8, 9), 0.5), BidirectionalParams())
+    passes = bidirectional(points, jnp.full((8, 9), 0.5), DirectionalDiffusion())
     for image in (passes.forward, passes.backward, passes.edge, passes.response):
         np.testing.assert_array_equal(image, 0)
 
@@ -188,21 +183,21 @@ def test_gradient_of_the_passes_matches_differences():
 
     def loss(tree):
         disparity, logs = tree
-        params = jax.tree.map(jnp.exp, logs)
+        params = eqx.tree_at(lambda p: p.solver, jax.tree.map(jnp.exp, logs), solver)
         moved = make_points(points.xy, disparity, points.normal)
-        passes = bidirectional(moved, gray, params, solver=solver)
+        passes = bidirectional(moved, gray, params)
         return jnp.sum(passes.confidence**2) + jnp.sum(passes.edge**2)
 
     spread = points.disparity + 0.01 * jnp.sin(jnp.arange(points.disparity.shape[0]))
-    tree = (spread, jax.tree.map(jnp.log, BidirectionalParams()))
+    tree = (spread, jax.tree.map(jnp.log, DirectionalDiffusion()))
     check_gradient(loss, tree, rtol=1e-3, step=1e-6, key=jax.random.key(0))
 
 
 def test_one_trace_serves_every_parameter():
     points, gray, _ = square_wave()
     run, traces = count_traces(lambda p: bidirectional(points, gray, p).response)
-    first = run(BidirectionalParams())
-    second = run(with_values(BidirectionalParams, data=3.0, gradient=1e-2))
+    first = run(DirectionalDiffusion())
+    second = run(DirectionalDiffusion(data=jnp.asarray(3.0), gradient=jnp.asarray(1e-2)))
     assert traces() == 1
     assert float(jnp.abs(first - second).max()) > 0
 

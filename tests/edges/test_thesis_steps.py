@@ -7,15 +7,15 @@ import pytest
 from epi.slices import STEPS, VIEWS, WIDTH, epi_lines, smooth, step
 from scipy import ndimage
 
-from mvedge_jax.baselines import joint_filter
-from mvedge_jax.baselines._alignment import (
+from mvedge_jax.edges.thesis import joint_filter
+from mvedge_jax.edges.thesis._alignment import (
     aligned_count,
     alignment,
     line_visibility,
     longest_run,
 )
-from mvedge_jax.baselines._entropy import entropy_search, line_entropy
-from mvedge_jax.baselines._vote import spatial_vote
+from mvedge_jax.edges.thesis._entropy import entropy_search, line_entropy
+from mvedge_jax.edges.thesis._vote import spatial_vote
 
 
 def test_alignment_tells_true_slopes_from_false_ones():

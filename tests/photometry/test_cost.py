@@ -10,8 +10,7 @@ from scipy import ndimage
 
 from mvedge_jax._crosshair import crosshair
 from mvedge_jax.lightfield import LightField
-from mvedge_jax.photometry import Matching
-from mvedge_jax.photometry.matching import hypotheses
+from mvedge_jax.photometry.matching import Matching, hypotheses
 from mvedge_jax.photometry.matching._paths import aggregate
 
 

@@ -8,8 +8,7 @@ from helpers import check_gradient
 from photometry.scenes import changed, cross_gains, textured
 
 from mvedge_jax.lightfield import LightField
-from mvedge_jax.photometry import Exposure
-from mvedge_jax.photometry.brightness import expose, rough_exposure
+from mvedge_jax.photometry.brightness import Exposure, expose, rough_exposure
 from mvedge_jax.photometry.brightness._exposure import exposure_along
 
 FLAT = jnp.full((96, 112), 0.5, jnp.float32)

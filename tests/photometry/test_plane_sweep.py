@@ -1,6 +1,7 @@
 """Plane sweep: planes with known disparity, occlusion, and the rules of every stage."""
 
 import inspect
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -10,13 +11,12 @@ import pytest
 from helpers import check_gradient, count_traces, shared_data, with_values
 from scipy import ndimage
 
-from mvedge_jax.baselines import SweepSizes, plane_sweep
 from mvedge_jax.datasets import load_light_field
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.metrics import depth_scores
-from mvedge_jax.photometry import Matching
+from mvedge_jax.photometry.matching import Matching, plane_sweep
 
-_SMALL = SweepSizes(planes=9, window=1)
+_SMALL: dict[str, Any] = {"planes": 9, "window": 1}
 
 
 def _plane(disparity, *, shape=(5, 5, 21, 26), seed=0):
@@ -37,7 +37,7 @@ def _plane(disparity, *, shape=(5, 5, 21, 26), seed=0):
 
 @pytest.mark.parametrize("disparity", [-1.03, 0.0, 0.4])
 def test_finds_a_plane_to_a_fraction_of_a_step(disparity):
-    result = plane_sweep(_plane(disparity), sizes=SweepSizes(planes=31))
+    result = plane_sweep(_plane(disparity), planes=31)
     error = jnp.abs(result.disparity - disparity)
     # The planes are 0.1 apart: a fifth of a step in the middle, half a step at worst.
     assert jnp.median(error) < 0.02
@@ -60,7 +60,7 @@ def test_beside_an_occluder_the_better_half_sees_the_background():
     scene = LightField(views, disparity_range=(-1.0, 3.0))
     truth = np.where((x >= 15) & (x < 23), 2.0, 0.0)[None]
     beside = np.s_[5:-5, 12:15]
-    found = plane_sweep(scene, sizes=_SMALL).disparity
+    found = plane_sweep(scene, **_SMALL).disparity
     assert (np.abs(np.asarray(found) - truth)[beside] > 0.2).mean() < 0.05
 
 
@@ -68,9 +68,7 @@ def test_agrees_with_a_plain_search():
     """Integer planes, single pixels: the oracle compares shifted views one by one."""
     scene = _plane(1.0, shape=(3, 3, 9, 11))
     params = with_values(Matching, drift=0.0)
-    result = plane_sweep(
-        scene, params=params, sizes=SweepSizes(planes=5, window=0), disparity_range=(-2.0, 2.0)
-    )
+    result = plane_sweep(scene, params=params, planes=5, window=0, disparity_range=(-2.0, 2.0))
     views, costs = np.asarray(scene.views), []
     truncation = 4 * 3 * (1 / 255) ** 2
     for d in (-2, -1, 0, 1, 2):
@@ -98,14 +96,14 @@ def test_a_missing_view_is_not_read():
     spoilt = eqx.tree_at(lambda s: s.views, scene, scene.views.at[0, 0].set(0.9))
     spoilt = eqx.tree_at(lambda s: s.available, spoilt, jnp.asarray(available))
     np.testing.assert_array_equal(
-        plane_sweep(spoilt, sizes=_SMALL).disparity, plane_sweep(scene, sizes=_SMALL).disparity
+        plane_sweep(spoilt, **_SMALL).disparity, plane_sweep(scene, **_SMALL).disparity
     )
 
 
 def test_one_trace_for_all_values():
     scene = _plane(0.4, shape=(3, 3, 9, 12))
     counted, traces = count_traces(
-        lambda s, p, r: plane_sweep(s, params=p, sizes=_SMALL, disparity_range=r).disparity
+        lambda s, p, r: plane_sweep(s, params=p, **_SMALL, disparity_range=r).disparity
     )
     for truncation, high in ((4.0, 1.0), (8.0, 1.5)):
         counted(scene, with_values(Matching, truncation=truncation), jnp.array([-1.0, high]))
@@ -119,7 +117,7 @@ def test_gradients_match_differences():
     def loss(tree):
         params, views = tree
         moved = eqx.tree_at(lambda s: s.views, scene, views)
-        return jnp.sum(plane_sweep(moved, params=params, sizes=_SMALL).disparity ** 2)
+        return jnp.sum(plane_sweep(moved, params=params, **_SMALL).disparity ** 2)
 
     check_gradient(
         loss,
@@ -132,9 +130,9 @@ def test_gradients_match_differences():
 
 def test_single_precision_is_close():
     scene = _plane(0.4)
-    double = plane_sweep(scene, sizes=_SMALL).disparity
+    double = plane_sweep(scene, **_SMALL).disparity
     lower = eqx.tree_at(lambda s: s.views, scene, scene.views.astype(jnp.float32))
-    single = plane_sweep(lower, sizes=_SMALL).disparity
+    single = plane_sweep(lower, **_SMALL).disparity
     assert single.dtype == jnp.float32
     assert np.median(np.abs(np.asarray(single) - np.asarray(double))) < 1e-4
 
@@ -145,9 +143,9 @@ def test_bad_input_says_what_is_wrong():
     with pytest.raises(ValueError, match="`disparity_range` must be given"):
         inspect.unwrap(plane_sweep)(scene)
     with pytest.raises(ValueError, match="`planes` must"):
-        SweepSizes(planes=1)
+        plane_sweep(scene, planes=1, disparity_range=(-1.0, 1.0))
     with pytest.raises(ValueError, match="`window` must"):
-        SweepSizes(window=-1)
+        plane_sweep(scene, window=-1, disparity_range=(-1.0, 1.0))
 
 
 @pytest.mark.slow

@@ -8,16 +8,19 @@ from edges.scenes import plane, two_planes
 
 from mvedge_jax._params import cast
 from mvedge_jax.photometry import (
-    Measurement,
-    Matching,
     first_labels,
     hypothesis_count,
     occluder_radius,
     prepare,
     prepare_views,
 )
-from mvedge_jax.photometry.matching import best_match
-from mvedge_jax.photometry.measuring import Measuring, PhotometricLabels, view_weights
+from mvedge_jax.photometry.matching import Matching, best_match
+from mvedge_jax.photometry.measuring import (
+    Measurement,
+    Measuring,
+    PhotometricLabels,
+    view_weights,
+)
 from mvedge_jax.photometry.measuring._measure import shared
 
 
@@ -25,13 +28,13 @@ def _prepared(light_field, low, high):
     tried = jnp.linspace(low, high, hypothesis_count(high - low, max(light_field.centre)))
     tried = tried.astype(light_field.views.dtype)
     scene = prepare(light_field, tried, cast(Matching(), tried.dtype), window=2)
-    return scene, prepare_views(scene, cast(Measurement(), tried.dtype)), tried
+    return scene, prepare_views(scene, cast(Measurement(radius=3), tried.dtype)), tried
 
 
 def test_the_first_measurement_finds_a_plane():
     scene, seen, _ = _prepared(plane(0.37, views=9, size=(24, 32)), 0.0, 0.7)
     assert scene.first is not None
-    found = first_labels(scene, seen, radius=3, passes=2)
+    found = first_labels(scene, seen)
     off = np.abs(np.asarray(found.disparity) - 0.37)
     rough = np.abs(np.asarray(scene.first) - 0.37)
     assert np.median(off) < 0.002
@@ -41,7 +44,7 @@ def test_the_first_measurement_finds_a_plane():
 def test_a_scene_without_a_first_map_is_told():
     scene, seen, _ = _prepared(plane(0.37), 0.0, 0.7)
     with pytest.raises(ValueError, match="`scene` has no first map; `prepare` finds one"):
-        first_labels(scene._replace(first=None), seen, radius=3, passes=2)
+        first_labels(scene._replace(first=None), seen)
 
 
 def test_neighbours_share_labels_on_their_surface_only():

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from mvedge_jax import LightField, Parameters, Sizes, edge_to_depth
+from mvedge_jax import EdgeDepth, LightField
 from mvedge_jax._crosshair import crosshair
 from mvedge_jax.photometry.brightness._unlit import lit
 
@@ -69,8 +69,8 @@ def test_a_dark_corner_goes_on_with_what_is_beside_it():
     views, corner = _slant(), _corner((40, 48), 14)
     views[:, :, corner] = 0
     field = LightField(jnp.asarray(views), disparity_range=(-1.0, 3.0))
-    sizes = Sizes.for_light_field(field)
-    found = edge_to_depth(field, Parameters(), sizes)
+    model = EdgeDepth.for_light_field(field)
+    found = model(field)
     assert float(jnp.abs(found.disparity - 1).max()) < 0.1
     assert bool(jnp.isfinite(found.error).all())
     # What is behind it is known less, the farther from what was measured.
@@ -78,6 +78,6 @@ def test_a_dark_corner_goes_on_with_what_is_beside_it():
 
     def total(views):
         seen = eqx.tree_at(lambda f: f.views, field, views)
-        return jnp.sum(edge_to_depth(seen, Parameters(), sizes).disparity)
+        return jnp.sum(model(seen).disparity)
 
     assert bool(jnp.isfinite(jax.jit(jax.grad(total))(field.views)).all())

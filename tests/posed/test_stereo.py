@@ -11,8 +11,7 @@ from mvedge_jax.datasets import synthetic
 from mvedge_jax.datasets.photographs import load_photographs
 from mvedge_jax.posed import (
     Photographs,
-    StereoParams,
-    StereoSizes,
+    StereoDepth,
     _stereo,
     posed_sweep,
     reference_of,
@@ -23,6 +22,7 @@ from mvedge_jax.posed.scores import depth_errors, scale_to
 
 IMAGES, DEPTHS = wall(POSES)
 RANGE = (1.2, 3.5)
+_QUICK = {"refine.solves": 1, "refine.sharpen.levels": 8}
 
 
 def photographs(dtype=jnp.float64, **changes):
@@ -32,10 +32,10 @@ def photographs(dtype=jnp.float64, **changes):
 
 @pytest.fixture(scope="module")
 def small():
-    """Sizes for quick programs, and the compiled one."""
+    """A model for quick programs, and the compiled one."""
     wanted = reference_of(photographs(), 0, depth_range=RANGE)
-    sizes = StereoSizes.of(wanted, solves=1, levels=8)
-    run, traces = count_traces(lambda p, reference: stereo(p, reference, StereoParams(), sizes))
+    model = StereoDepth.of(wanted, choices=_QUICK)
+    run, traces = count_traces(lambda p, reference: stereo(p, reference, model))
     return run, traces
 
 
@@ -68,7 +68,7 @@ def test_names_and_points_ask_for_no_other_program(monkeypatch):
         known = photographs(names=tuple(names), points=np.full((n, 3), [0.0, 0.0, 2.0]))
         wanted = reference_of(known, 0, depth_range=RANGE)
         with pytest.raises(KeyError):
-            stereo(known, wanted, StereoParams(), StereoSizes.of(wanted))
+            stereo(known, wanted, StereoDepth.of(wanted))
     one, other = (jax.tree.map(jnp.shape, each) for each in given)
     assert one == other
 
@@ -153,12 +153,13 @@ def test_gradients_with_respect_to_poses_and_images():
     """Of the whole chain: against differences, at the selections made."""
     view = photographs(depth=None)
     wanted = reference_of(view, 0, depth_range=RANGE)
-    sizes = StereoSizes.of(wanted, solves=1, sharpening="none", tolerance=1e-12)
+    choices = {"refine.solves": 1, "refine.sharpen.mode": "none", "solver.tolerance": 1e-12}
+    model = StereoDepth.of(wanted, choices=choices)
 
     def mean(tree):
         images, poses = tree
         moved = Photographs(images, poses, MATRIX)
-        return jnp.mean(stereo(moved, wanted, StereoParams(), sizes).depth)
+        return jnp.mean(stereo(moved, wanted, model).depth)
 
     tree = (view.images * 0.9 + 0.05, view.poses)
     check_gradient(mean, tree, rtol=2e-2, step=1e-7, key=jax.random.key(0))
@@ -167,7 +168,7 @@ def test_gradients_with_respect_to_poses_and_images():
 def test_the_sweep_is_a_rough_map():
     view = photographs(depth=None)
     wanted = reference_of(view, 0, depth_range=RANGE)
-    found = posed_sweep(view, wanted, StereoParams(), StereoSizes.of(wanted))
+    found = posed_sweep(view, wanted, StereoDepth.of(wanted))
     assert float(depth_errors(found.depth, jnp.asarray(DEPTHS[0])).median) < 4
 
 
@@ -252,10 +253,10 @@ def test_a_light_field_is_a_set_of_photographs():
             "have 0 points in the frame of 0, expected at least 2",
         ),
         (
-            lambda: StereoSizes.of(reference_of(photographs(), 0, depth_range=(0.001, 9.0))),
+            lambda: StereoDepth.of(reference_of(photographs(), 0, depth_range=(0.001, 9.0))),
             "hypotheses, expected at most 768; narrow the range of depths",
         ),
-        (lambda: StereoSizes(hypotheses=1), "`hypotheses` must be at least 2, got 1"),
+        (lambda: StereoDepth(hypotheses=1), "`hypotheses` must be at least 2, got 1"),
     ],
 )
 def test_errors_say_what_is_wrong(make, message):
@@ -283,12 +284,10 @@ def test_living_room():
     )
     assert view.depth is not None
     wanted = reference_of(view, 2)
-    sizes = StereoSizes.of(wanted)
-    found = stereo(view.without_truth(), wanted, StereoParams(), sizes)
+    model = StereoDepth.of(wanted)
+    found = stereo(view.without_truth(), wanted, model)
     errors = depth_errors(found.depth, view.depth[2])
-    sweep = depth_errors(
-        posed_sweep(view.without_truth(), wanted, StereoParams(), sizes).depth, view.depth[2]
-    )
+    sweep = depth_errors(posed_sweep(view.without_truth(), wanted, model).depth, view.depth[2])
     assert float(errors.median) < 0.6
     assert float(errors.mse) < float(sweep.mse)
     assert float(errors.above) < float(sweep.above)
@@ -330,7 +329,7 @@ def test_a_row_of_views_may_have_gaps_and_uneven_steps():
         row = Photographs(jnp.asarray(images), told, MATRIX)
         middle = int(np.abs(offsets).argmin())
         wanted = reference_of(row, middle, depth_range=RANGE)
-        found = stereo(row, wanted, StereoParams(), StereoSizes.of(wanted, solves=1, levels=8))
+        found = stereo(row, wanted, StereoDepth.of(wanted, choices=_QUICK))
         return float(depth_errors(found.depth, jnp.asarray(depths[middle])).median)
 
     regular, gaps, uneven, ignored = of(even), of(even[~second]), of(moved), of(moved, even)

@@ -6,8 +6,8 @@ import pytest
 from helpers import shared_data, with_values
 
 from mvedge_jax.angular import ViewParams, ViewSizes, depth_of_views
-from mvedge_jax.depth import Parameters, Sizes, edge_to_depth
 from mvedge_jax.datasets import load_light_field
+from mvedge_jax.depth import EdgeDepth
 from mvedge_jax.metrics.superpixels import superpixel_scores
 from mvedge_jax.superpixels import SuperpixelParams, SuperpixelSizes, superpixels
 
@@ -16,7 +16,7 @@ from mvedge_jax.superpixels import SuperpixelParams, SuperpixelSizes, superpixel
 def test_cotton_is_cut_along_its_objects():
     scene = load_light_field(shared_data("hci", "cotton"), views=5).downsample(4)
     blind = scene.without_truth()
-    result = edge_to_depth(blind, Parameters(), Sizes.for_light_field(blind))
+    result = EdgeDepth.for_light_field(blind)(blind)
     depths = depth_of_views(blind, result, ViewParams(), ViewSizes.for_light_field(blind))
     params = with_values(SuperpixelParams, size=10.0)
     found = superpixels(blind, depths, params, SuperpixelSizes.for_depths(depths))
