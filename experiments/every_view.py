@@ -25,7 +25,7 @@ from _report import peak_memory, print_table, timed, write_csv, write_json
 from _views import error_consistency, regions, scene, scores
 from matplotlib.figure import Figure
 
-from mvedge_jax.angular import ViewParams, ViewSizes, depth_of_views
+from mvedge_jax.all_views import ViewDepth, depth_of_views
 from mvedge_jax.baselines import (
     SparseParams,
     ThesisParams,
@@ -44,8 +44,8 @@ Method = Callable[[LightField, DepthResult], jax.Array]
 
 def ours(light_field: LightField, result: DepthResult) -> jax.Array:
     """Common surface samples, drawn into every view."""
-    sizes = ViewSizes.for_light_field(light_field)
-    return depth_of_views(light_field, result, ViewParams(), sizes).disparity
+    model = ViewDepth.for_light_field(light_field)
+    return depth_of_views(light_field, result, model).disparity
 
 
 def naive(light_field: LightField, result: DepthResult) -> jax.Array:

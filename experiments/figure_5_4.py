@@ -29,13 +29,13 @@ from _superpixels import MEASURED, changed, plot_sizes, plot_wrong, torn
 from jax import Array, lax
 
 from mvedge_jax import lean_jit, plotting
-from mvedge_jax.angular import ViewDepths, ViewParams, ViewSizes, depth_of_views
+from mvedge_jax.all_views import ViewDepth, ViewDepths, depth_of_views
 from mvedge_jax.baselines.kmeans import KMeansParams, KMeansSizes, kmeans_superpixels
 from mvedge_jax.baselines.lfsp import BUGS, LfspParams, LfspSizes, thesis_superpixels
 from mvedge_jax.depth import Parameters, Sizes, edge_to_depth
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.metrics.superpixels import labels_per_pixel, superpixel_scores
-from mvedge_jax.superpixels import SuperpixelParams, SuperpixelSizes, superpixels
+from mvedge_jax.superpixels import SuperpixelClustering, superpixels
 from mvedge_jax.warping import forward_warp, holes
 
 METHODS = ("ours", "thesis", "k-means", "SLIC projected", "grid and true ids")
@@ -111,22 +111,19 @@ def _timed(repeats: int, method: str, *given: Any) -> tuple[Array, float]:
     return labels, min(times)
 
 
-def _runs(arguments: Any) -> Iterator[tuple[str, float, str, SuperpixelParams | LfspParams]]:
+def _runs(arguments: Any) -> Iterator[tuple[str, float, str, dict[str, Any] | LfspParams]]:
     """Name, size, method and parameters of every row."""
     for size in arguments.sizes:
         for method in arguments.methods:
-            yield method, size, method, SuperpixelParams(size=jnp.asarray(size))
+            yield method, size, method, {"size": size}
         for bug in BUGS if arguments.bugs else ():
-            yield f"thesis, {bug}", size, f"thesis, {bug}", SuperpixelParams()
+            yield f"thesis, {bug}", size, f"thesis, {bug}", {}
         if arguments.sweep:
             field, *values = arguments.sweep
             kind, field = field.split(".") if "." in field else ("ours", field)
             for value in values:
                 chosen: dict[str, Any] = {field: jnp.asarray(float(value))}
-                if kind == "ours":
-                    params = SuperpixelParams(**{"size": jnp.asarray(size), **chosen})
-                else:
-                    params = LfspParams(**chosen)
+                params = {"size": size, **chosen} if kind == "ours" else LfspParams(**chosen)
                 yield f"{kind}, {field} {value}", size, kind, params
 
 
@@ -156,8 +153,8 @@ def _case(arguments: Any, name: str, stride: int) -> Case:
 
 def _depths(light_field: LightField) -> ViewDepths:
     result = edge_to_depth(light_field, Parameters(), Sizes.for_light_field(light_field))
-    sizes = ViewSizes.for_light_field(light_field)
-    return depth_of_views(light_field, result, ViewParams(), sizes)
+    model = ViewDepth.for_light_field(light_field)
+    return depth_of_views(light_field, result, model)
 
 
 def _scene(arguments: Any, name: str) -> tuple[LightField, np.ndarray, np.ndarray]:
@@ -177,7 +174,7 @@ def _scene(arguments: Any, name: str) -> tuple[LightField, np.ndarray, np.ndarra
     return light_field, np.asarray(truth.view_ids), np.asarray(truth.view_disparity)
 
 
-def _cut(method: str, case: Case, size: float, params: SuperpixelParams | LfspParams) -> Array:
+def _cut(method: str, case: Case, size: float, params: dict[str, Any] | LfspParams) -> Array:
     """Labels of all views."""
     light_field, depths = case.light_field, case.depths
     centre = depths.disparity[light_field.centre]
@@ -192,8 +189,9 @@ def _cut(method: str, case: Case, size: float, params: SuperpixelParams | LfspPa
         return _projected(_slic(light_field.centre_view, size), centre, light_field.steps)
     if method == "grid and true ids":
         return _perfect(case, size)
-    own = params if isinstance(params, SuperpixelParams) else SuperpixelParams()
-    return superpixels(light_field, depths, own, SuperpixelSizes.for_depths(depths)).labels
+    choices = params if isinstance(params, dict) else {}
+    model = SuperpixelClustering.for_depths(depths, choices=choices)
+    return superpixels(light_field, depths, model).labels
 
 
 def _slic(image: Array, size: float) -> Array:
@@ -249,7 +247,7 @@ def _score(labels: Array, case: Case) -> dict[str, float]:
 def _disturbed(arguments: Any, name: str) -> list[dict]:
     """How many pixels get another superpixel where one view has noise."""
     case, size = _case(arguments, name, 1), arguments.sizes[0]
-    params, rows = SuperpixelParams(size=jnp.asarray(size)), []
+    params, rows = {"size": size}, []
     before = np.asarray(_cut("ours", case, size, params))
     vc, uc = case.light_field.centre
     for where, view in (

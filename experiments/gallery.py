@@ -22,21 +22,20 @@ from PIL import Image
 from mvedge_jax import (
     Parameters,
     Sizes,
-    ViewParams,
-    ViewSizes,
+    ViewDepth,
     depth_of_views,
     edge_to_depth,
     plotting,
     viewer,
 )
 from mvedge_jax.baselines import plane_sweep
-from mvedge_jax.depth import DepthResult
 from mvedge_jax.color import srgb_to_gray
 from mvedge_jax.datasets import synthetic
+from mvedge_jax.depth import DepthResult
 from mvedge_jax.edges.sides import BidirectionalParams, bidirectional
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.metrics import boundary_scores, calibration
-from mvedge_jax.superpixels import SuperpixelParams, SuperpixelSizes, superpixels
+from mvedge_jax.superpixels import SuperpixelClustering, superpixels
 
 # What each picture of the viewer shows: the settings, by name.
 _SHOTS: dict[str, dict[str, Any]] = {
@@ -84,7 +83,7 @@ def main(options: Arguments) -> None:
     for name, figure in pictures(light_field, result, swept):
         figure.savefig(options.out / f"{name}.webp", dpi=130, pil_kwargs={"quality": 80})
         print(options.out / f"{name}.webp")
-    depths = depth_of_views(blind, result, ViewParams(), ViewSizes.for_light_field(blind))
+    depths = depth_of_views(blind, result, ViewDepth.for_light_field(blind))
     maps = (np.asarray(each) for each in (depths.disparity, depths.error, depths.source))
     hidden = viewer.hidden_surfaces(light_field, *maps)
     shown = [
@@ -145,9 +144,9 @@ def animation(light_field: LightField, out: Path) -> Path:
     """Around the grid: the views, the depth of every view, and superpixels in every view."""
     blind = light_field.without_truth()
     result = edge_to_depth(blind, Parameters(), Sizes.for_light_field(blind))
-    depths = depth_of_views(blind, result, ViewParams(), ViewSizes.for_light_field(blind))
-    cells = SuperpixelSizes.for_depths(depths)
-    labels = np.asarray(superpixels(blind, depths, SuperpixelParams(), cells).labels)
+    depths = depth_of_views(blind, result, ViewDepth.for_light_field(blind))
+    cells = SuperpixelClustering.for_depths(depths)
+    labels = np.asarray(superpixels(blind, depths, cells).labels)
     views, maps = np.asarray(light_field.views), np.asarray(depths.disparity)
     panels = zip(
         plotting.superpixel_frames(views, np.ones_like(labels)),  # one label: no contours

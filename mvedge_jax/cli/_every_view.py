@@ -4,8 +4,8 @@ import time
 
 import jax
 
-from mvedge_jax.angular import ViewDepths, ViewParams, ViewSizes, depth_of_views
-from mvedge_jax.depth import Parameters, Sizes, edge_to_depth
+from mvedge_jax.all_views import ViewDepth, ViewDepths, depth_of_views
+from mvedge_jax.depth import EdgeDepth, estimate_depth
 from mvedge_jax.lightfield import LightField
 
 from ._common import compiled, missing_views, stage
@@ -21,18 +21,18 @@ def every_view(light_field: LightField) -> tuple[ViewDepths, float, list[str]]:
         The maps, the seconds from the centre view's map to all of them, and what speaks against
         them, one sentence each.
     """
-    params, every = Parameters(), ViewParams()
     with stage("choosing sizes"):
-        sizes = Sizes.for_light_field(light_field), ViewSizes.for_light_field(light_field)
+        model = EdgeDepth.for_light_field(light_field)
+        every = ViewDepth.for_light_field(light_field)
     with stage("compiling, or reading what was compiled before"):
-        centre = compiled(edge_to_depth, light_field, params, sizes[0])
+        centre = compiled(estimate_depth, light_field, model)
     with stage("estimating depth of the centre view"):
-        result = jax.block_until_ready(centre(light_field, params, sizes[0]))
+        result = jax.block_until_ready(centre(light_field, model))
     with stage("compiling, or reading what was compiled before"):
-        program = compiled(depth_of_views, light_field, result, every, sizes[1])
+        program = compiled(depth_of_views, light_field, result, every)
     start = time.perf_counter()
     with stage("estimating depth of all views"):
-        found = jax.block_until_ready(program(light_field, result, every, sizes[1]))
+        found = jax.block_until_ready(program(light_field, result, every))
     seconds = time.perf_counter() - start
     doubts = [*result.problems(), *missing_views(light_field)]
     if int(found.overflow):

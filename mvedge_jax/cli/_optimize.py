@@ -12,16 +12,16 @@ from matplotlib.figure import Figure
 
 from mvedge_jax import plotting
 from mvedge_jax.datasets import load_light_field, write_pfm
-from mvedge_jax.depth import Parameters, Sizes, edge_to_depth
+from mvedge_jax.depth import EdgeDepth, estimate_depth
 from mvedge_jax.lightfield import GroundTruth, LightField
 from mvedge_jax.losses.features import Colours, FilterBank, load_vgg16
 from mvedge_jax.losses.terms import Features
 from mvedge_jax.metrics import depth_scores
 from mvedge_jax.model import (
-    FitParams,
-    ModelSizes,
     Optimised,
+    Renderer,
     Start,
+    SupervisedFit,
     fit_edges,
     optimize_edges,
     start_from_depth,
@@ -107,8 +107,7 @@ def optimize(
     if grow_points and not supervised:
         raise ValueError("--grow-points needs --supervised: without truth no residual is known.")
     approach = _approach(loss, features, vgg16, subset)
-    fit = FitParams()
-    sizes = ModelSizes.on_raster(raster)
+    fit, renderer = SupervisedFit(), Renderer.on_raster(raster)
     table = _table(routine, iterations, fit if supervised else approach)
     light_field = _read(scene, views, scale, needs_truth=supervised)
     earlier = None if state is None else State.load(state)
@@ -121,10 +120,10 @@ def optimize(
             if supervised and light_field.truth is not None:
                 start = start_from_image(start, light_field.centre_view)
                 goal = light_field.truth
-                result = fit_edges(goal, start, fit, sizes, strategy=growth, **options)
+                result = fit_edges(goal, start, fit, renderer, strategy=growth, **options)
             else:
                 key = jax.random.key(seed)
-                result = optimize_edges(light_field, start, approach, sizes, key=key, **options)
+                result = optimize_edges(light_field, start, approach, renderer, key=key, **options)
         seconds = time.perf_counter() - clock
         doubts += [*missing_views(light_field), *_doubts(result)]
         scores = _write(folder, light_field, start, result, seconds, doubts)
@@ -153,7 +152,7 @@ def _approach(
     return ByEvidence(features=extractor)
 
 
-def _table(routine: str, iterations: int | None, params: FitParams | Approach) -> Routine:
+def _table(routine: str, iterations: int | None, params: SupervisedFit | Approach) -> Routine:
     if iterations is not None:
         _at_least(1, "--iterations", iterations)
     if routine == "thesis":
@@ -172,8 +171,8 @@ def _read(scene: Path, views: int | None, scale: float, *, needs_truth: bool) ->
 def _start(blind: LightField) -> tuple[Start, list[str]]:
     """The start, and what speaks against it."""
     with stage("estimating depth from edges"):
-        call = blind, Parameters(), Sizes.for_light_field(blind)
-        result = jax.block_until_ready(compiled(edge_to_depth, *call)(*call))
+        call = blind, EdgeDepth.for_light_field(blind)
+        result = jax.block_until_ready(compiled(estimate_depth, *call)(*call))
         return start_from_depth(blind, result), list(result.problems())
 
 

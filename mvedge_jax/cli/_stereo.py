@@ -21,7 +21,7 @@ from mvedge_jax.posed import (
     stereo as estimate,
 )
 from mvedge_jax.posed.scores import depth_errors
-from mvedge_jax.posed.sparse import SparseStereoParams, SparseStereoSizes, sparse_stereo
+from mvedge_jax.posed.sparse import SparseStereoDepth, sparse_stereo
 
 from ._common import note, stage, warn
 from ._output import output_folder, write_json
@@ -140,8 +140,7 @@ def _points(
         result = sparse_stereo(
             photographs.without_truth(),
             chosen,
-            SparseStereoParams(),
-            SparseStereoSizes(),
+            SparseStereoDepth(),
             key=jax.random.key(0),
             progress=_tell,
         )

@@ -1,6 +1,6 @@
 """Superpixels: one label per surface patch in every view (Thesis Ch. 5)."""
 
-from ._parameters import SuperpixelParams as SuperpixelParams, SuperpixelSizes as SuperpixelSizes
+from ._clustering import SuperpixelClustering as SuperpixelClustering
 from ._soft import (
     SoftSuperpixels as SoftSuperpixels,
     soft_superpixels as soft_superpixels,

@@ -15,7 +15,7 @@ from mvedge_jax.datasets.photographs import load_photographs
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.posed import Photographs
 from mvedge_jax.posed.cloud import photographs_of
-from mvedge_jax.posed.sparse import SparseStereoSizes
+from mvedge_jax.posed.sparse import SparseStereoDepth
 
 IMAGES, DEPTHS = wall(POSES)
 
@@ -52,8 +52,8 @@ def test_stereo_and_its_export(model, tmp_path):
 
 @pytest.mark.slow
 def test_points_are_optimised_and_exported_without_errors(model, tmp_path, monkeypatch):
-    few = SparseStereoSizes(smoothing=2, iterations=2, passes=1)
-    monkeypatch.setattr("mvedge_jax.cli._stereo.SparseStereoSizes", lambda: few)
+    few = SparseStereoDepth(smoothing=2, iterations=2, passes=1)
+    monkeypatch.setattr("mvedge_jax.cli._stereo.SparseStereoDepth", lambda: few)
     pixels = np.random.default_rng(0).permutation(DEPTHS[1].size)[:40]
     points = places(POSES[1], DEPTHS[1]).reshape(-1, 3)[pixels]
     names = tuple(f"{i}.png" for i in range(4))

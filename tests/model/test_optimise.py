@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from mvedge_jax.losses import SupervisedWeights
-from mvedge_jax.model import DepthModel, ModelParams, ModelSizes, render_model
+from mvedge_jax.model import DepthModel, Renderer, render_model
 from mvedge_jax.model._capacity import with_capacity, without_free_places
 from mvedge_jax.model.objectives import Supervised, Trust, unlimited
 from mvedge_jax.model.optimisation import (
@@ -21,10 +21,10 @@ from mvedge_jax.model.optimisation import (
     optimise,
 )
 from mvedge_jax.model.optimisation._grow import grow, usefulness, worst_pixels
-from mvedge_jax.splatting import SplatSizes
+from mvedge_jax.splatting import SplatLabels, SplatRaster, SplatWidths
 
 SHAPE = (14, 18)
-SIZES = ModelSizes(splat=SplatSizes(scale=1, lanes=16))
+WIDE = Renderer(SplatLabels(SplatWidths(), SplatRaster(scale=1, lanes=16)))
 SIXES = FixedPoints(piece=6)
 RATES = Rates(rate=jnp.array([0.1, 0.03, 0.05, 0.05]))
 
@@ -47,7 +47,7 @@ def start_model(n=30, capacity=None, seed=0):
 def objective(model, trust=None):
     weights = SupervisedWeights(square=jnp.asarray(1.0))
     known = jnp.ones(SHAPE, bool)
-    return Supervised(truth(), known, trust or unlimited(model), weights=weights, sizes=SIZES)
+    return Supervised(truth(), known, trust or unlimited(model), WIDE, weights)
 
 
 def first_state(model, seed=0):
@@ -147,7 +147,7 @@ def test_trust_limits_and_pulls_back():
 def test_new_points_go_where_the_residual_is_largest():
     model = start_model(30, capacity=34)
     state, goal = first_state(model), objective(model)
-    disparity = render_model(model, goal.params, SIZES).disparity
+    disparity = render_model(model, WIDE).disparity
     # Only on the nearer surface: a new point of the farther one, beside it, would be hidden.
     residual = jnp.where(truth() == 1, jnp.abs(disparity - truth()), 0)
     grown = grow(state, goal, residual, truth(), Growth(), count=3)
@@ -157,7 +157,7 @@ def test_new_points_go_where_the_residual_is_largest():
     assert {tuple(p) for p in np.asarray(grown.state.model.xy)[new]} == {
         tuple(p) for p in np.asarray(xy, float)
     }
-    after = render_model(grown.state.model, goal.params, SIZES).disparity
+    after = render_model(grown.state.model, WIDE).disparity
     at = xy[:, 1], xy[:, 0]
     assert bool(jnp.all(jnp.abs(after - truth())[at] < residual[at] * 2 / 3))
     assert isinstance(grown.objective, Supervised)
@@ -189,7 +189,7 @@ def test_hidden_points_are_recycled_and_open_ones_are_not():
     xy = jnp.array([[3.0, 3.0], [3.1, 3.0], [12.0, 8.0], [5.0, 11.0]])
     label = jnp.array([1.0, 0.0, 0.5, 0.5])
     model = eqx.tree_at(lambda m: (m.xy, m.disparity), model, (xy, label))
-    use = usefulness(model, ModelParams(), SIZES)
+    use = usefulness(model, WIDE)
     assert float(use[1]) < 1e-3
     assert float(use[0]) > 0.5
     grown = grow(first_state(model), objective(model), truth(), truth(), Growth(), count=3)
@@ -216,7 +216,7 @@ def test_free_places_leave_and_points_keep_their_order():
     dense = without_free_places(model)
     np.testing.assert_array_equal(dense.xy, model.xy[jnp.array([0, 1, 3, 4, 5])])
     assert bool(dense.valid.all())
-    maps = [render_model(m, ModelParams(), SIZES).disparity for m in (model, dense)]
+    maps = [render_model(m, WIDE).disparity for m in (model, dense)]
     np.testing.assert_allclose(maps[0], maps[1], atol=1e-6)
 
 
@@ -238,7 +238,8 @@ def one_sided_model():
 
 def test_growing_moves_points_to_what_no_gradient_reaches():
     model = one_sided_model()
-    goal = eqx.tree_at(lambda g: g.params, objective(model), ModelParams.narrow(1))
+    narrow = SplatLabels.on_raster(1).widths
+    goal = eqx.tree_at(lambda g: g.renderer.splat.widths, objective(model), narrow)
     routine = all_at_once(RATES, iterations=30)
     told = []
     strategy = Growth(rounds=3)
@@ -330,7 +331,7 @@ def test_the_residuals_are_the_roots_of_the_loss():
     moved = eqx.tree_at(lambda m: m.disparity, model, model.disparity + 0.2)
     for square in (0.0, 2.0):
         weights = SupervisedWeights(absolute=jnp.asarray(0.0), square=jnp.asarray(square))
-        goal = Supervised(truth(), jnp.ones(SHAPE, bool), trust, weights=weights, sizes=SIZES)
+        goal = Supervised(truth(), jnp.ones(SHAPE, bool), trust, WIDE, weights)
         residuals, _ = goal.residuals(moved, truth())
         half = sum(float(jnp.sum(r**2)) for r in residuals) / 2
         assert half == pytest.approx(float(goal(moved, truth())[0]), rel=1e-6)
