@@ -188,5 +188,5 @@ def test_other_sizes_are_refused():
     model = ViewDepth.for_light_field(field)
     with pytest.raises(ValueError, match=r"`precision` must be finite .*, got nan"):
         depth_of_views(field, _known(field), model.replace(precision=float("nan")))
-    with pytest.raises(TypeError, match="`model` must be ViewDepth, got DepthResult"):
+    with pytest.raises(TypeError, match="`result` must be DepthResult, got ViewDepth"):
         depth_of_views(field, model, _known(field))
