@@ -1,7 +1,7 @@
 """The differentiable model: points and a smoothness map that render to a disparity map."""
 
 from collections.abc import Mapping
-from typing import Any, get_args
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -10,7 +10,7 @@ import lineax as lx
 from jaxtyping import Array, Bool, Float
 
 from mvedge_jax._compiler import lean_jit
-from mvedge_jax._params import cast, number, one_of
+from mvedge_jax._params import cast, number
 from mvedge_jax._paths import described, replaced
 from mvedge_jax.color import srgb_to_lab
 from mvedge_jax.diffusion import (
@@ -72,9 +72,6 @@ class Renderer(eqx.Module):
     normalized: bool = eqx.field(static=True, default=True)
     clears: bool = eqx.field(static=True, default=True)
     pairing: Pairing = eqx.field(static=True, default="min")
-
-    def __check_init__(self) -> None:
-        one_of(self, pairing=get_args(Pairing))
 
     @staticmethod
     def on_raster(scale: int) -> "Renderer":

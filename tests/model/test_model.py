@@ -269,8 +269,6 @@ def test_points_that_are_cut_off_are_refused():
     # Of several settings, the widest counts.
     with pytest.raises(ValueError, match=r"sigma_weight` = 3 px .*radius` = 2 px"):
         narrow.replace({"splat.widths.sigma_weight": jnp.asarray([0.4, 3.0])})
-    with pytest.raises(ValueError, match="`pairing` must be one of .*, got 'most'"):
-        narrow.replace(pairing="most")
 
 
 def test_a_point_outside_of_the_image_takes_no_part():
