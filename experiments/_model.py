@@ -11,9 +11,9 @@ from mvedge_jax.depth import EdgeDepth
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.metrics import depth_scores
 from mvedge_jax.model import (
-    FitParams,
-    ModelSizes,
+    Renderer,
     Start,
+    SupervisedFit,
     fit_edges,
     optimize_edges,
     start_from_depth,
@@ -62,10 +62,10 @@ def run_supervised(
     truth = light_field.truth
     if truth is None:
         raise ValueError(f"{light_field.name} has no ground truth.")
-    params, strategy = FitParams(), FixedPoints(piece=10) if strategy is None else strategy
-    table = all_at_once(params.rates, iterations=iterations)
+    fit, strategy = SupervisedFit(), FixedPoints(piece=10) if strategy is None else strategy
+    table = all_at_once(fit.rates, iterations=iterations)
     return fit_edges(
-        truth, start, params, ModelSizes.on_raster(raster),
+        truth, start, fit, Renderer.on_raster(raster),
         strategy=strategy, routine=table, progress=look,
     ).disparity  # fmt: skip
 
@@ -82,8 +82,8 @@ def run_self_supervised(
     """What `mvedge optimize` does, and prints what the views say of it."""
     approach = ByEvidence() if approach is None else approach
     table = all_at_once(approach.rates, iterations=iterations)
-    sizes = ModelSizes.on_raster(raster)
-    found = optimize_edges(light_field, start, approach, sizes, routine=table, progress=look)
+    renderer = Renderer.on_raster(raster)
+    found = optimize_edges(light_field, start, approach, renderer, routine=table, progress=look)
     if found.verdict is not None:
         before, after = found.verdict.error.tolist()
         print(f"held-out error {before:.6f} -> {after:.6f}", flush=True)

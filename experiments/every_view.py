@@ -27,7 +27,7 @@ from matplotlib.figure import Figure
 from peers.reprojection import reproject_views
 from peers.thesis_views import Guiding, thesis_views
 
-from mvedge_jax.angular import ViewParams, ViewSizes, depth_of_views
+from mvedge_jax.all_views import ViewDepth, depth_of_views
 from mvedge_jax.depth import DepthResult, EdgeDepth, multiview_edges
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.metrics import view_consistency
@@ -38,8 +38,8 @@ Method = Callable[[LightField, DepthResult], jax.Array]
 
 def ours(light_field: LightField, result: DepthResult) -> jax.Array:
     """Common surface samples, drawn into every view."""
-    sizes = ViewSizes.for_light_field(light_field)
-    return depth_of_views(light_field, result, ViewParams(), sizes).disparity
+    model = ViewDepth.for_light_field(light_field)
+    return depth_of_views(light_field, result, model).disparity
 
 
 def naive(light_field: LightField, result: DepthResult) -> jax.Array:

@@ -18,7 +18,7 @@ once per scene and kept under --out. Where only the centre view has true ids, th
 import argparse
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -33,18 +33,18 @@ from peers.kmeans import KMeansParams, KMeansSizes, kmeans_superpixels
 from peers.lfsp import BUGS, LfspParams, LfspSizes, thesis_superpixels
 
 from mvedge_jax import lean_jit, plotting
-from mvedge_jax.angular import ViewDepths, ViewParams, ViewSizes, depth_of_views
+from mvedge_jax.all_views import ViewDepth, ViewDepths, depth_of_views
 from mvedge_jax.depth import EdgeDepth
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.metrics.superpixels import labels_per_pixel, superpixel_scores
-from mvedge_jax.superpixels import SuperpixelParams, SuperpixelSizes, superpixels
+from mvedge_jax.superpixels import SuperpixelClustering, superpixels
 from mvedge_jax.warping import forward_warp, holes
 
 METHODS = ("ours", "thesis", "k-means", "SLIC projected", "grid and true ids")
-AnyParams = SuperpixelParams | LfspParams | KMeansParams
+AnyParams = dict[str, Any] | LfspParams | KMeansParams
 # The methods with parameters; those of the others are sizes or none at all.
-SWEPT: dict[str, type[AnyParams]] = {
-    "ours": SuperpixelParams,
+SWEPT: dict[str, Any] = {
+    "ours": SuperpixelClustering,
     "thesis": LfspParams,
     "k-means": KMeansParams,
 }
@@ -128,9 +128,9 @@ def _runs(arguments: Any) -> Iterator[tuple[str, float, str, AnyParams]]:
     """Name, size, method and parameters of every row."""
     for size in arguments.sizes:
         for method in arguments.methods:
-            yield method, size, method, SuperpixelParams(size=jnp.asarray(size))
+            yield method, size, method, {"size": size}
         for bug in BUGS if arguments.bugs else ():
-            yield f"thesis, {bug}", size, f"thesis, {bug}", SuperpixelParams()
+            yield f"thesis, {bug}", size, f"thesis, {bug}", {}
         if arguments.sweep:
             field, *values = arguments.sweep
             for label, kind, params in _swept(field, values, size=size):
@@ -148,14 +148,23 @@ def _swept(
     kind, name = field.rsplit(".", 1) if "." in field else ("ours", field)
     if kind not in SWEPT:
         raise SystemExit(f"--sweep {field}: a method must be one of {list(SWEPT)}, got {kind!r}.")
-    plain = SuperpixelParams(size=jnp.asarray(size)) if kind == "ours" else SWEPT[kind]()
-    names = [each for each, value in vars(plain).items() if isinstance(value, Array)]
+    names = _numbers(SWEPT[kind])
     if name not in names:
         raise SystemExit(f"--sweep {field}: {kind} has {', '.join(names)}; got {name!r}.")
-    return [
-        (f"{kind}, {name} {value}", kind, replace(plain, **{name: jnp.asarray(float(value))}))
-        for value in values
-    ]
+    rows: list[tuple[str, str, AnyParams]] = []
+    for value in values:
+        number = jnp.asarray(float(value))
+        if kind == "ours":
+            chosen: AnyParams = {"size": size, name: number}
+        else:
+            chosen = replace(SWEPT[kind](), **{name: number})
+        rows.append((f"{kind}, {name} {value}", kind, chosen))
+    return rows
+
+
+def _numbers(kind: type[SuperpixelClustering | LfspParams | KMeansParams]) -> list[str]:
+    """The numbers of a method, by the fields that say a unit."""
+    return [field.name for field in fields(kind) if "unit" in field.metadata]  # pyright: ignore
 
 
 def _case(arguments: Any, name: str, stride: int) -> Case:
@@ -184,8 +193,8 @@ def _case(arguments: Any, name: str, stride: int) -> Case:
 
 def _depths(light_field: LightField) -> ViewDepths:
     result = EdgeDepth.for_light_field(light_field)(light_field)
-    sizes = ViewSizes.for_light_field(light_field)
-    return depth_of_views(light_field, result, ViewParams(), sizes)
+    model = ViewDepth.for_light_field(light_field)
+    return depth_of_views(light_field, result, model)
 
 
 def _scene(arguments: Any, name: str) -> tuple[LightField, np.ndarray, np.ndarray]:
@@ -220,8 +229,9 @@ def _cut(method: str, case: Case, size: float, params: AnyParams) -> Array:
         return _projected(_slic(light_field.centre_view, size), centre, light_field.steps)
     if method == "grid and true ids":
         return _perfect(case, size)
-    own = params if isinstance(params, SuperpixelParams) else SuperpixelParams()
-    return superpixels(light_field, depths, own, SuperpixelSizes.for_depths(depths)).labels
+    choices = params if isinstance(params, dict) else {}
+    model = SuperpixelClustering.for_depths(depths, choices=choices)
+    return superpixels(light_field, depths, model).labels
 
 
 def _slic(image: Array, size: float) -> Array:
@@ -277,7 +287,7 @@ def _score(labels: Array, case: Case) -> dict[str, float]:
 def _disturbed(arguments: Any, name: str) -> list[dict]:
     """How many pixels get another superpixel where one view has noise."""
     case, size = _case(arguments, name, 1), arguments.sizes[0]
-    params, rows = SuperpixelParams(size=jnp.asarray(size)), []
+    params, rows = {"size": size}, []
     before = np.asarray(_cut("ours", case, size, params))
     vc, uc = case.light_field.centre
     for where, view in (

@@ -25,8 +25,8 @@ from _report import print_table, shared_data, write_csv, write_json
 from _scenes import find_scene
 
 from mvedge_jax import lean_jit
-from mvedge_jax.model import DepthModel, ModelParams, ModelSizes, Start, render_model
-from mvedge_jax.model.approaches import ByEvidence, ByReprojection, RelocateParams
+from mvedge_jax.model import DepthModel, Renderer, Start, render_model
+from mvedge_jax.model.approaches import ByEvidence, ByReprojection, StepRelocation
 from mvedge_jax.model.optimisation import Rates
 
 
@@ -69,21 +69,21 @@ def main() -> None:
     arguments = parser.parse_args()
     light_field = find_scene(arguments.scene, arguments.data, size=128)
     start = first_map(light_field)
-    params, sizes = ModelParams.narrow(arguments.raster), ModelSizes.on_raster(arguments.raster)
+    renderer = Renderer.on_raster(arguments.raster)
     render = lean_jit(render_model)
-    clean = scores(render(start.model, params, sizes).disparity, light_field)
+    clean = scores(render(start.model, renderer).disparity, light_field)
     rows, curve = [], []
     cases = [(s, 0.0) for s in arguments.position] + [(0.0, s) for s in arguments.disparity]
     for position, disparity in cases:
         model, _ = noisy(start.model, position=position, disparity=disparity, key=jax.random.key(1))
-        rendered = render(model, params, sizes).disparity
+        rendered = render(model, renderer).disparity
         before = scores(rendered, light_field)
         name = f"position {position}, disparity {disparity}"
         look = printer(name, light_field, curve)
         options = {"raster": arguments.raster, "iterations": arguments.iterations, "look": look}
         loose = Start(model, jnp.full_like(start.error, 0.1), rendered)
         if arguments.loss == "evidence":
-            doubtful = ByEvidence(relocate=RelocateParams())
+            doubtful = ByEvidence(relocate=StepRelocation())
             for number in range(arguments.rounds):
                 approach = doubtful if number == 0 else ByEvidence()
                 after = run_self_supervised(loose, light_field, approach=approach, **options)

@@ -19,7 +19,7 @@ import tyro
 from matplotlib.figure import Figure
 from PIL import Image
 
-from mvedge_jax import ViewParams, ViewSizes, depth, depth_of_views, plotting, viewer
+from mvedge_jax import ViewDepth, depth, depth_of_views, plotting, viewer
 from mvedge_jax.color import srgb_to_gray
 from mvedge_jax.datasets import synthetic
 from mvedge_jax.depth import DepthResult
@@ -27,7 +27,7 @@ from mvedge_jax.edges.sides import DirectionalDiffusion, bidirectional
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.metrics import boundary_scores, calibration
 from mvedge_jax.photometry.matching import plane_sweep
-from mvedge_jax.superpixels import SuperpixelParams, SuperpixelSizes, superpixels
+from mvedge_jax.superpixels import SuperpixelClustering, superpixels
 
 # What each picture of the viewer shows: the settings, by name.
 _SHOTS: dict[str, dict[str, Any]] = {
@@ -75,7 +75,7 @@ def main(options: Arguments) -> None:
     for name, figure in pictures(light_field, result, swept):
         figure.savefig(options.out / f"{name}.webp", dpi=130, pil_kwargs={"quality": 80})
         print(options.out / f"{name}.webp")
-    depths = depth_of_views(blind, result, ViewParams(), ViewSizes.for_light_field(blind))
+    depths = depth_of_views(blind, result, ViewDepth.for_light_field(blind))
     maps = (np.asarray(each) for each in (depths.disparity, depths.error, depths.source))
     hidden = viewer.hidden_surfaces(light_field, *maps)
     shown = [
@@ -136,9 +136,9 @@ def animation(light_field: LightField, out: Path) -> Path:
     """Around the grid: the views, the depth of every view, and superpixels in every view."""
     blind = light_field.without_truth()
     result = depth(blind)
-    depths = depth_of_views(blind, result, ViewParams(), ViewSizes.for_light_field(blind))
-    cells = SuperpixelSizes.for_depths(depths)
-    labels = np.asarray(superpixels(blind, depths, SuperpixelParams(), cells).labels)
+    depths = depth_of_views(blind, result, ViewDepth.for_light_field(blind))
+    cells = SuperpixelClustering.for_depths(depths)
+    labels = np.asarray(superpixels(blind, depths, cells).labels)
     views, maps = np.asarray(light_field.views), np.asarray(depths.disparity)
     panels = zip(
         plotting.superpixel_frames(views, np.ones_like(labels)),  # one label: no contours

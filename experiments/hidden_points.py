@@ -5,8 +5,8 @@
 A square stands in front of a plane. Some of the points on it and beside it are given a label that
 is too near, so that they hide the right ones around them, which get next to no gradient. The
 supervised optimisation is run with all points opaque as in the thesis, with opacities that fall
-with the weight (`ModelSizes.clears`), with hidden points recycled (`grow`), with both, and with
-points that are too narrow to hide their neighbours (`ModelParams.narrow`).
+with the weight (`Renderer.clears`), with hidden points recycled (`grow`), with both, and with
+points that are too narrow to hide their neighbours (`SplatLabels.on_raster`).
 """
 
 import argparse
@@ -21,16 +21,15 @@ from mvedge_jax import lean_jit
 from mvedge_jax.lightfield import GroundTruth
 from mvedge_jax.model import (
     DepthModel,
-    FitParams,
-    ModelParams,
-    ModelSizes,
+    Renderer,
     Start,
+    SupervisedFit,
     fit_edges,
     render_model,
 )
 from mvedge_jax.model.optimisation import FixedPoints, Growth, Rates, all_at_once
 from mvedge_jax.model.optimisation._grow import usefulness
-from mvedge_jax.splatting import SplatSizes
+from mvedge_jax.splatting import SplatLabels, SplatRaster, SplatWidths
 
 SHAPE = (32, 40)
 PIECES = 4
@@ -64,7 +63,7 @@ def main() -> None:
     arguments = parser.parse_args()
     truth = jnp.zeros(SHAPE, jnp.float32).at[8:24, 12:28].set(1.0)
     known = GroundTruth(truth, jnp.ones(SHAPE, bool))
-    wide, narrow = ModelParams(), ModelParams.narrow(1)
+    wide, narrow = SplatWidths(), SplatLabels.on_raster(1).widths
     rates = Rates(rate=jnp.asarray([0.15, 0.01, 0.08, 0.05]))
     table = all_at_once(rates, iterations=arguments.iterations)
     # In the pauses between four pieces a tenth of the points may move.
@@ -72,7 +71,7 @@ def main() -> None:
     recycling = Growth(rounds=PIECES - 1, until=until, count=arguments.points // 10)
     render = lean_jit(render_model)
     rows = []
-    for name, clears, recycles, params in (
+    for name, clears, recycles, widths in (
         ("nothing (thesis)", False, False, wide),
         ("opacity", True, False, wide),
         ("recycling", False, True, wide),
@@ -80,19 +79,20 @@ def main() -> None:
         ("narrow points", False, False, narrow),
         ("narrow points and both", True, True, narrow),
     ):
-        sizes = ModelSizes(splat=SplatSizes(scale=1, lanes=16), clears=clears)
+        splat = SplatLabels(widths, SplatRaster(scale=1, lanes=16))
+        renderer = Renderer(splat, clears=clears)
         errors, hidden = np.zeros((arguments.seeds, 2)), np.zeros((arguments.seeds, 2))
         for seed in range(arguments.seeds):
             model = noisy_points(truth, arguments.points, arguments.share, seed)
             start = Start(model, jnp.ones_like(model.disparity), truth * 0)
             strategy = recycling if recycles else FixedPoints()
             best = fit_edges(
-                known, start, FitParams(rendering=params), sizes, strategy=strategy, routine=table
+                known, start, SupervisedFit(), renderer, strategy=strategy, routine=table
             ).model
             for column, theta in enumerate((model, best)):
-                found = render(theta, params, sizes).disparity
+                found = render(theta, renderer).disparity
                 errors[seed, column] = 100 * float(jnp.mean((found - truth) ** 2))
-                use = usefulness(theta, params, sizes)
+                use = usefulness(theta, renderer)
                 hidden[seed, column] = 100 * float(jnp.mean(use < 0.05))
         rows.append(
             {

@@ -22,7 +22,7 @@ from _scenes import find_scene
 from matplotlib.figure import Figure
 
 from mvedge_jax.lightfield import LightField
-from mvedge_jax.model import FitParams, ModelParams, ModelSizes
+from mvedge_jax.model import Renderer, SupervisedFit
 from mvedge_jax.model.approaches import ByEvidence, ByReprojection
 from mvedge_jax.model.objectives import Supervised, unlimited
 from mvedge_jax.model.optimisation import (
@@ -67,17 +67,17 @@ class Arguments:
 
 def objective(kind: str, light_field: LightField) -> tuple[Any, Any, jax.Array, Rates]:
     """Start, objective, a first map and the rates of Adam."""
-    start, sizes = first_map(light_field), ModelSizes.on_raster(1)
+    start, renderer = first_map(light_field), Renderer.on_raster(1)
     if kind == "supervised":
         start, truth = plain(start, light_field.centre_view), light_field.truth
         assert truth is not None
-        rendering, params = ModelParams.narrow(1), FitParams()
+        fit = SupervisedFit()
         goal = Supervised(
-            truth.disparity, truth.valid, unlimited(start.model), rendering, params.weights, sizes
+            truth.disparity, truth.valid, unlimited(start.model), renderer, fit.weights
         )
-        return start.model, goal, start.disparity, params.rates
+        return start.model, goal, start.disparity, fit.rates
     approach = {"evidence": ByEvidence(), "reprojection": ByReprojection()}[kind]
-    prepared = approach.prepare(light_field.without_truth(), start, sizes)
+    prepared = approach.prepare(light_field.without_truth(), start, renderer)
     return prepared.start.model, prepared.objective, prepared.start.disparity, approach.rates
 
 

@@ -30,8 +30,7 @@ from mvedge_jax.posed import (
 )
 from mvedge_jax.posed.scores import depth_errors, scale_to
 from mvedge_jax.posed.sparse import (
-    SparseStereoParams,
-    SparseStereoSizes,
+    SparseStereoDepth,
     seen_points,
     sparse_stereo,
 )
@@ -172,13 +171,7 @@ def _pair(photographs: Photographs, reference: Reference, other: int) -> np.ndar
 
 def optimised(photographs: Photographs, reference: Reference) -> Maps:
     """The thesis' method: the points diffused, and optimised with more at the image's edges."""
-    found = sparse_stereo(
-        photographs,
-        reference,
-        SparseStereoParams(),
-        SparseStereoSizes(),
-        key=jax.random.key(0),
-    )
+    found = sparse_stereo(photographs, reference, SparseStereoDepth(), key=jax.random.key(0))
     return {"points, optimised (7.2.2)": np.asarray(found.depth)}
 
 

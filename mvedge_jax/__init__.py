@@ -9,10 +9,9 @@ from ._cache import compilation_cache as compilation_cache
 from ._compiler import compiler_options as compiler_options, lean_jit as lean_jit
 from ._export import register as _register
 from ._paths import describe as describe
-from .angular import (
+from .all_views import (
+    ViewDepth as ViewDepth,
     ViewDepths as ViewDepths,
-    ViewParams as ViewParams,
-    ViewSizes as ViewSizes,
     depth_of_views as depth_of_views,
 )
 from .datasets import load_light_field as load_light_field
@@ -26,10 +25,10 @@ from .diffusion import System as System, diffuse as diffuse
 from .edges import EdgePoints as EdgePoints
 from .lightfield import Camera as Camera, GroundTruth as GroundTruth, LightField as LightField
 from .model import (
-    FitParams as FitParams,
-    ModelSizes as ModelSizes,
     Optimised as Optimised,
+    Renderer as Renderer,
     Start as Start,
+    SupervisedFit as SupervisedFit,
     fit_edges as fit_edges,
     optimize_edges as optimize_edges,
     start_from_depth as start_from_depth,

@@ -26,9 +26,9 @@ import tempfile
 import jax
 import jax.numpy as jnp
 import numpy as np
+from mvedge_jax.baselines import SweepSizes, plane_sweep
 
 from mvedge_jax import metrics, plotting
-from mvedge_jax.baselines import SweepSizes, plane_sweep
 from mvedge_jax.datasets import load_light_field, synthetic, write_hci
 from mvedge_jax.metrics.depth import mae, mse
 from mvedge_jax.warping import backward_warp

@@ -29,9 +29,9 @@ import optax
 
 import mvedge_jax
 from mvedge_jax import plotting
-from mvedge_jax.depth import Parameters, Sizes, edge_to_depth
 from mvedge_jax.color import srgb_to_gray
 from mvedge_jax.datasets import synthetic
+from mvedge_jax.depth import Parameters, Sizes, edge_to_depth
 from mvedge_jax.edges.sides import BidirectionalParams, bidirectional
 from mvedge_jax.metrics import depth_scores
 

@@ -26,12 +26,12 @@ import jax
 import jax.numpy as jnp
 import matplotlib.pyplot as plt
 import numpy as np
+from mvedge_jax.baselines import reproject_views
 
 from mvedge_jax import plotting
-from mvedge_jax.angular import ViewParams, ViewSizes, depth_of_views
-from mvedge_jax.baselines import reproject_views
-from mvedge_jax.depth import Parameters, Sizes, edge_to_depth
+from mvedge_jax.all_views import ViewDepth, depth_of_views
 from mvedge_jax.datasets import synthetic
+from mvedge_jax.depth import EdgeDepth
 from mvedge_jax.edit import insert_picture, paint, remove
 from mvedge_jax.metrics import view_consistency
 from mvedge_jax.metrics.depth import bad_pixels, mse
@@ -42,8 +42,8 @@ light_field = synthetic.render(
 )
 truth = light_field.truth.view_disparity
 blind = light_field.without_truth()
-result = edge_to_depth(blind, Parameters(), Sizes.for_light_field(blind))
-found = depth_of_views(blind, result, ViewParams(), ViewSizes.for_light_field(blind))
+result = EdgeDepth.for_light_field(blind)(blind)
+found = depth_of_views(blind, result, ViewDepth.for_light_field(blind))
 naive = reproject_views(result.disparity, blind.steps)
 
 # %% [markdown]

@@ -32,8 +32,8 @@ import optuna
 
 import mvedge_jax
 from mvedge_jax import plotting
-from mvedge_jax.depth import Parameters, Sizes, edge_to_depth
 from mvedge_jax.datasets import synthetic
+from mvedge_jax.depth import Parameters, Sizes, edge_to_depth
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.sweep import Interval, Space, plot_sweep, sweep
 

@@ -51,7 +51,7 @@ ONE: Any = np.float64(1)
 STEP: Any = np.array([1.0, 0.0])
 VALID: Any = np.ones(5, bool)
 XY, LABEL = 1 + 9 * some(5, 2), some(5)
-RASTER, POINTS = ((Y, X), splatting.SplatSizes()), (XY, LABEL, LABEL, VALID)
+RASTER, POINTS = ((Y, X), splatting.SplatRaster()), (XY, LABEL, LABEL, VALID)
 
 
 def light_field():
@@ -78,7 +78,7 @@ def lines():
 
 def rendered():
     points = model.DepthModel(LABEL, XY, LABEL, MAP, VALID)
-    return model.render_model(points, model.ModelParams.narrow(1), model.ModelSizes.on_raster(1))
+    return model.render_model(points, model.Renderer.on_raster(1))
 
 
 def camera():
@@ -124,8 +124,8 @@ CALLS = {
     "posed": lambda: projections(eye(4)[None], eye(3)[None], 0, ONE),
     "cloud": lambda: cloud.surface_of(MAP, eye(4), eye(3)),
     "depth errors": lambda: depth_errors(MAP, MAP),
-    "splat": lambda: splatting.splat(*POINTS, splatting.SplatParams(ONE), *RASTER),
-    "oracle": lambda: splatting.splat_reference(*POINTS, splatting.SplatParams(), *RASTER),
+    "splat": lambda: splatting.splat(*POINTS, splatting.SplatWidths(ONE), *RASTER),
+    "oracle": lambda: splatting.splat_reference(*POINTS, splatting.SplatWidths(), *RASTER),
     "backward": lambda: (
         warping.backward_warp(RGB, MAP, STEP),
         warping.warp_planes(PLANES, MAP, STEP),

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from mvedge_jax._product import product
-from mvedge_jax.angular import ViewParams, ViewSizes, depth_of_views
+from mvedge_jax.all_views import ViewDepth, depth_of_views
 from mvedge_jax.color import srgb_to_gray, srgb_to_lab
 from mvedge_jax.depth import EdgeDepth
 from mvedge_jax.epi._response import correlate
@@ -18,8 +18,8 @@ from mvedge_jax.losses.features import FilterBank
 from mvedge_jax.losses.terms import ssim
 from mvedge_jax.posed import projections
 from mvedge_jax.posed.cloud import surface_of
-from mvedge_jax.splatting import SplatParams, SplatSizes, splat
-from mvedge_jax.superpixels import SuperpixelParams, SuperpixelSizes, superpixels
+from mvedge_jax.splatting import SplatRaster, SplatWidths, splat
+from mvedge_jax.superpixels import SuperpixelClustering, superpixels
 
 _PRODUCTS = ("stablehlo.dot_general", "stablehlo.convolution")
 _IMAGE = np.random.default_rng(0).random((24, 28, 3), dtype=np.float32)
@@ -39,18 +39,17 @@ def _chain(views):
     """All that becomes of the views: centre view, every view, superpixels."""
     with jax.ensure_compile_time_eval():
         blank = LightField(jnp.asarray(_VIEWS), disparity_range=(-1.0, 1.0))
-        model, sizes = EdgeDepth.for_light_field(blank), ViewSizes.for_light_field(blank)
+        chain, model = EdgeDepth.for_light_field(blank), ViewDepth.for_light_field(blank)
     field = eqx.tree_at(lambda f: f.views, blank, views)
-    result = model(field)
-    depths = depth_of_views(field, result, ViewParams(), sizes)
-    patches = SuperpixelSizes(capacity=64, margin=2)
-    found = superpixels(field, depths, SuperpixelParams(), patches)
+    result = chain(field)
+    depths = depth_of_views(field, result, model)
+    found = superpixels(field, depths, SuperpixelClustering(capacity=64, margin=2))
     return depths.disparity, found.plane
 
 
 def _splat(xy):
     ones = jnp.ones(len(xy), xy.dtype)
-    return splat(xy, ones, ones, ones > 0, SplatParams(), (24, 28), SplatSizes()).label
+    return splat(xy, ones, ones, ones > 0, SplatWidths(), (24, 28), SplatRaster()).label
 
 
 def _posed(pose):

@@ -10,14 +10,13 @@ import numpy as np
 import pytest
 
 from mvedge_jax import EdgeDepth, LightField
-from mvedge_jax.angular import ViewParams, ViewSizes, depth_of_views
-from mvedge_jax.model import ModelSizes, optimize_edges, start_from_depth
+from mvedge_jax.all_views import ViewDepth, depth_of_views
+from mvedge_jax.model import Renderer, optimize_edges, start_from_depth
 from mvedge_jax.model.approaches import ByEvidence
 from mvedge_jax.model.optimisation import all_at_once
 from mvedge_jax.posed import Photographs, StereoDepth, reference_of, stereo
 from mvedge_jax.superpixels import (
-    SuperpixelParams,
-    SuperpixelSizes,
+    SuperpixelClustering,
     soft_superpixels,
     superpixels,
 )
@@ -57,43 +56,40 @@ def _finite(tree):
 def test_views_superpixels_and_optimisation(name, shape):
     field = _field(name, shape)
     result = _centre(field)
-    sizes = ViewSizes.for_light_field(field)
-    maps = depth_of_views(field, result, ViewParams(), sizes)
+    maps = depth_of_views(field, result, ViewDepth.for_light_field(field))
     _finite((maps.disparity, maps.error))
     assert bool((maps.error >= 0).all())
 
-    params = SuperpixelParams(size=jnp.asarray(4.0))
-    room = SuperpixelSizes.for_depths(maps)
-    labels = superpixels(field, maps, params, room).labels
+    model = SuperpixelClustering.for_depths(maps, choices={"size": 4.0})
+    labels = superpixels(field, maps, model).labels
     assert labels.shape == field.views.shape[:4]
     assert bool((labels[field.centre] > 0).all())
     assert len(np.unique(labels[field.centre])) <= max(1, 2 * shape[0] * shape[1] // 4)
 
     routine = all_at_once(ByEvidence().rates, iterations=2)
     start = start_from_depth(field, result)
-    found = optimize_edges(field, start, ByEvidence(), ModelSizes.on_raster(1), routine=routine)
+    found = optimize_edges(field, start, ByEvidence(), Renderer.on_raster(1), routine=routine)
     _finite(found.disparity)
 
 
 @pytest.mark.parametrize("name", [*COLOURS, "two colours"])
 def test_gradients_of_every_view_and_of_soft_superpixels(name):
     field = _field(name)
-    result, sizes = _centre(field), ViewSizes.for_light_field(field)
-    params = SuperpixelParams(size=jnp.asarray(6.0))
+    result, every = _centre(field), ViewDepth.for_light_field(field)
+    model = SuperpixelClustering(capacity=32, margin=2, rounds=2).replace(size=6.0)
 
     @jax.jit
-    def gradient(views, measured, every, params):
-        def total(views, measured, every, params):
+    def gradient(views, measured, every, model):
+        def total(views, measured, every, model):
             seen = eqx.tree_at(lambda f: f.views, field, views)
             known = eqx.tree_at(lambda r: r.disparity, result, measured)
-            maps = depth_of_views(seen, known, every, sizes)
-            room = SuperpixelSizes(capacity=32, margin=2, rounds=2)
-            soft = soft_superpixels(seen, maps, params, room)
+            maps = depth_of_views(seen, known, every)
+            soft = soft_superpixels(seen, maps, model)
             return maps.disparity.sum() + maps.error.sum() + (soft.shares**2).sum()
 
-        return jax.grad(total, argnums=(0, 1, 2, 3))(views, measured, every, params)
+        return jax.grad(total, argnums=(0, 1, 2, 3))(views, measured, every, model)
 
-    _finite(gradient(field.views, result.disparity, ViewParams(), params))
+    _finite(gradient(field.views, result.disparity, every, model))
 
 
 def _photographs(name, shape):

@@ -20,7 +20,7 @@ from _report import peak_memory, print_table, timed, write_json
 
 from mvedge_jax import lean_jit
 from mvedge_jax.losses import Views
-from mvedge_jax.model import DepthModel, ModelParams, ModelSizes, render_model
+from mvedge_jax.model import DepthModel, Renderer, render_model
 from mvedge_jax.model._model import opacities, splat_model
 from mvedge_jax.model.objectives import SelfSupervised, unlimited
 from mvedge_jax.model.optimisation import Rates, advance, all_at_once, begin
@@ -70,7 +70,7 @@ def main() -> None:
     parser.add_argument("--check", action="store_true", help="fail if a budget is missed")
     parser.add_argument("--out", type=Path, default=Path("results/benchmark_optimise"))
     arguments = parser.parse_args()
-    params, sizes = ModelParams(), ModelSizes()
+    renderer = Renderer.thesis()
     rows = []
     for count in arguments.points:
         model, views = scene(count, arguments.size)
@@ -81,19 +81,19 @@ def main() -> None:
         @lean_jit
         def splat_only(moving, fixed=fixed):
             model = eqx.combine(moving, fixed)
-            opacity = opacities(model, params, sizes)
-            return splat_model(model, jnp.exp(-model.log_weight), opacity, params, sizes).label
+            opacity = opacities(model, renderer)
+            return splat_model(model, jnp.exp(-model.log_weight), opacity, renderer).label
 
         @lean_jit
         def forward(moving, fixed=fixed, start=start):
-            return render_model(eqx.combine(moving, fixed), params, sizes, start=start).disparity
+            return render_model(eqx.combine(moving, fixed), renderer, start=start).disparity
 
         @lean_jit
         def backward(moving, forward=forward, cotangent=cotangent):
             value, pull = jax.vjp(forward, moving)
             return value, pull(cotangent)
 
-        goal = SelfSupervised(views, unlimited(model), params, sizes=sizes)
+        goal = SelfSupervised(views, unlimited(model), renderer)
         state = begin(model, start, key=jax.random.key(0))
         table = all_at_once(Rates(), iterations=1)
         runs = {

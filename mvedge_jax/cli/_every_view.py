@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import jax
 
-from mvedge_jax.angular import ViewDepths, ViewParams, ViewSizes, depth_of_views
+from mvedge_jax.all_views import ViewDepth, ViewDepths, depth_of_views
 from mvedge_jax.depth import EdgeDepth, estimate_depth
 from mvedge_jax.lightfield import LightField
 
@@ -42,18 +42,18 @@ def every_view(
     Returns:
         The maps, and how they were made.
     """
-    every, key = ViewParams(), jax.random.key(seed)
+    key = jax.random.key(seed)
     with stage("choosing sizes"):
-        model, sizes = options.model(light_field), ViewSizes.for_light_field(light_field)
+        model, every = options.model(light_field), ViewDepth.for_light_field(light_field)
     with stage("compiling, or reading what was compiled before"):
         centre = compiled(estimate_depth, light_field, model, key=key)
     with stage("estimating depth of the centre view"):
         result = jax.block_until_ready(centre(light_field, model, key=key))
     with stage("compiling, or reading what was compiled before"):
-        program = compiled(depth_of_views, light_field, result, every, sizes)
+        program = compiled(depth_of_views, light_field, result, every)
     start = time.perf_counter()
     with stage("estimating depth of all views"):
-        found = jax.block_until_ready(program(light_field, result, every, sizes))
+        found = jax.block_until_ready(program(light_field, result, every))
     seconds = time.perf_counter() - start
     doubts = [*result.problems(), *missing_views(light_field)]
     if int(found.overflow):

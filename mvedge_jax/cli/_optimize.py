@@ -18,10 +18,10 @@ from mvedge_jax.losses.features import Colours, FilterBank, load_vgg16
 from mvedge_jax.losses.terms import Features
 from mvedge_jax.metrics import depth_scores
 from mvedge_jax.model import (
-    FitParams,
-    ModelSizes,
     Optimised,
+    Renderer,
     Start,
+    SupervisedFit,
     fit_edges,
     optimize_edges,
     start_from_depth,
@@ -112,8 +112,7 @@ def optimize(
     if grow_points and not supervised:
         raise ValueError("--grow-points needs --supervised: without truth no residual is known.")
     approach = _approach(loss, features, vgg16, subset)
-    fit = FitParams()
-    sizes = ModelSizes.on_raster(raster)
+    fit, renderer = SupervisedFit(), Renderer.on_raster(raster)
     table = _table(routine, iterations, fit if supervised else approach)
     light_field, said = _read(scene, views, scale, needs_truth=supervised)
     earlier = None if state is None else State.load(state)
@@ -126,10 +125,10 @@ def optimize(
             if supervised and light_field.truth is not None:
                 start = start_from_image(start, light_field.centre_view)
                 goal = light_field.truth
-                result = fit_edges(goal, start, fit, sizes, strategy=growth, **running)
+                result = fit_edges(goal, start, fit, renderer, strategy=growth, **running)
             else:
                 key = jax.random.key(seed)
-                result = optimize_edges(light_field, start, approach, sizes, key=key, **running)
+                result = optimize_edges(light_field, start, approach, renderer, key=key, **running)
         seconds = time.perf_counter() - clock
         doubts = [*said, *doubts, *missing_views(light_field), *_doubts(result)]
         told = options.described(model) | {"seed": seed, "warnings": doubts}
@@ -159,7 +158,7 @@ def _approach(
     return ByEvidence(features=extractor)
 
 
-def _table(routine: str, iterations: int | None, params: FitParams | Approach) -> Routine:
+def _table(routine: str, iterations: int | None, params: SupervisedFit | Approach) -> Routine:
     if iterations is not None:
         _at_least(1, "--iterations", iterations)
     if routine == "thesis":

@@ -21,7 +21,7 @@ from mvedge_jax.posed import (
     stereo as estimate,
 )
 from mvedge_jax.posed.scores import depth_errors
-from mvedge_jax.posed.sparse import SparseStereoParams, SparseStereoSizes, sparse_stereo
+from mvedge_jax.posed.sparse import SparseStereoDepth, sparse_stereo
 
 from ._common import note, stage, warn
 from ._model import Settings, described, settings_of, settled
@@ -157,8 +157,7 @@ def _points(
         result = sparse_stereo(
             photographs.without_truth(),
             chosen,
-            SparseStereoParams(),
-            SparseStereoSizes(),
+            SparseStereoDepth(),
             key=jax.random.key(0),
             progress=_tell,
         )

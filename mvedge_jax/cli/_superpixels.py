@@ -16,9 +16,8 @@ from mvedge_jax.edit import paint
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.metrics.superpixels import labels_per_pixel, superpixel_scores
 from mvedge_jax.superpixels import (
-    SuperpixelParams,
+    SuperpixelClustering,
     Superpixels,
-    SuperpixelSizes,
     superpixels as cut,
 )
 
@@ -83,13 +82,13 @@ def superpixels(
     with output_folder(out, inputs=[scene], overwrite=overwrite) as folder:
         depths, centre, _, doubts = every_view(blind, options=options, seed=seed)
         doubts = [*said, *doubts]
-        room = max(SuperpixelSizes.for_depths(depths).capacity, int(4 * height * width / size**2))
-        sizes = SuperpixelSizes.for_depths(depths, capacity=min(room, 32000))
-        params = SuperpixelParams(size=jnp.asarray(size))
+        model = SuperpixelClustering.for_depths(depths, choices={"size": size})
+        room = max(model.capacity, int(4 * height * width / size**2))
+        model = model.replace(capacity=min(room, 32000))
         with stage("compiling, or reading what was compiled before"):
-            program = compiled(cut, blind, depths, params, sizes)
+            program = compiled(cut, blind, depths, model)
         with stage("cutting"):
-            found = jax.block_until_ready(program(blind, depths, params, sizes))
+            found = jax.block_until_ready(program(blind, depths, model))
         with stage("writing"):
             _write(folder, blind, found)
             report: dict[str, Any] = {"scene": light_field.name, "count": int(found.number)}
@@ -103,8 +102,8 @@ def superpixels(
                     paint(blind, depths.disparity, mask, jnp.asarray(colour)), folder / "edited"
                 )
                 report["picked"] = label
-            if int(found.number) > sizes.capacity:
-                lost = int(found.number) - sizes.capacity
+            if int(found.number) > model.capacity:
+                lost = int(found.number) - model.capacity
                 doubts.append(f"{lost} superpixels found no slot and have no label.")
             report["warnings"] = doubts
             write_json(folder / "report.json", report)

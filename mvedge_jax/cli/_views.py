@@ -9,7 +9,7 @@ import tyro
 from PIL import Image
 
 from mvedge_jax import plotting
-from mvedge_jax.angular import ViewDepths
+from mvedge_jax.all_views import ViewDepths
 from mvedge_jax.datasets import write_pfm
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.metrics import view_consistency

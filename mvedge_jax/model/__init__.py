@@ -4,18 +4,17 @@ Rooms: `objectives` (what is minimised), `optimisation` (the loop, its state, gr
 `approaches` (from the views: by evidence, by reprojection), `codec` (a map as its edges, 8.1.1).
 """
 
-from ._fit_edges import FitParams as FitParams, fit_edges as fit_edges
+from ._fit_edges import SupervisedFit as SupervisedFit, fit_edges as fit_edges
 from ._model import (
     DepthModel as DepthModel,
-    ModelParams as ModelParams,
-    ModelSizes as ModelSizes,
+    Renderer as Renderer,
     render_model as render_model,
 )
 from ._optimize_edges import optimize_edges as optimize_edges
 from ._result import Optimised as Optimised
 from ._start import (
     Start as Start,
-    StartParams as StartParams,
+    StartFit as StartFit,
     start_from_depth as start_from_depth,
     start_from_image as start_from_image,
 )

@@ -11,7 +11,7 @@ from mvedge_jax.losses import SupervisedWeights
 
 from ._capacity import without_free_places
 from ._host import compiled_render
-from ._model import ModelParams, ModelSizes
+from ._model import Renderer
 from ._result import Optimised
 from ._start import Start
 from .objectives import Supervised, unlimited
@@ -21,17 +21,15 @@ from .optimisation._routine import Rates, Routine, all_at_once
 from .optimisation._state import State, begin, resumed
 
 
-class FitParams(eqx.Module):
-    """Parameters of the supervised optimisation.
+class SupervisedFit(eqx.Module):
+    """Weights, rates and length of a supervised optimization.
 
     Attributes:
-        rendering: of the model; by default `ModelParams.narrow`, as the raster asks for.
         weights: of the terms of the loss.
         rates: learning rates.
         iterations: how many, by default.
     """
 
-    rendering: ModelParams | None = None
     weights: SupervisedWeights = eqx.field(default_factory=SupervisedWeights)
     rates: Rates = eqx.field(default_factory=Rates.supervised)
     iterations: int = eqx.field(static=True, default=40)
@@ -41,8 +39,8 @@ class FitParams(eqx.Module):
 def fit_edges(
     truth: GroundTruth,
     start: Start,
-    params: FitParams,
-    sizes: ModelSizes,
+    fit: SupervisedFit,
+    renderer: Renderer,
     *,
     strategy: Strategy | None = None,
     routine: Routine | None = None,
@@ -57,11 +55,11 @@ def fit_edges(
         truth: the map, px per view step, and where it is known.
         start: the model to start from, see `start_from_depth`, and a map near what it renders; the
             errors of its labels are not used. Free places leave.
-        params: see `FitParams`.
-        sizes: of the rendering; `sizes.splat.scale` is the raster's.
+        fit: see `SupervisedFit`.
+        renderer: how the model becomes a map, such as `Renderer.on_raster(1)`.
         strategy: how points are moved or added; by default `Growth()`. `FixedPoints()` leaves all
             to the gradient, as in the thesis.
-        routine: what every iteration does; by default `params.iterations`, of all parameters at
+        routine: what every iteration does; by default `fit.iterations`, of all parameters at
             once.
         state: of an earlier call with the same arguments, to go on from: iterations of `routine`
             that it has done are skipped.
@@ -84,8 +82,8 @@ def fit_edges(
         >>> one, image = jnp.ones(1), jnp.zeros((6, 8))
         >>> middle = DepthModel(0 * one, jnp.array([[4.0, 3.0]]), 0 * one, image, one > 0)
         >>> truth = GroundTruth(image + 0.1, image == 0)  # the point says 0, but 0.1 is true
-        >>> start, sizes = Start(middle, one, image), ModelSizes.on_raster(1)
-        >>> found = fit_edges(truth, start, FitParams(), sizes, strategy=FixedPoints())
+        >>> start, renderer = Start(middle, one, image), Renderer.on_raster(1)
+        >>> found = fit_edges(truth, start, SupervisedFit(), renderer, strategy=FixedPoints())
         >>> bool(abs(found.disparity - 0.1).max() < 0.01)
         True
     """
@@ -96,12 +94,11 @@ def fit_edges(
         )
     strategy = Growth() if strategy is None else strategy
     model = strategy.prepare(without_free_places(start.model))
-    rendering = sizes.rendering(params.rendering)
     known = truth.disparity.astype(model.disparity.dtype)
-    goal = Supervised(known, truth.valid, unlimited(model), rendering, params.weights, sizes)
+    goal = Supervised(known, truth.valid, unlimited(model), renderer, fit.weights)
     if routine is None:
-        routine = all_at_once(params.rates, iterations=params.iterations)
+        routine = all_at_once(fit.rates, iterations=fit.iterations)
     begun = resumed(begin(model, start.disparity, key=jax.random.key(0)), state)
     final, history = optimise(begun, routine, goal, strategy=strategy, progress=progress)
-    best = compiled_render(final.best, rendering, sizes, start=final.disparity)
+    best = compiled_render(final.best, renderer, start=final.disparity)
     return Optimised(best.disparity, final.best, history, final)

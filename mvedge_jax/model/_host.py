@@ -10,9 +10,8 @@ from mvedge_jax.splatting import Splat
 
 from ._model import (
     DepthModel,
-    ModelParams,
-    ModelSizes,
     Rendered,
+    Renderer,
     opacities,
     render_model,
     splat_model,
@@ -23,32 +22,26 @@ _render = lean_jit(render_model)
 
 
 def compiled_render(
-    model: DepthModel,
-    params: ModelParams,
-    sizes: ModelSizes,
-    *,
-    start: Float[Array, "y x"] | None = None,
+    model: DepthModel, renderer: Renderer, *, start: Float[Array, "y x"] | None = None
 ) -> Rendered:
     """`render_model` as a program of its own; warns of what the splat cut off or left out.
 
     Args:
         model: points and smoothness.
-        params: widths, density, solver.
-        sizes: static choices.
+        renderer: splat and solver.
         start: a map near the solution.
 
     Returns:
         The map.
     """
-    rendered = _render(model, params, sizes, start=start)
+    rendered = _render(model, renderer, start=start)
     warn_where_known(rendered.splat)
     return rendered
 
 
 @lean_jit
-def _splatted(model: DepthModel, params: ModelParams, sizes: ModelSizes) -> Splat:
-    opacity = opacities(model, params, sizes)
-    return splat_model(model, model.log_weight, opacity, params, sizes)
+def _splatted(model: DepthModel, renderer: Renderer) -> Splat:
+    return splat_model(model, model.log_weight, opacities(model, renderer), renderer)
 
 
 def warn_of_cuts(model: DepthModel, objective: Any) -> None:
@@ -56,16 +49,16 @@ def warn_of_cuts(model: DepthModel, objective: Any) -> None:
 
     Args:
         model: the points.
-        objective: with `params` and `sizes` of the rendering, as `Supervised` has them; others are
-            not looked at.
+        objective: with a `renderer`, as `Supervised` has it; others are not looked at.
     """
-    params, sizes = getattr(objective, "params", None), getattr(objective, "sizes", None)
-    if not isinstance(params, ModelParams) or not isinstance(sizes, ModelSizes):
+    renderer = getattr(objective, "renderer", None)
+    if not isinstance(renderer, Renderer):
         return
-    if sizes.splat.capacity is not None:
-        warn_where_known(_splatted(model, params, sizes), level=3)
+    splat = renderer.splat
+    if splat.raster.capacity is not None:
+        warn_where_known(_splatted(model, renderer), level=3)
         return
     try:
-        sizes.splat.check(params.splat)
+        splat.raster.check(splat.widths)
     except ValueError as error:
         warnings.warn(str(error), stacklevel=3)

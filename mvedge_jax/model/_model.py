@@ -1,18 +1,20 @@
 """The differentiable model: points and a smoothness map that render to a disparity map."""
 
 import warnings
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import lineax as lx
 from jax.core import Tracer
 from jaxtyping import Array, Bool, Float
 
 from mvedge_jax._params import accepts_numpy, cast, jax_array, number
+from mvedge_jax._paths import described, replaced
 from mvedge_jax.color import srgb_to_lab
 from mvedge_jax.diffusion import (
-    AbstractSolver,
     AutoSolver,
     Pairing,
     SolveStats,
@@ -20,7 +22,7 @@ from mvedge_jax.diffusion import (
     diffuse,
     edge_weights,
 )
-from mvedge_jax.splatting import Splat, SplatParams, SplatSizes, splat
+from mvedge_jax.splatting import Splat, SplatLabels
 
 
 class DepthModel(eqx.Module):
@@ -41,104 +43,66 @@ class DepthModel(eqx.Module):
     valid: Bool[Array, "n"] = eqx.field(converter=jax_array)
 
 
-class ModelParams(eqx.Module):
-    """Continuous hyperparameters of the rendering.
+class Renderer(eqx.Module):
+    """How a model becomes a map: labels, smoothness, diffusion.
+
+    The second half of `EdgeDepth`, with points and a smoothness map that are free.
 
     Attributes:
-        splat: widths and density of points.
-        solver: of the diffusion.
-        clearing: c; a point of weight w has the opacity `1 - exp(-c w)` if `ModelSizes.clears`.
-    """
-
-    splat: SplatParams = eqx.field(default_factory=SplatParams)
-    solver: AbstractSolver = eqx.field(default_factory=AutoSolver)
-    clearing: Float[Array, ""] = number(4.0)
-
-    @staticmethod
-    def narrow(scale: int) -> "ModelParams":
-        """Points that are narrower than the thesis', for a raster of any scale.
-
-        The defaults are the thesis' widths, on its raster of 2: labels of 0.65 px. Such a point
-        hides the pixels beside it, so that no other can speak there, however it is optimised:
-        fitted to the synthetic scene "edges" at 512x512, with points added, the model ends at a
-        mean squared error (times 100) of 0.08 with that width, and below 0.001 with this one
-        (`experiments/figure_7_10.py`).
-
-        Args:
-            scale: raster pixels per pixel and axis, as in `SplatSizes`.
-
-        Returns:
-            Parameters with labels of 0.35 px and weights of 0.45 px.
-
-        Example:
-            >>> round(float(ModelParams.narrow(2).splat.sigma_label), 2)
-            0.7
-        """
-        label, weight = jnp.asarray(0.35 * scale), jnp.asarray(0.45 * scale)
-        return ModelParams(splat=SplatParams(sigma_label=label, sigma_weight=weight))
-
-
-@dataclass(frozen=True)
-class ModelSizes:
-    """Static choices of the rendering.
-
-    Attributes:
-        splat: of the splat; its `scale` is the raster's.
-        normalised: divide labels by their coverage.
+        splat: puts the points' labels onto a raster; by default narrow points, see `on_raster`.
+        solver: of the diffusion: one of `mvedge_jax.diffusion` or any solver of Lineax for
+            symmetric operators.
+        clearing: c; with `clears`, a point of weight w has the opacity `1 - exp(-c w)`.
+        normalized: divide labels by their coverage.
         clears: a point that loses its weight loses its opacity too, so that what it hides comes
             back. In the thesis a point hides what is behind it whatever its weight. In
             `experiments/hidden_points.py`, where 70 % of the points are hidden, many by wrong
-            ones, this alone lowers the error after the optimisation by 1 %, recycling hidden
-            points (`grow`) by 5 %, both together by 14 %. Narrower points
-            (`ModelParams.narrow`) hide 5 % of the points from the start: they lower it by
-            66 %, and all three together by 98 %.
+            ones, this alone lowers the error after the optimization by 1 %, recycling hidden
+            points (`grow`) by 5 %, both together by 14 %. Narrower points hide 5 % of the points
+            from the start: they lower it by 66 %, and all three together by 98 %.
         pairing: how two pixels' smoothness makes an edge's, see `edge_weights`.
+
+    Example:
+        >>> Renderer.on_raster(2).splat.raster.radius
+        4
     """
 
-    splat: SplatSizes = field(default_factory=SplatSizes)
-    normalised: bool = True
-    clears: bool = True
-    pairing: Pairing = "min"
+    splat: SplatLabels = eqx.field(default_factory=SplatLabels)
+    solver: lx.AbstractLinearSolver = eqx.field(default_factory=AutoSolver)
+    clearing: Float[Array, ""] = number(4.0)
+    normalized: bool = eqx.field(static=True, default=True)
+    clears: bool = eqx.field(static=True, default=True)
+    pairing: Pairing = eqx.field(static=True, default="min")
 
     @staticmethod
-    def on_raster(scale: int) -> "ModelSizes":
-        """Sizes for points as narrow as those of `ModelParams.narrow`, on a raster of any scale.
+    def on_raster(scale: int) -> "Renderer":
+        """Narrow points on a raster of any scale, see `SplatLabels.on_raster`.
 
-        Such points end within two pixels (the opacity that is cut off is below 2e-6, which only
-        differences in float64 see), so that tiles are small and have few of each other's points: a
-        step of the optimisation takes a third of the time that it takes with tiles for the thesis'
-        widths, `SplatSizes()`.
-
-        Args:
-            scale: raster pixels per pixel and axis; the thesis has 2, 1 takes a quarter of the
-                time.
-
-        Returns:
-            The sizes.
-
-        Example:
-            >>> ModelSizes.on_raster(1).splat.radius
-            2
-        """
-        return ModelSizes(
-            splat=SplatSizes(scale=scale, radius=2 * scale, tile=4 * scale, lanes=512)
-        )
-
-    def rendering(self, asked: ModelParams | None) -> ModelParams:
-        """What was asked for, or points that are narrow on this raster.
+        A point of the thesis' width hides the pixels beside it, so that no other can speak there,
+        however it is optimized: fitted to the synthetic scene "edges" at 512x512, with points
+        added, the model ends at a mean squared error (times 100) of 0.08 with that width, and below
+        0.001 with narrow points (`experiments/figure_7_10.py`).
 
         Args:
-            asked: None for `ModelParams.narrow`.
+            scale: raster pixels per pixel and axis, 1 or 2; the thesis has 2, 1 takes a quarter of
+                the time.
 
         Returns:
-            The parameters of the rendering.
-
-        Raises:
-            ValueError: the points are wider than `splat.radius` lets them be.
+            The renderer.
         """
-        rendering = ModelParams.narrow(self.splat.scale) if asked is None else asked
-        self.splat.check(rendering.splat)
-        return rendering
+        return Renderer(SplatLabels.on_raster(scale))
+
+    @staticmethod
+    def thesis() -> "Renderer":
+        """The thesis' widths on its raster of 2, with labels divided by their coverage."""
+        return Renderer(SplatLabels.thesis())
+
+    def replace(self, choices: Mapping[str, Any] | None = None, /, **parts: Any) -> "Renderer":
+        """The same renderer with other parts, numbers or static fields; see `EdgeDepth.replace`."""
+        return replaced(self, {**(choices or {}), **parts})
+
+    def __str__(self) -> str:
+        return "\n".join(described(self))
 
 
 class Rendered(eqx.Module):
@@ -207,39 +171,23 @@ def downsample(raster: Float[Array, "y2 x2"], scale: int) -> Float[Array, "y x"]
     return jnp.mean(blocks, axis=(1, 3))
 
 
-def to_raster(xy: Float[Array, "n 2"], scale: int) -> Float[Array, "n 2"]:
-    """Raster coordinates of image positions."""
-    return scale * xy + (scale - 1) / 2
-
-
-def opacities(
-    model: DepthModel, params: ModelParams, sizes: ModelSizes
-) -> Float[Array, "n"] | None:
+def opacities(model: DepthModel, renderer: Renderer) -> Float[Array, "n"] | None:
     """Opacity of each point, or None where all are opaque."""
-    if not sizes.clears:
+    if not renderer.clears:
         return None
-    return -jnp.expm1(-params.clearing * jnp.exp(-model.log_weight))
+    return -jnp.expm1(-renderer.clearing * jnp.exp(-model.log_weight))
 
 
 def splat_model(
     model: DepthModel,
     weight: Float[Array, "n"],
     opacity: Float[Array, "n"] | None,
-    params: ModelParams,
-    sizes: ModelSizes,
+    renderer: Renderer,
 ) -> Splat:
     """Splats the model's points onto its raster."""
-    scale = sizes.splat.scale
     height, width = model.roughness.shape
-    return splat(
-        to_raster(model.xy, scale),
-        model.disparity,
-        weight,
-        model.valid,
-        params.splat,
-        (height * scale, width * scale),
-        sizes.splat,
-        opacity=opacity,
+    return renderer.splat(
+        model.xy, model.disparity, weight, model.valid, (height, width), opacity=opacity
     )
 
 
@@ -252,60 +200,35 @@ def warn_where_known(maps: Splat, *, level: int = 2) -> None:
 
 @accepts_numpy
 def render_model(
-    model: DepthModel,
-    params: ModelParams,
-    sizes: ModelSizes,
-    *,
-    start: Float[Array, "y x"] | None = None,
+    model: DepthModel, renderer: Renderer, *, start: Float[Array, "y x"] | None = None
 ) -> Rendered:
     """Renders the model: splat the points, diffuse their labels, average down to pixels.
 
     Args:
         model: points and smoothness.
-        params: widths, density, solver.
-        sizes: static choices.
+        renderer: widths, density, solver.
         start: a map near the solution, to save iterations; not differentiated.
 
     Returns:
-        The map. Differentiable with respect to the floating leaves of `model` and `params.splat`.
-        Points that the splat cuts off or leaves out raise a warning, and too wide ones an error.
-        Under `jit` neither is seen: ask `Rendered.problems` there.
+        The map. Differentiable with respect to the floating leaves of `model`, `renderer.splat` and
+        `renderer.clearing`. Points that the splat cuts off or leaves out raise a warning, and too
+        wide ones an error. Under `jit` neither is seen: ask `Rendered.problems` there.
 
     Source:
         Thesis 7.1, Eq. 7.2-7.14.
     """
-    scale = sizes.splat.scale
-    params = cast(params, model.disparity.dtype)
+    renderer = cast(renderer, model.disparity.dtype)
+    scale = renderer.splat.raster.scale
     weight = jnp.exp(-model.log_weight)
-    maps = splat_model(model, weight, opacities(model, params, sizes), params, sizes)
+    maps = splat_model(model, weight, opacities(model, renderer), renderer)
     warn_where_known(maps, level=3)
     smoothness = jnp.exp(-upsample(model.roughness, scale))
-    tx, ty = edge_weights(smoothness, pairing=sizes.pairing)
-    label = maps.label if sizes.normalised else maps.label_sum
+    tx, ty = edge_weights(smoothness, pairing=renderer.pairing)
+    label = maps.label if renderer.normalized else maps.label_sum
     system = System(maps.weight, label, tx, ty)
     guess = None if start is None else upsample(start, scale)
-    solved = diffuse(system, start=guess, solver=params.solver)
+    solved = diffuse(system, start=guess, solver=renderer.solver)
     return Rendered(downsample(solved.value, scale), maps, solved.stats)
-
-
-def image_roughness(centre: Float[Array, "y x c"], gain: Float[Array, ""]) -> Float[Array, "y x"]:
-    """Initial Q: the magnitude of the image gradient, as in the thesis.
-
-    Args:
-        centre: the centre view, sRGB.
-        gain: Q per unit of L* per pixel.
-
-    Returns:
-        Q, zero where the image is flat.
-
-    Source:
-        Thesis 7.1.5.
-    """
-    lightness = srgb_to_lab(centre)[..., 0]
-    padded = jnp.pad(lightness, 1, mode="edge")
-    gx = (padded[1:-1, 2:] - padded[1:-1, :-2]) / 2
-    gy = (padded[2:, 1:-1] - padded[:-2, 1:-1]) / 2
-    return gain.astype(centre.dtype) * jnp.sqrt(gx**2 + gy**2 + 1e-12)
 
 
 def map_roughness(
@@ -313,7 +236,7 @@ def map_roughness(
     centre: Float[Array, "y x c"] | None,
     *,
     depth_step: Float[Array, ""] | float = 0.05,
-    colour_step: Float[Array, ""] | float = 0.3,
+    color_step: Float[Array, ""] | float = 0.3,
     largest: Float[Array, ""] | float = 10.0,
 ) -> Float[Array, "y x"]:
     r"""Initial Q from a map that is already there: rough where it steps, and the image with it.
@@ -325,23 +248,23 @@ def map_roughness(
         disparity: a first map.
         centre: the image; with None only the map counts.
         depth_step: d, px.
-        colour_step: c, units of Lab.
+        color_step: c, units of Lab.
         largest: Q is clipped at this.
 
     Returns:
         Q >= 0.
     """
     dtype = disparity.dtype
-    depth_step, colour_step, largest = (
-        jnp.asarray(value).astype(dtype) for value in (depth_step, colour_step, largest)
+    depth_step, color_step, largest = (
+        jnp.asarray(value).astype(dtype) for value in (depth_step, color_step, largest)
     )
     lab = None if centre is None else srgb_to_lab(centre)
     rough = jnp.zeros_like(disparity)
     for axis in (0, 1):
         term = (jnp.diff(disparity, axis=axis) / depth_step) ** 2
         if lab is not None:
-            colour = jnp.sqrt(jnp.sum(jnp.diff(lab, axis=axis) ** 2, axis=-1) + 1e-12)
-            term = term * (colour / colour_step) ** 1.5
+            color = jnp.sqrt(jnp.sum(jnp.diff(lab, axis=axis) ** 2, axis=-1) + 1e-12)
+            term = term * (color / color_step) ** 1.5
         edge = jnp.minimum(jnp.log1p(term), largest)
         pad = [(0, 0), (0, 0)]
         pad[axis] = (1, 0)

@@ -8,7 +8,7 @@ from jaxtyping import PRNGKeyArray
 from mvedge_jax._params import accepts_numpy
 from mvedge_jax.lightfield import LightField
 
-from ._model import ModelSizes
+from ._model import Renderer
 from ._result import Optimised
 from ._start import Start
 from .approaches._approach import Approach
@@ -21,8 +21,8 @@ from .optimisation._state import State, begin, resumed
 def optimize_edges(
     light_field: LightField,
     start: Start,
-    params: Approach,
-    sizes: ModelSizes,
+    approach: Approach,
+    renderer: Renderer,
     *,
     routine: Routine | None = None,
     state: State | None = None,
@@ -36,9 +36,9 @@ def optimize_edges(
     Args:
         light_field: the views.
         start: the model to start from and the first map, see `start_from_depth`.
-        params: how the views are asked: `ByEvidence()`, or `ByReprojection()` as in the thesis.
-        sizes: of the rendering; `sizes.splat.scale` is the raster's.
-        routine: what every iteration does; by default `params.iterations`, of all parameters at
+        approach: how the views are asked: `ByEvidence()`, or `ByReprojection()` as in the thesis.
+        renderer: how the model becomes a map, such as `Renderer.on_raster(1)`.
+        routine: what every iteration does; by default `approach.iterations`, of all parameters at
             once.
         state: of an earlier call with the same arguments, to go on from: iterations of `routine`
             that it has done are skipped.
@@ -63,9 +63,9 @@ def optimize_edges(
         >>> flat = LightField(jnp.full((3, 3, 8, 8, 3), 0.5))  # views that have nothing to say
         >>> one, image = jnp.ones(1), jnp.zeros((8, 8))
         >>> model = DepthModel(0 * one, jnp.full((1, 2), 4.0), 0 * one, image, one > 0)
-        >>> start, sizes = Start(model, 0.01 * one, image), ModelSizes.on_raster(1)
-        >>> params = ByReprojection(fit=None)  # the model of the start renders its map
-        >>> found = optimize_edges(flat, start, params, sizes)
+        >>> start, renderer = Start(model, 0.01 * one, image), Renderer.on_raster(1)
+        >>> approach = ByReprojection(fit=None)  # the model of the start renders its map
+        >>> found = optimize_edges(flat, start, approach, renderer)
         >>> bool(abs(found.disparity).max() < 1e-3)
         True
     """
@@ -75,11 +75,11 @@ def optimize_edges(
             f"The map of `start` has the shape {start.disparity.shape}; the views have {shape}."
         )
     blind = light_field.bare()
-    prepared = params.prepare(blind, start, sizes)
+    prepared = approach.prepare(blind, start, renderer)
     if routine is None:
-        routine = all_at_once(params.rates, iterations=params.iterations)
+        routine = all_at_once(approach.rates, iterations=approach.iterations)
     key = jax.random.key(0) if key is None else key
     begun = begin(prepared.start.model, prepared.start.disparity, key=key)
     final, history = optimise(resumed(begun, state), routine, prepared.objective, progress=progress)
-    disparity, verdict = params.finish(blind, prepared, final)
+    disparity, verdict = approach.finish(blind, prepared, final)
     return Optimised(disparity, final.best, history, final, verdict)

@@ -8,20 +8,25 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from mvedge_jax._params import accepts_numpy, cast, number
+from mvedge_jax.color import srgb_to_lab
 from mvedge_jax.depth import DepthResult
 from mvedge_jax.image import nearest_pixels
 from mvedge_jax.lightfield import LightField
+from mvedge_jax.smoothness import image_roughness
 
 from ._capacity import with_capacity
-from ._model import DepthModel, ModelParams, ModelSizes, image_roughness, map_roughness
+from ._model import DepthModel, Renderer, map_roughness
 from .objectives import Supervised, Trust, unlimited
 from .optimisation._grow import Growth, grow
 from .optimisation._optimise import advance
 from .optimisation._routine import Rates, all_at_once
 from .optimisation._state import begin
 
+# Roughness per slope of the lightness, px/L*.
+_ROUGHNESS = 0.3
 
-class StartParams(eqx.Module):
+
+class StartFit(eqx.Module):
     """How a model is made from points and a first map.
 
     Attributes:
@@ -52,14 +57,14 @@ class Start(NamedTuple):
 
 
 def start_from_depth(
-    light_field: LightField, depth: DepthResult, *, params: StartParams | None = None
+    light_field: LightField, depth: DepthResult, *, fit: StartFit | None = None
 ) -> Start:
-    """Makes a model from what `edge_to_depth` found.
+    """Makes a model from what `EdgeDepth` found, with any preset.
 
     Args:
         light_field: whose depth it is.
         depth: of its centre view.
-        params: see `StartParams`, whose defaults are taken without them.
+        fit: see `StartFit`, whose defaults are taken without it.
 
     Returns:
         The model, from points on their surfaces and the steps of the map, see
@@ -73,7 +78,7 @@ def start_from_depth(
         points.valid,
         light_field.centre_view,
         depth.disparity,
-        StartParams() if params is None else params,
+        StartFit() if fit is None else fit,
     )
 
 
@@ -91,7 +96,8 @@ def start_from_image(start: Start, centre: Float[Array, "y x c"]) -> Start:
     Source:
         Thesis 7.1.5.
     """
-    rough = image_roughness(centre, jnp.asarray(0.3))
+    lightness = srgb_to_lab(centre)[..., 0]
+    rough = image_roughness(lightness, jnp.asarray(_ROUGHNESS, centre.dtype))
     return start._replace(model=eqx.tree_at(lambda m: m.roughness, start.model, rough))
 
 
@@ -102,7 +108,7 @@ def start_from_points(
     valid: Bool[Array, "n"],
     centre: Float[Array, "y x c"],
     first: Float[Array, "y x"],
-    params: StartParams,
+    fit: StartFit,
 ) -> Start:
     """Makes a model from edge points and a first dense map.
 
@@ -113,21 +119,21 @@ def start_from_points(
         valid: points that take part; those outside the image do not.
         centre: the centre view.
         first: a first dense map, which says where depth steps are.
-        params: see `StartParams`.
+        fit: see `StartFit`.
 
     Returns:
         The model: weights from standard errors, smoothness from the steps of map and image.
     """
     dtype = centre.dtype
-    params = cast(params, dtype)
+    fit = cast(fit, dtype)
     at = nearest_pixels(xy, (first.shape[0], first.shape[1]))
     there = first[at.row, at.column]
     valid = valid & at.inside
-    agrees = jnp.abs(disparity - there) <= params.agreement
+    agrees = jnp.abs(disparity - there) <= fit.agreement
     label = jnp.where(agrees, disparity, there)
-    error = jnp.where(agrees, error, 2 * params.reference_error)
-    rough = map_roughness(first, centre) + params.offset
-    weight = jnp.clip(jnp.log(jnp.maximum(error, 1e-4) / params.reference_error), -1, 3)
+    error = jnp.where(agrees, error, 2 * fit.reference_error)
+    rough = map_roughness(first, centre) + fit.offset
+    weight = jnp.clip(jnp.log(jnp.maximum(error, 1e-4) / fit.reference_error), -1, 3)
     clean = [jnp.where(valid, part, 0).astype(dtype) for part in (label, weight)]
     places = jnp.where(valid[:, None], xy, 0).astype(dtype)
     model = DepthModel(clean[0], places, clean[1], rough.astype(dtype), valid)
@@ -136,9 +142,8 @@ def start_from_points(
 
 def fit_to_map(
     start: Start,
-    params: StartParams,
-    rendering: ModelParams,
-    sizes: ModelSizes,
+    fit: StartFit,
+    renderer: Renderer,
     *,
     iterations: int = 6,
     extra: int | None = None,
@@ -147,9 +152,8 @@ def fit_to_map(
 
     Args:
         start: a model and the map to reproduce.
-        params: learning rates.
-        rendering: of the model.
-        sizes: of the model.
+        fit: learning rates.
+        renderer: of the model.
         iterations: of Adam, on all parameters.
         extra: points to add where the model reproduces the map worst, in the middle of the fit; by
             default a tenth of the points.
@@ -163,8 +167,8 @@ def fit_to_map(
     error = jnp.pad(start.error, (0, extra), constant_values=jnp.inf)
     limits = eqx.tree_at(lambda t: t.position, unlimited(model), jnp.asarray(1.0))
     known = jnp.ones(first.shape, bool)
-    goal = Supervised(first, known, limits, rendering, sizes=sizes)
-    routine = all_at_once(Rates(rate=params.rates), iterations=iterations)
+    goal = Supervised(first, known, limits, renderer)
+    routine = all_at_once(Rates(rate=fit.rates), iterations=iterations)
     state = begin(model, first, key=jax.random.key(0))
     half = iterations // 2
     state, _ = advance(state, routine.part(0, half), goal)

@@ -1,7 +1,6 @@
 """A depth map as points and a compact smoothness map: encode, decode, save."""
 
 import math
-from dataclasses import replace
 from pathlib import Path
 
 import equinox as eqx
@@ -11,19 +10,17 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from mvedge_jax.losses import SupervisedWeights
-from mvedge_jax.splatting import SplatParams
+from mvedge_jax.splatting import SplatLabels, SplatWidths
 
 from ._format import Parts, pack, unpack
 from ._host import compiled_render
-from ._model import DepthModel, ModelParams, ModelSizes
+from ._model import DepthModel, Renderer
 from .objectives import Supervised, unlimited
 from .optimisation._grow import worst_pixels
 from .optimisation._optimise import advance
 from .optimisation._routine import Rates, all_at_once
 from .optimisation._state import begin
 
-# Points are single pixels here, so the profiles are narrow; `second` lets one bit cut one side.
-_SIZES = replace(ModelSizes.on_raster(1), clears=False, pairing="second")
 _ROUGHNESS = 12.0
 _LOG_WEIGHT = -4.0
 _ROUNDS = 5
@@ -110,9 +107,11 @@ def _likely(height: int, width: int, count: int) -> np.ndarray:
     return _first_points(height, width, max(count // 2, 1)).reshape(height, width)
 
 
-def _params(dtype: np.dtype) -> ModelParams:
-    narrow = SplatParams(sigma_label=jnp.asarray(0.2, dtype), sigma_weight=jnp.asarray(0.35, dtype))
-    return ModelParams(splat=narrow)
+def _renderer(dtype: np.dtype) -> Renderer:
+    """Points are single pixels, so the profiles are narrow; `second` lets one bit cut one side."""
+    label, weight = jnp.asarray(0.2, dtype), jnp.asarray(0.35, dtype)
+    splat = SplatLabels(SplatWidths(sigma_label=label, sigma_weight=weight))
+    return Renderer(splat, clears=False, pairing="second")
 
 
 def _model(pixel: Array, label: Array, valid: Array, cut: Array) -> DepthModel:
@@ -172,7 +171,7 @@ def encode(
     low, high = jnp.min(disparity), jnp.max(disparity)
     spread = jnp.where(high > low, high - low, 1)
     cut = _cuts(disparity, 0.02 * spread if step is None else jnp.asarray(step).astype(dtype))
-    params, flat, valid = _params(dtype), disparity.ravel(), np.zeros(k, bool)
+    renderer, flat, valid = _renderer(dtype), disparity.ravel(), np.zeros(k, bool)
 
     def current(taken: np.ndarray) -> tuple[DepthModel, Array]:
         pixel = np.zeros(k, np.int32)
@@ -180,7 +179,7 @@ def encode(
         pixel[: chosen.size] = chosen
         valid[:] = np.arange(k) < chosen.size
         model = _model(jnp.asarray(pixel), flat[jnp.asarray(pixel)], jnp.asarray(valid), cut)
-        return model, compiled_render(model, params, _SIZES).disparity
+        return model, compiled_render(model, renderer).disparity
 
     taken = _first_points(cut.shape[0], cut.shape[1], max(k // 2, 1))
     for later in range(_ROUNDS):
@@ -200,7 +199,7 @@ def encode(
     if iterations:
         known = jnp.ones(disparity.shape, bool)
         weights = SupervisedWeights(square=jnp.asarray(0.0))
-        goal = Supervised(disparity, known, unlimited(model), params, weights, _SIZES)
+        goal = Supervised(disparity, known, unlimited(model), renderer, weights)
         rate = jnp.asarray([0, 0.002, 0, 0], dtype) * spread
         state = begin(model, reproduced, key=jax.random.key(0))
         routine = all_at_once(Rates(rate=rate), iterations=iterations)
@@ -209,7 +208,7 @@ def encode(
     bottom = jnp.minimum(low, jnp.min(model.disparity))
     spread = jnp.where(top > bottom, top - bottom, 1)
     if bits is None:
-        bits = _enough(compiled_render(model, params, _SIZES).disparity - disparity, spread)
+        bits = _enough(compiled_render(model, renderer).disparity - disparity, spread)
     level = (model.disparity - bottom) / spread * (2**bits - 1)
     pixel = jnp.asarray(np.flatnonzero(taken).astype(np.int32))
     return Encoding(pixel, jnp.round(level).astype(jnp.int32), cut, bottom, bottom + spread, bits)
@@ -246,4 +245,4 @@ def decode(encoding: Encoding) -> Float[Array, "y x"]:
     label = encoding.low + encoding.label.astype(dtype) * scale
     valid = jnp.ones(label.shape, bool)
     model = _model(encoding.pixel, label, valid, encoding.cut)
-    return compiled_render(model, _params(dtype), _SIZES).disparity
+    return compiled_render(model, _renderer(dtype)).disparity

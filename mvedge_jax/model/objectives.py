@@ -20,7 +20,7 @@ from mvedge_jax.losses import (
 from mvedge_jax.losses.features import Colours
 from mvedge_jax.losses.terms import Features, edge_aware_slopes, warp_views
 
-from ._model import DepthModel, ModelParams, ModelSizes, render_model
+from ._model import DepthModel, Renderer, render_model
 
 # Absolute errors, squared: below these, differences of features, which are colours in [0, 1], and
 # slopes are squares.
@@ -38,24 +38,22 @@ class Objective(Protocol):
     """What `optimise` minimises: a pytree that is called with the model; a protocol.
 
     Any `equinox.Module` with these two methods is one. It is an argument of a compiled loop, so its
-    arrays are traced, and what is no array must be a static field. Where it has `params`
-    (`ModelParams`) and `sizes` (`ModelSizes`), `optimise` warns of points that the rendering cuts
-    off.
+    arrays are traced, and what is no array must be a static field. Where it has a `renderer`
+    (`Renderer`), `optimise` warns of points that the rendering cuts off.
 
     Example:
         >>> from mvedge_jax.model.optimisation import Rates, all_at_once, begin, optimise
         >>> class Mean(eqx.Module):
         ...     target: Float[Array, ""]
-        ...     sizes: ModelSizes = eqx.field(static=True)
+        ...     renderer: Renderer
         ...     def __call__(self, model, start, *, key):
-        ...         params = ModelParams.narrow(self.sizes.splat.scale)
-        ...         disparity = render_model(model, params, self.sizes, start=start).disparity
+        ...         disparity = render_model(model, self.renderer, start=start).disparity
         ...         return (jnp.mean(disparity) - self.target) ** 2, disparity
         ...     def project(self, model):
         ...         return model
         >>> one, image = jnp.ones(1), jnp.zeros((4, 6))
         >>> model = DepthModel(0 * one, jnp.array([[3.0, 2.0]]), 0 * one, image, one > 0)
-        >>> goal = Mean(jnp.asarray(0.1), ModelSizes.on_raster(1))
+        >>> goal = Mean(jnp.asarray(0.1), Renderer.on_raster(1))
         >>> routine = all_at_once(Rates.supervised(), iterations=20)
         >>> state, _ = optimise(begin(model, image, key=jax.random.key(0)), routine, goal)
         >>> bool(abs(state.best.disparity - 0.1).max() < 0.02)
@@ -166,9 +164,8 @@ class Supervised(eqx.Module):
         truth: the known map.
         known: where it is known.
         trust: limits and prior.
-        params: of the rendering.
+        renderer: of the model.
         weights: of the terms.
-        sizes: of the rendering.
         blunt: below this, px per view step, absolute errors are squares in `residuals`; it should
             be below the errors that are hoped for.
     """
@@ -176,16 +173,15 @@ class Supervised(eqx.Module):
     truth: Float[Array, "y x"]
     known: Bool[Array, "y x"]
     trust: Trust
-    params: ModelParams = eqx.field(default_factory=ModelParams)
+    renderer: Renderer = eqx.field(default_factory=Renderer)
     weights: SupervisedWeights = eqx.field(default_factory=SupervisedWeights)
-    sizes: ModelSizes = eqx.field(static=True, default_factory=ModelSizes)
     blunt: Float[Array, ""] = number(0.01)
 
     def __call__(
         self, model: DepthModel, start: Float[Array, "y x"], *, key: PRNGKeyArray | None = None
     ) -> tuple[Float[Array, ""], Float[Array, "y x"]]:
         """Loss and map."""
-        disparity = render_model(model, self.params, self.sizes, start=start).disparity
+        disparity = render_model(model, self.renderer, start=start).disparity
         loss = supervised_loss(disparity, self.truth, self.known, self.weights)
         return loss + self.trust.penalty(model), disparity
 
@@ -193,7 +189,7 @@ class Supervised(eqx.Module):
         self, model: DepthModel, start: Float[Array, "y x"]
     ) -> tuple[tuple[Array, ...], Float[Array, "y x"]]:
         """What half of the sum of squares of is the loss, absolute errors blunted, and the map."""
-        disparity = render_model(model, self.params, self.sizes, start=start).disparity
+        disparity = render_model(model, self.renderer, start=start).disparity
         weights = cast(self.weights, disparity.dtype)
         count = jnp.maximum(jnp.sum(self.known).astype(disparity.dtype), 1)
         error = jnp.where(self.known, disparity - jnp.where(self.known, self.truth, 0), 0)
@@ -225,20 +221,18 @@ class SelfSupervised(eqx.Module):
     Attributes:
         views: the views.
         trust: limits and prior.
-        params: of the rendering.
+        renderer: of the model.
         weights: of the terms.
         features: what images are compared by.
-        sizes: of the rendering.
         subset: views drawn anew for every iteration, or None for all.
         similarity: compute the SSIM term at all, see `self_supervised_loss`.
     """
 
     views: Views
     trust: Trust
-    params: ModelParams = eqx.field(default_factory=ModelParams)
+    renderer: Renderer = eqx.field(default_factory=Renderer)
     weights: LossWeights = eqx.field(default_factory=LossWeights)
     features: Features = eqx.field(default_factory=Colours)
-    sizes: ModelSizes = eqx.field(static=True, default_factory=ModelSizes)
     subset: int | None = eqx.field(static=True, default=None)
     similarity: bool = eqx.field(static=True, default=False)
 
@@ -249,7 +243,7 @@ class SelfSupervised(eqx.Module):
         self, model: DepthModel, start: Float[Array, "y x"], *, key: PRNGKeyArray
     ) -> tuple[Float[Array, ""], Float[Array, "y x"]]:
         """Loss and map."""
-        disparity = render_model(model, self.params, self.sizes, start=start).disparity
+        disparity = render_model(model, self.renderer, start=start).disparity
         views = self.views
         if self.subset is not None:
             count = views.steps.shape[0]
@@ -267,7 +261,7 @@ class SelfSupervised(eqx.Module):
         The reward of the error's gradient and the dissimilarity, which have no squares, are left
         out.
         """
-        disparity = render_model(model, self.params, self.sizes, start=start).disparity
+        disparity = render_model(model, self.renderer, start=start).disparity
         views, weights = self.views, cast(self.weights, disparity.dtype)
         visible = occlusion_masks(jax.lax.stop_gradient(disparity), views)
         warped = jax.vmap(self.features)(warp_views(disparity, views, visible))

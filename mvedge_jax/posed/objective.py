@@ -9,7 +9,7 @@ from jaxtyping import Array, Float, PRNGKeyArray
 from mvedge_jax._params import cast
 from mvedge_jax.losses import LossTerms, LossWeights
 from mvedge_jax.losses.terms import edge_aware_smoothness, gradient_reward, ssim
-from mvedge_jax.model import DepthModel, ModelParams, ModelSizes, render_model
+from mvedge_jax.model import DepthModel, Renderer, render_model
 from mvedge_jax.model.objectives import Trust
 from mvedge_jax.photometry.photographs import Projection
 
@@ -21,23 +21,21 @@ class PosedReprojection(eqx.Module):
         images: the reference first, sRGB.
         places: where each of them shows the reference's pixels.
         trust: limits of the parameters.
-        params: of the rendering.
+        renderer: of the model.
         weights: of the terms.
-        sizes: of the rendering.
     """
 
     images: Float[Array, "s c y x"]
     places: Projection
     trust: Trust
-    params: ModelParams
+    renderer: Renderer
     weights: LossWeights
-    sizes: ModelSizes = eqx.field(static=True)
 
     def __call__(
         self, model: DepthModel, start: Float[Array, "y x"], *, key: PRNGKeyArray | None = None
     ) -> tuple[Float[Array, ""], Float[Array, "y x"]]:
         """Loss and map."""
-        disparity = render_model(model, self.params, self.sizes, start=start).disparity
+        disparity = render_model(model, self.renderer, start=start).disparity
         return posed_loss(disparity, self.images, self.places, self.weights), disparity
 
     def project(self, model: DepthModel) -> DepthModel:

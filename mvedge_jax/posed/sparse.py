@@ -1,7 +1,6 @@
 """Depth of a photograph from sparse points, diffused and optimised as in the thesis (7.2.2)."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import equinox as eqx
@@ -17,8 +16,7 @@ from mvedge_jax.color import srgb_to_gray
 from mvedge_jax.losses import LossWeights
 from mvedge_jax.model import (
     DepthModel,
-    ModelParams,
-    ModelSizes,
+    Renderer,
     Start,
     render_model,
     start_from_image,
@@ -96,39 +94,28 @@ def _weights() -> LossWeights:
     return LossWeights(smoothness=as_number(0.0075), dissimilarity=as_number(0.05))
 
 
-class SparseStereoParams(eqx.Module):
-    """Parameters of `sparse_stereo`.
+class SparseStereoDepth(eqx.Module):
+    """How `sparse_stereo` renders and optimizes its points.
 
     Attributes:
-        rendering: of the model; by default `ModelParams.narrow`, as the raster asks for.
+        renderer: how points become a map.
         weights: of the terms of the loss (7.16).
         rates: learning rates.
-    """
-
-    rendering: ModelParams | None = None
-    weights: LossWeights = eqx.field(default_factory=_weights)
-    rates: Rates = eqx.field(default_factory=Rates)
-
-
-@dataclass(frozen=True)
-class SparseStereoSizes:
-    """Static sizes of `sparse_stereo`.
-
-    Attributes:
-        model: of the rendering.
         smoothing: iterations of the smoothness alone, before points are added.
         extra: points that are added at the image's edges, per point.
         iterations: per parameter and pass.
         passes: over all parameters in turns.
     """
 
-    model: ModelSizes = field(default_factory=lambda: ModelSizes.on_raster(1))
-    smoothing: int = 50
-    extra: int = 3
-    iterations: int = 25
-    passes: int = 5
+    renderer: Renderer = eqx.field(default_factory=Renderer)
+    weights: LossWeights = eqx.field(default_factory=_weights)
+    rates: Rates = eqx.field(default_factory=Rates)
+    smoothing: int = eqx.field(static=True, default=50)
+    extra: int = eqx.field(static=True, default=3)
+    iterations: int = eqx.field(static=True, default=25)
+    passes: int = eqx.field(static=True, default=5)
 
-    def __post_init__(self) -> None:
+    def __check_init__(self) -> None:
         at_least(self, smoothing=1, extra=0, iterations=1, passes=0)
 
 
@@ -153,8 +140,7 @@ class SparseStereo(NamedTuple):
 def sparse_stereo(
     photographs: Photographs,
     reference: Reference,
-    params: SparseStereoParams,
-    sizes: SparseStereoSizes,
+    method: SparseStereoDepth,
     *,
     progress: Callable[[Progress], None] | None = None,
     key: PRNGKeyArray,
@@ -168,8 +154,7 @@ def sparse_stereo(
     Args:
         photographs: two or more, with sparse points.
         reference: see `reference_of`.
-        params: see `SparseStereoParams`.
-        sizes: static sizes.
+        method: see `SparseStereoDepth`.
         progress: called now and then with how far the optimisation in turns is.
         key: draws the edge pixels at which points are added.
 
@@ -178,32 +163,31 @@ def sparse_stereo(
         `PosedReprojection`, which is, in points, poses and images too.
 
     Raises:
-        ValueError: there are no points, or none that the photograph shows; those of
-            `params.rendering` are too wide for `sizes.model`.
+        ValueError: there are no points, or none that the photograph shows.
 
-    Source: Thesis 7.2.2; the point splats are narrower, see `ModelParams.narrow`, and on the
-        photograph's own raster.
+    Source: Thesis 7.2.2; the point splats are narrower, see `SplatLabels.on_raster`, and on
+        the photograph's own raster.
     """
     seen = seen_points(photographs, reference)
     if not bool(jnp.any(seen.valid)):
         raise ValueError("`photographs` have no sparse point that the reference shows.")
     image = photographs.images[reference.index]
     model = _model_of(seen, image)
-    goal = posed_reprojection(photographs, reference, model, params, sizes.model)
+    goal = posed_reprojection(photographs, reference, model, method)
     render = lean_jit(render_model)
-    first = render(model, goal.params, sizes.model).disparity
-    rates = jnp.zeros((sizes.smoothing, 4)).at[:, 0].set(params.rates.rate[0])
-    routine = Routine(rates, jnp.zeros(sizes.smoothing, bool))
+    first = render(model, goal.renderer).disparity
+    rates = jnp.zeros((method.smoothing, 4)).at[:, 0].set(method.rates.rate[0])
+    routine = Routine(rates, jnp.zeros(method.smoothing, bool))
     smooth, _ = optimise(begin(model, first, key=key), routine, goal)
-    between = render(smooth.best, goal.params, sizes.model, start=smooth.disparity).disparity
+    between = render(smooth.best, goal.renderer, start=smooth.disparity).disparity
     # As many places for every photograph, so that one program serves all.
-    count = sizes.extra * seen.valid.size
-    most = sizes.extra * jnp.sum(seen.valid)
+    count = method.extra * seen.valid.size
+    most = method.extra * jnp.sum(seen.valid)
     model = _with_edges(smooth.best, image, between, most, count=count, key=key)
     goal = eqx.tree_at(lambda g: g.trust, goal, unlimited(model))
-    routine = one_at_a_time(params.rates, iterations=sizes.iterations, passes=sizes.passes)
+    routine = one_at_a_time(method.rates, iterations=method.iterations, passes=method.passes)
     final, history = optimise(begin(model, between, key=key), routine, goal, progress=progress)
-    disparity = render(final.best, goal.params, sizes.model, start=final.disparity).disparity
+    disparity = render(final.best, goal.renderer, start=final.disparity).disparity
     least = 1e-6 * jnp.max(jnp.abs(reference.disparity_range)).astype(disparity.dtype)
     depth = reference.scale(photographs) / jnp.maximum(disparity, least)
     return SparseStereo(depth, disparity, first, final.best, history.loss)
@@ -213,8 +197,7 @@ def posed_reprojection(
     photographs: Photographs,
     reference: Reference,
     model: DepthModel,
-    params: SparseStereoParams,
-    sizes: ModelSizes,
+    method: SparseStereoDepth,
 ) -> PosedReprojection:
     """The objective of a model of a photograph.
 
@@ -222,8 +205,7 @@ def posed_reprojection(
         photographs: two or more.
         reference: see `reference_of`.
         model: at the start; only smoothness and weights are limited.
-        params: see `SparseStereoParams`.
-        sizes: of the rendering.
+        method: its `renderer` and `weights` are read.
 
     Returns:
         The objective. Differentiable in images, poses and intrinsics.
@@ -232,9 +214,8 @@ def posed_reprojection(
     order = (jnp.arange(count, dtype=jnp.int32) + reference.index) % count
     scale = reference.scale(photographs)
     places = projections(photographs.poses[order], photographs.intrinsics[order], 0, scale)
-    rendering = sizes.rendering(params.rendering)
     images = jnp.moveaxis(photographs.images[order], -1, 1)
-    return PosedReprojection(images, places, unlimited(model), rendering, params.weights, sizes)
+    return PosedReprojection(images, places, unlimited(model), method.renderer, method.weights)
 
 
 def _model_of(seen: SeenPoints, image: Float[Array, "y x c"]) -> DepthModel:

@@ -11,8 +11,8 @@ from jaxtyping import Array, Float, Int
 from mvedge_jax._linear_map import linear_map
 from mvedge_jax._product import product
 
-from ._params import SplatSizes
 from ._profile import absorption
+from ._raster import SplatRaster
 
 # The exponential of minus this is 0 in float64, too.
 _GONE = 800.0
@@ -70,7 +70,7 @@ def _optical(square: Array, point: Array, physics: Physics) -> Array:
 
 @partial(jax.custom_jvp, nondiff_argnums=(3,))
 def composite(
-    table: Float[Array, "n 5"], physics: Physics, lists: Lists, sizes: SplatSizes
+    table: Float[Array, "n 5"], physics: Physics, lists: Lists, raster: SplatRaster
 ) -> Rays:
     """Composites the points of every tile front to back.
 
@@ -84,18 +84,18 @@ def composite(
         table: rows (x, y, label, weight, opacity); the last row is far outside and empty.
         physics: widths and thickness.
         lists: the tiles' points.
-        sizes: static choices.
+        raster: static choices.
 
     Returns:
         Σ Z a T, Σ λ T and the transmittance behind all points, per tile (in group order) and
         pixel.
     """
-    return _forward(table, physics, lists, sizes)
+    return _forward(table, physics, lists, raster)
 
 
-def _forward(table: Array, physics: Physics, lists: Lists, sizes: SplatSizes) -> Rays:
+def _forward(table: Array, physics: Physics, lists: Lists, raster: SplatRaster) -> Rays:
     last = table.shape[0] - 1
-    offsets = _offsets(sizes.tile, table.dtype)
+    offsets = _offsets(raster.tile, table.dtype)
     lanes, pixels = lists.start.shape[1], offsets.shape[0]
 
     def group(args: tuple[Array, Array, Array]) -> Rays:
@@ -105,8 +105,8 @@ def _forward(table: Array, physics: Physics, lists: Lists, sizes: SplatSizes) ->
             point = table[_row(lists, start, count, k, last)]
             square = _geometry(point, origin, offsets)
             optical = _optical(square, point, physics)
-            absorbed, _, passed, _ = absorption(optical, sizes.absorption)
-            flat = jnp.exp(-jax.lax.integer_pow(_clipped(square, physics, sizes), sizes.order))
+            absorbed, _, passed, _ = absorption(optical, raster.absorption)
+            flat = jnp.exp(-jax.lax.integer_pow(_clipped(square, physics, raster), raster.order))
             return Rays(
                 rays.label + rays.transmittance * absorbed * point[:, 2:3],
                 rays.weight + rays.transmittance * flat * point[:, 3:4],
@@ -121,9 +121,9 @@ def _forward(table: Array, physics: Physics, lists: Lists, sizes: SplatSizes) ->
     return Rays(*(part.reshape(-1, pixels) for part in grouped))
 
 
-def _clipped(square: Array, physics: Physics, sizes: SplatSizes) -> Array:
+def _clipped(square: Array, physics: Physics, raster: SplatRaster) -> Array:
     """r²/2σ_λ², no farther than where the weight is 0 in every format: its powers stay finite."""
-    return jnp.minimum(square * physics.inverse_weight, _GONE ** (1 / sizes.order))
+    return jnp.minimum(square * physics.inverse_weight, _GONE ** (1 / raster.order))
 
 
 class _At(NamedTuple):
@@ -136,16 +136,16 @@ class _At(NamedTuple):
 
 
 @composite.defjvp
-def _tangent(sizes: SplatSizes, primals: Any, tangents: Any) -> tuple[Rays, Rays]:
+def _tangent(raster: SplatRaster, primals: Any, tangents: Any) -> tuple[Rays, Rays]:
     table, physics, lists = primals
-    rays = typing.cast(Rays, composite(table, physics, lists, sizes))
+    rays = typing.cast(Rays, composite(table, physics, lists, raster))
     at = _At(table, physics, lists, rays)
-    return rays, linear_map(partial(_push, sizes), partial(_pull, sizes), at, tangents[:2])
+    return rays, linear_map(partial(_push, raster), partial(_pull, raster), at, tangents[:2])
 
 
-def _push(sizes: SplatSizes, at: _At, moving: tuple[Array, Physics]) -> Rays:
+def _push(raster: SplatRaster, at: _At, moving: tuple[Array, Physics]) -> Rays:
     def run(table: Array, physics: Physics) -> Rays:
-        return _forward(table, physics, at.lists, sizes)
+        return _forward(table, physics, at.lists, raster)
 
     return jax.jvp(run, (at.table, at.physics), moving)[1]
 
@@ -161,10 +161,10 @@ def _about(sums: Array, relative: Array) -> tuple[Array, Array, Array]:
     return first, second, sums[:, 0]
 
 
-def _pull(sizes: SplatSizes, at: _At, cotangent: Rays) -> tuple[Array, Physics]:
+def _pull(raster: SplatRaster, at: _At, cotangent: Rays) -> tuple[Array, Physics]:
     table, physics, lists, rays = at
     last = table.shape[0] - 1
-    offsets = _offsets(sizes.tile, table.dtype)
+    offsets = _offsets(raster.tile, table.dtype)
     groups, lanes = lists.start.shape
     pixels = offsets.shape[0]
     # Sums over pixels of q, q dx, q dy and q r² follow from four moments about the tile centre.
@@ -188,9 +188,11 @@ def _pull(sizes: SplatSizes, at: _At, cotangent: Rays) -> tuple[Array, Physics]:
             square = _geometry(point, origin, offsets)
             relative = point[:, :2] - origin
             optical = _optical(square, point, physics)
-            absorbed, slope, passed, constant = absorption(optical, sizes.absorption)
-            u = _clipped(square, physics, sizes)
-            power = jax.lax.integer_pow(u, sizes.order - 1) if sizes.order > 1 else jnp.ones_like(u)
+            absorbed, slope, passed, constant = absorption(optical, raster.absorption)
+            u = _clipped(square, physics, raster)
+            power = (
+                jax.lax.integer_pow(u, raster.order - 1) if raster.order > 1 else jnp.ones_like(u)
+            )
             flat = jnp.exp(-power * u)
             seen_label = transmittance * ct_label
             seen_weight = transmittance * ct_weight
@@ -199,7 +201,7 @@ def _pull(sizes: SplatSizes, at: _At, cotangent: Rays) -> tuple[Array, Physics]:
             behind = behind - own_label * point[:, 2:3] - own_weight * point[:, 3:4]
             # dL/d(ln G), and dL/d(-r²/2σ_λ²)
             q = optical * (seen_label * point[:, 2:3] * slope - constant * behind)
-            m = sizes.order * power * own_weight * point[:, 3:4]
+            m = raster.order * power * own_weight * point[:, 3:4]
 
             real = (k < count).astype(table.dtype)[:, None]
             position_q, square_q, sum_q = _about(product(q, moments) * real, relative)

@@ -6,7 +6,7 @@ from jaxtyping import Array, Bool, Float
 
 from mvedge_jax._params import cast
 
-from ._params import SplatParams, SplatSizes
+from ._raster import SplatRaster, SplatWidths
 from ._splat import Splat, splat
 
 # Widths of narrow points, image pixels: wider ones hide the pixels beside them, so that no other
@@ -14,26 +14,68 @@ from ._splat import Splat, splat
 _LABEL, _WEIGHT = 0.35, 0.45
 
 
-def _narrow() -> SplatParams:
-    return SplatParams(sigma_label=jnp.asarray(_LABEL), sigma_weight=jnp.asarray(_WEIGHT))
+def _narrow() -> SplatWidths:
+    return SplatWidths(sigma_label=jnp.asarray(_LABEL), sigma_weight=jnp.asarray(_WEIGHT))
 
 
-def _one_pixel() -> SplatSizes:
-    return SplatSizes(scale=1, radius=2, tile=4, lanes=512)
+def _one_pixel() -> SplatRaster:
+    return SplatRaster(scale=1, radius=2, tile=4, lanes=512)
 
 
 class SplatLabels(eqx.Module):
     """Points onto a raster: super-Gaussian weights, labels composited front to back.
 
     Attributes:
-        widths: widths and density of a point, in pixels of the raster.
+        widths: widths and density of a point, in pixels of the raster; by default narrow ones, see
+            `on_raster`.
         raster: static choices of the splat.
+
+    Raises:
+        ValueError: the points are wider than `raster.radius` lets them be.
 
     Source: Thesis 7.1.2-7.1.3.
     """
 
-    widths: SplatParams = eqx.field(default_factory=_narrow)
-    raster: SplatSizes = eqx.field(static=True, default_factory=_one_pixel)
+    widths: SplatWidths = eqx.field(default_factory=_narrow)
+    raster: SplatRaster = eqx.field(static=True, default_factory=_one_pixel)
+
+    def __check_init__(self) -> None:
+        self.raster.check(self.widths)
+
+    @staticmethod
+    def on_raster(scale: int) -> "SplatLabels":
+        """Narrow points on a raster of any scale.
+
+        Labels are 0.35 image pixels wide and weights 0.45, whatever the raster. Such points end
+        within two pixels (the opacity that is cut off is below 2e-6, which only differences in
+        float64 see), so that tiles are small and have few of each other's points: a step of an
+        optimization takes a third of the time that it takes with tiles for the thesis' widths.
+
+        Args:
+            scale: raster pixels per image pixel and axis, 1 or 2; 1 takes a quarter of the time.
+
+        Returns:
+            The splat.
+
+        Raises:
+            ValueError: `scale` is neither.
+
+        Example:
+            >>> narrow = SplatLabels.on_raster(2)
+            >>> narrow.raster.radius, round(float(narrow.widths.sigma_label), 2)
+            (4, 0.7)
+        """
+        label, weight = jnp.asarray(_LABEL * scale), jnp.asarray(_WEIGHT * scale)
+        widths = SplatWidths(sigma_label=label, sigma_weight=weight)
+        return SplatLabels(widths, SplatRaster(scale, radius=2 * scale, tile=4 * scale, lanes=512))
+
+    @staticmethod
+    def thesis() -> "SplatLabels":
+        """The thesis' widths, on its raster of two pixels per image pixel and axis.
+
+        Labels are 0.65 image pixels wide: such a point hides the pixels beside it.
+        """
+        return SplatLabels(SplatWidths(), SplatRaster())
 
     def __call__(
         self,

@@ -6,8 +6,8 @@ from jaxtyping import Array, Bool, Float
 
 from mvedge_jax._params import accepts_numpy, cast
 
-from ._params import SplatParams, SplatSizes
 from ._profile import absorption, super_gaussian
+from ._raster import SplatRaster, SplatWidths
 from ._splat import Splat
 from ._tiles import depth_order
 
@@ -18,9 +18,9 @@ def splat_reference(
     label: Float[Array, "n"],
     weight: Float[Array, "n"],
     valid: Bool[Array, "n"],
-    params: SplatParams,
+    widths: SplatWidths,
     shape: tuple[int, int],
-    sizes: SplatSizes,
+    raster: SplatRaster,
     *,
     opacity: Float[Array, "n"] | None = None,
 ) -> Splat:
@@ -33,16 +33,16 @@ def splat_reference(
         label: disparity or depth.
         weight: data weight.
         valid: points that take part.
-        params: widths and density.
+        widths: widths and density.
         shape: height and width of the raster.
-        sizes: static choices; only order, absorption and nearest matter.
+        raster: static choices; only order, absorption and nearest matter.
         opacity: factor of each point's density.
 
     Returns:
         The maps, differentiable by JAX alone.
     """
-    params = cast(params, xy.dtype)
-    order = depth_order(jax.lax.stop_gradient(label), valid, sizes.nearest)
+    widths = cast(widths, xy.dtype)
+    order = depth_order(jax.lax.stop_gradient(label), valid, raster.nearest)
     xy, label, weight, valid = xy[order], label[order], weight[order], valid[order]
     y, x = jnp.meshgrid(
         jnp.arange(shape[0], dtype=xy.dtype), jnp.arange(shape[1], dtype=xy.dtype), indexing="ij"
@@ -51,14 +51,14 @@ def splat_reference(
     dy = y[None] - xy[:, 1, None, None]
     square = dx**2 + dy**2
     on = valid[:, None, None]
-    through_centre = params.density * params.sigma_depth * (2 * jnp.pi) ** 0.5
-    gaussian = jnp.where(on, jnp.exp(-square / (2 * params.sigma_label**2)), 0)
+    through_centre = widths.density * widths.sigma_depth * (2 * jnp.pi) ** 0.5
+    gaussian = jnp.where(on, jnp.exp(-square / (2 * widths.sigma_label**2)), 0)
     if opacity is not None:
         gaussian = gaussian * opacity[order][:, None, None]
-    absorbed, _, _, constant = absorption(through_centre * gaussian, sizes.absorption)
+    absorbed, _, _, constant = absorption(through_centre * gaussian, raster.absorption)
     optical = constant * through_centre * gaussian
     in_front = jnp.exp(-(jnp.cumsum(optical, axis=0) - optical))
-    flat = jnp.where(on, super_gaussian(square, params.sigma_weight, sizes.order), 0)
+    flat = jnp.where(on, super_gaussian(square, widths.sigma_weight, raster.order), 0)
     zero = jnp.zeros((), jnp.int32)
     return Splat(
         jnp.sum(label[:, None, None] * absorbed * in_front, axis=0),

@@ -10,7 +10,7 @@ from jaxtyping import Array, Bool, Float, Int
 from mvedge_jax._params import accepts_numpy, cast
 
 from ._composite import Physics, Rays, composite
-from ._params import MOST_LOST, SplatParams, SplatSizes
+from ._raster import MOST_LOST, SplatRaster, SplatWidths
 from ._tiles import depth_order, make_tiles
 
 
@@ -25,7 +25,7 @@ class Splat(eqx.Module):
             coverage by which the label map is normalised.
         overflow: entries of tiles' lists that were left out for want of capacity.
         longest: points in the fullest tile.
-        cut_off: how much a point still counts at `SplatSizes.radius`, where it is cut off: the
+        cut_off: how much a point still counts at `SplatRaster.radius`, where it is cut off: the
             larger of its optical thickness and its share of the data weight. Above 1e-3 the maps
             miss visible parts of points. `splat` raises there unless the widths are traced.
     """
@@ -42,12 +42,12 @@ class Splat(eqx.Module):
         found, lost, overflow = [], float(self.cut_off), int(self.overflow)
         if not lost <= MOST_LOST:
             found.append(
-                f"points still count {lost:.2g} at `SplatSizes.radius`, where they are cut off; at "
+                f"points still count {lost:.2g} at `SplatRaster.radius`, where they are cut off; at "
                 f"most {MOST_LOST:g} is negligible: ask for a larger radius, or narrower points."
             )
         if overflow:
             found.append(
-                f"{overflow} entries of the tiles' lists exceed `SplatSizes.capacity`: the "
+                f"{overflow} entries of the tiles' lists exceed `SplatRaster.capacity`: the "
                 "farthest points of these tiles were left out."
             )
         return tuple(found)
@@ -88,9 +88,9 @@ def splat(
     label: Float[Array, "n"],
     weight: Float[Array, "n"],
     valid: Bool[Array, "n"],
-    params: SplatParams,
+    widths: SplatWidths,
     shape: tuple[int, int],
-    sizes: SplatSizes,
+    raster: SplatRaster,
     *,
     opacity: Float[Array, "n"] | None = None,
 ) -> Splat:
@@ -106,19 +106,19 @@ def splat(
         label: disparity or depth.
         weight: data weight w >= 0.
         valid: points that take part. Points with a number that is not finite never do.
-        params: widths and density.
+        widths: widths and density.
         shape: height and width of the raster.
-        sizes: static choices; `sizes.scale` is not used here.
+        raster: static choices; `raster.scale` is not used here.
         opacity: factor of each point's density, > 0; 1 by default, as in the thesis. A point in
             front hides those behind it whatever its weight; with an opacity that falls with the
             weight, an optimisation can see through a wrong one.
 
     Returns:
-        The maps. Differentiable with respect to `xy`, `label`, `weight`, `opacity` and `params`;
+        The maps. Differentiable with respect to `xy`, `label`, `weight`, `opacity` and `widths`;
         the depth order is piecewise constant.
 
     Raises:
-        ValueError: widths are not positive, or too large for `sizes.radius`. Where `params` are
+        ValueError: widths are not positive, or too large for `raster.radius`. Where `widths` are
             traced nothing is raised; `Splat.cut_off` and `Splat.problems` tell.
 
     Source:
@@ -128,14 +128,14 @@ def splat(
         >>> import jax.numpy as jnp
         >>> maps = splat(
         ...     jnp.array([[3.0, 4.0]]), jnp.array([1.5]), jnp.array([1.0]), jnp.array([True]),
-        ...     SplatParams(), (9, 8), SplatSizes(),
+        ...     SplatWidths(), (9, 8), SplatRaster(),
         ... )
         >>> round(float(maps.label[4, 3]), 3), round(float(maps.weight[4, 3]), 3)
         (1.5, 1.0)
     """
     dtype = xy.dtype
-    sizes.check(params)
-    params = cast(params, dtype)
+    raster.check(widths)
+    widths = cast(widths, dtype)
     # The last row stands for "no point"; it also makes an empty set an ordinary case.
     empty = jnp.array([[1e6, 1e6, 0, 0, 0]], dtype)
     opacity = jnp.ones_like(label) if opacity is None else opacity
@@ -143,17 +143,17 @@ def splat(
     table = jnp.concatenate([table, empty])
     usable = jnp.all(jnp.isfinite(table), axis=1) & jnp.append(valid, False)
     table = jnp.where(usable[:, None], table, empty)
-    order = jax.lax.stop_gradient(depth_order(table[:, 2], usable, sizes.nearest))
+    order = jax.lax.stop_gradient(depth_order(table[:, 2], usable, raster.nearest))
     table = table[order]
-    tiling = make_tiles(jax.lax.stop_gradient(table[:, :2]), usable[order], shape, sizes)
+    tiling = make_tiles(jax.lax.stop_gradient(table[:, :2]), usable[order], shape, raster)
     tiling = jax.tree.map(jax.lax.stop_gradient, tiling)
     physics = Physics(
-        0.5 / params.sigma_label**2,
-        0.5 / params.sigma_weight**2,
-        params.density * params.sigma_depth * jnp.sqrt(jnp.asarray(2 * jnp.pi, dtype)),
+        0.5 / widths.sigma_label**2,
+        0.5 / widths.sigma_weight**2,
+        widths.density * widths.sigma_depth * jnp.sqrt(jnp.asarray(2 * jnp.pi, dtype)),
     )
-    rays = typing.cast(Rays, composite(table, physics, tiling.lists, sizes))
-    tile = sizes.tile
+    rays = typing.cast(Rays, composite(table, physics, tiling.lists, raster))
+    tile = raster.tile
     rows, columns = -(-shape[0] // tile), -(-shape[1] // tile)
 
     def image(part: Float[Array, "t p"]) -> Float[Array, "y x"]:

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from ._composite import Lists
-from ._params import SplatSizes
+from ._raster import SplatRaster
 
 
 class Tiling(NamedTuple):
@@ -31,21 +31,21 @@ def make_tiles(
     xy: Float[Array, "n 2"],
     usable: Bool[Array, "n"],
     shape: tuple[int, int],
-    sizes: SplatSizes,
+    raster: SplatRaster,
 ) -> Tiling:
-    """Lists, for every tile, the points whose disc of radius `sizes.radius` meets it.
+    """Lists, for every tile, the points whose disc of radius `raster.radius` meets it.
 
     Args:
         xy: raster positions in depth order.
         usable: points that take part.
         shape: raster height and width.
-        sizes: static choices.
+        raster: static choices.
 
     Returns:
         The lists. Tiles are grouped by the length of their lists so that a group wastes little.
     """
     n = xy.shape[0]
-    tile, radius = sizes.tile, sizes.radius
+    tile, radius = raster.tile, raster.radius
     rows, columns = -(-shape[0] // tile), -(-shape[1] // tile)
     tiles = rows * columns
     span = -(-2 * radius // tile) + 1
@@ -78,11 +78,11 @@ def make_tiles(
         identity, rank = jax.lax.sort((identity, rank), num_keys=2)
     bounds = jnp.searchsorted(identity, jnp.arange(tiles + 1, dtype=jnp.int32)).astype(jnp.int32)
     start, length = bounds[:-1], jnp.diff(bounds)
-    count = length if sizes.capacity is None else jnp.minimum(length, sizes.capacity)
+    count = length if raster.capacity is None else jnp.minimum(length, raster.capacity)
 
     by_length = jnp.argsort(-count)
     place = jnp.argsort(by_length)
-    lanes = min(sizes.lanes, tiles)
+    lanes = min(raster.lanes, tiles)
     groups = -(-tiles // lanes)
     padding = groups * lanes - tiles
     column, row = by_length % columns, by_length // columns

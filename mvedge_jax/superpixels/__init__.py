@@ -2,7 +2,7 @@
 
 from mvedge_jax._export import register
 
-from ._parameters import SuperpixelParams as SuperpixelParams, SuperpixelSizes as SuperpixelSizes
+from ._clustering import SuperpixelClustering as SuperpixelClustering
 from ._soft import (
     SoftSuperpixels as SoftSuperpixels,
     soft_superpixels as soft_superpixels,

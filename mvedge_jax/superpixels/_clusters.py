@@ -9,7 +9,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from mvedge_jax._fence import fenced
 
-from ._parameters import SuperpixelParams, grid_of
+from ._clustering import SuperpixelClustering, grid_of
 
 # A cluster reaches into its own cell of the grid and the eight around it.
 _CELLS = tuple((dy, dx) for dy in (-1, 0, 1) for dx in (-1, 0, 1))
@@ -135,7 +135,7 @@ def cell_offsets() -> Int[Array, "9 2"]:
 
 def distance(
     surface: Surface, clusters: Clusters, which: Int[Array, "y x"], size: Array,
-    params: SuperpixelParams,
+    model: SuperpixelClustering,
 ) -> Float[Array, "y x"]:  # fmt: skip
     """Squared distance of each pixel to a cluster, in units of the size."""
     # Column by column: gathering a row for every pixel takes twice as long.
@@ -143,10 +143,10 @@ def distance(
     level, slope_x, slope_y = (clusters.plane[:, k][which] for k in range(3))
     predicted = level + (slope_x * x + slope_y * y)
     colour = sum((surface.lab[..., k] - clusters.lab[:, k][which]) ** 2 for k in range(3))
-    colour = colour / params.colour**2
-    depth = ((surface.disparity - predicted) / params.depth) ** 2
+    colour = colour / model.color**2
+    depth = ((surface.disparity - predicted) / model.depth) ** 2
     near = (x**2 + y**2) / size**2
-    return near + _bounded(colour, params.limit)[0] + _bounded(depth, params.limit)[0]
+    return near + _bounded(colour, model.limit)[0] + _bounded(depth, model.limit)[0]
 
 
 def _bounded(square: Array, limit: Array) -> tuple[Array, Array]:
@@ -160,7 +160,7 @@ def updated(
     clusters: Clusters,
     weights: Float[Array, "y x"],
     which: Int[Array, "y x"],
-    params: SuperpixelParams,
+    model: SuperpixelClustering,
 ) -> Float[Array, "k 15"]:
     """Sums over the pixels of each cluster, from which `means` makes the next ones."""
     away = surface.xy - clusters.xy[which]
@@ -168,7 +168,7 @@ def updated(
     residual = surface.disparity - plane[..., 0]
     off = residual - jnp.sum(plane[..., 1:] * away, axis=-1)
     # Pixels of another surface have next to no say about the plane.
-    sure = weights * _bounded((off / params.depth) ** 2, params.limit)[1]
+    sure = weights * _bounded((off / model.depth) ** 2, model.limit)[1]
     x, y = away[..., 0], away[..., 1]
     first = weights[..., None] * jnp.concatenate(
         [jnp.ones_like(x)[..., None], away, surface.lab], axis=-1
@@ -181,7 +181,7 @@ def updated(
     return sums.at[which.ravel()].add(values, mode="promise_in_bounds")
 
 
-def means(clusters: Clusters, sums: Float[Array, "k 15"], params: SuperpixelParams) -> Clusters:
+def means(clusters: Clusters, sums: Float[Array, "k 15"], model: SuperpixelClustering) -> Clusters:
     """Next clusters; those without pixels stay as they are."""
     mass = sums[:, 0]
     there = mass > 1e-6
@@ -191,7 +191,7 @@ def means(clusters: Clusters, sums: Float[Array, "k 15"], params: SuperpixelPara
     fitted = n > 1e-6
     n = jnp.where(fitted, n, 1)
     # Slopes are held back as far as the pixels do not tell.
-    prior = (params.depth / params.slope) ** 2
+    prior = (model.depth / model.slope) ** 2
     cxx, cyy = xx - x * x / n + prior, yy - y * y / n + prior
     cxy, cxd, cyd = xy - x * y / n, xd - x * d / n, yd - y * d / n
     determinant = cxx * cyy - cxy * cxy
@@ -212,7 +212,7 @@ def means(clusters: Clusters, sums: Float[Array, "k 15"], params: SuperpixelPara
 def clustered(
     surface: Surface,
     grid: Grid,
-    params: SuperpixelParams,
+    model: SuperpixelClustering,
     rounds: Int[Array, ""],
     *,
     capacity: int,
@@ -233,19 +233,19 @@ def clustered(
 
         def cost(offset: Array) -> tuple[Array, Array]:
             which, inside = cell_of(grid, offset)
-            found = distance(surface, clusters, which, grid.size, params)
+            found = distance(surface, clusters, which, grid.size, model)
             return jnp.where(inside, found, jnp.inf), jnp.where(inside, which, -1)
 
         costs, names = lax.map(cost, offsets)
 
         def change(labels: Array, now: Array) -> tuple[Array, None]:
-            around = fenced(_around, labels, surface.links, params.contour)
+            around = fenced(_around, labels, surface.links, model.contour)
             return jnp.where(now, _best(costs, names, around), labels), None
 
         # A scan: unrolled, the first half would be found anew for each neighbour in the second.
         labels, _ = lax.scan(change, labels, halves)
-        sums = updated(surface, clusters, jnp.ones_like(surface.disparity), labels, params)
-        return labels, means(clusters, sums, params)
+        sums = updated(surface, clusters, jnp.ones_like(surface.disparity), labels, model)
+        return labels, means(clusters, sums, model)
 
     first, _ = cell_of(grid, jnp.zeros(2, jnp.int32))
     start = first, seeded(surface, grid, capacity)

@@ -9,8 +9,8 @@ from jaxtyping import Array, Bool, Float, Int
 
 from mvedge_jax.image import components
 
+from ._clustering import SuperpixelClustering
 from ._clusters import Surface, shifted
-from ._parameters import SuperpixelParams
 
 # How often small pieces may join others, which may be small in turn.
 _JOINS = 6
@@ -29,15 +29,15 @@ class Pieces(NamedTuple):
 
 
 def joined(
-    surface: Surface, labels: Int[Array, "y x"], size: Float[Array, ""], params: SuperpixelParams
+    surface: Surface, labels: Int[Array, "y x"], size: Float[Array, ""], model: SuperpixelClustering
 ) -> Pieces:
     """Cuts labels into connected pieces of one surface, and joins small pieces to neighbours.
 
     Args:
         surface: the pixels.
         labels: of clusters.
-        size: px; pieces with less than `params.smallest` of its square are small.
-        params: of superpixels.
+        size: px; pieces with less than `model.smallest` of its square are small.
+        model: of superpixels.
 
     Returns:
         Pieces, each connected; those of different surfaces are apart unless one is a speck.
@@ -47,14 +47,14 @@ def joined(
         right & (labels == shifted(labels, 0, 1, -1)), down & (labels == shifted(labels, 1, 0, -1))
     )
     count = labels.size
-    colour = surface.lab / params.colour
-    depth = jnp.clip(surface.disparity / params.depth, -1e4, 1e4)
+    colour = surface.lab / model.color
+    depth = jnp.clip(surface.disparity / model.depth, -1e4, 1e4)
     features = jnp.concatenate([jnp.ones_like(depth)[..., None], colour, depth[..., None]], -1)
     sums = jnp.zeros((count, 5), depth.dtype)
     sums = sums.at[root.ravel()].add(features.reshape(-1, 5), mode="promise_in_bounds")
-    least = params.smallest * size**2
+    least = model.smallest * size**2
     pieces, every = Pieces(sums, root), jnp.ones_like(right)
-    for along, below, limit in ((right, down, least), (every, every, params.speck)):
+    for along, below, limit in ((right, down, least), (every, every, model.speck)):
 
         def join(pieces: Pieces, along=along, below=below, limit=limit) -> tuple[Pieces, Array]:
             return _join(pieces, along, below, pieces.sums[:, 0] < limit)

@@ -11,10 +11,11 @@ from mvedge_jax._checks import checked_jit
 from mvedge_jax._compiler import lean_jit
 from mvedge_jax._fence import recomputed
 from mvedge_jax._params import cast
-from mvedge_jax.angular import ViewDepths
+from mvedge_jax.all_views import ViewDepths
 from mvedge_jax.color import srgb_to_lab
 from mvedge_jax.lightfield import LightField
 
+from ._clustering import SuperpixelClustering, validate
 from ._clusters import (
     Clusters,
     Grid,
@@ -28,7 +29,6 @@ from ._clusters import (
     surface_of,
     updated,
 )
-from ._parameters import SuperpixelParams, SuperpixelSizes, look
 from ._superpixels import check_depths
 
 
@@ -52,29 +52,27 @@ class SoftSuperpixels(NamedTuple):
     number: Int[Array, ""]
 
 
-@checked_jit(look)
+@checked_jit(validate)
 def soft_superpixels(
     light_field: LightField,
     depths: ViewDepths,
-    params: SuperpixelParams,
-    sizes: SuperpixelSizes,
+    model: SuperpixelClustering,
 ) -> SoftSuperpixels:
     r"""Assigns pixels of the centre view to the clusters of `superpixels` by shares.
 
     A pixel p belongs to cluster k of the nine cells around it with the share
     $\exp(-D_k(p) / T) / \sum_j \exp(-D_j(p) / T)$, D the distance that `superpixels` measures and T
-    the temperature; clusters are means with these shares, `sizes.rounds` times. There are no
-    contours, no connected pieces and no search for a number: cells have `params.size`.
+    the temperature; clusters are means with these shares, `model.rounds` times. There are no
+    contours, no connected pieces and no search for a number: cells have `model.size`.
 
     Args:
         light_field: the centre view is read.
         depths: the centre view's disparity is read.
-        params: see `SuperpixelParams`; gradients reach `colour`, `depth`, `limit`, `slope` and
-            `temperature`.
-        sizes: capacity and rounds are read.
+        model: see `SuperpixelClustering`; `margin` and `attempts` are not read. Gradients reach
+            `color`, `depth`, `limit`, `slope` and `temperature`.
 
     Returns:
-        Shares, clusters. Differentiable in the views, the disparity and the params; which cells
+        Shares, clusters. Differentiable in the views, the disparity and the model; which cells
         there are is not. Reverse mode keeps the clusters of every round only.
 
     Raises:
@@ -87,44 +85,44 @@ def soft_superpixels(
     Example:
         >>> flat = jnp.zeros((1, 3, 20, 20))
         >>> depths = ViewDepths(flat, flat, flat.astype(jnp.int8), jnp.asarray(0))
-        >>> params, sizes = SuperpixelParams(size=10.0), SuperpixelSizes.for_depths(depths)
+        >>> model = SuperpixelClustering.for_depths(depths).replace(size=10.0)
         >>> light_field = LightField(jnp.full((1, 3, 20, 20, 3), 0.5))
-        >>> found = soft_superpixels(light_field, depths, params, sizes)
+        >>> found = soft_superpixels(light_field, depths, model)
         >>> int(found.number), found.shares.sum(0).max().round(4).item()
         (4, 1.0)
     """
     check_depths(light_field, depths)
     dtype = light_field.views.dtype
-    params = cast(params, dtype)
+    model = cast(model, dtype)
     disparity = depths.disparity[light_field.centre].astype(dtype)
-    surface = surface_of(srgb_to_lab(light_field.centre_view), disparity, params.step)
+    surface = surface_of(srgb_to_lab(light_field.centre_view), disparity, model.step)
     shape = light_field.views.shape[2], light_field.views.shape[3]
-    grid = grid_over(shape, lax.stop_gradient(params.size), sizes.capacity)
+    grid = grid_over(shape, lax.stop_gradient(model.size), model.capacity)
 
     def one(clusters: Clusters, _) -> tuple[Clusters, None]:
-        shares, names = _shares(surface, grid, clusters, params)
+        shares, names = _shares(surface, grid, clusters, model)
 
         def add(sums: Array, item: tuple[Array, Array]) -> tuple[Array, None]:
-            return sums + updated(surface, clusters, *item, params), None
+            return sums + updated(surface, clusters, *item, model), None
 
-        nothing = jnp.zeros((sizes.capacity, 15), dtype)
+        nothing = jnp.zeros((model.capacity, 15), dtype)
         sums, _ = lax.scan(recomputed(add), nothing, (shares, names))
-        return means(clusters, sums, params), None
+        return means(clusters, sums, model), None
 
-    start = seeded(surface, grid, sizes.capacity)
-    clusters, _ = lax.scan(recomputed(one), start, length=sizes.rounds)
+    start = seeded(surface, grid, model.capacity)
+    clusters, _ = lax.scan(recomputed(one), start, length=model.rounds)
     return SoftSuperpixels(
-        *_shares(surface, grid, clusters, params), *clusters, grid.rows * grid.columns
+        *_shares(surface, grid, clusters, model), *clusters, grid.rows * grid.columns
     )
 
 
 def _shares(
-    surface: Surface, grid: Grid, clusters: Clusters, params: SuperpixelParams
+    surface: Surface, grid: Grid, clusters: Clusters, model: SuperpixelClustering
 ) -> tuple[Array, Array]:
     def cost(offset: Array) -> tuple[Array, Array]:
         which, inside = cell_of(grid, offset)
-        found = distance(surface, clusters, which, grid.size, params)
-        return jnp.where(inside, -found / params.temperature, -jnp.inf), which
+        found = distance(surface, clusters, which, grid.size, model)
+        return jnp.where(inside, -found / model.temperature, -jnp.inf), which
 
     scores, names = lax.map(recomputed(cost), cell_offsets())
     return jax.nn.softmax(scores, axis=0), names

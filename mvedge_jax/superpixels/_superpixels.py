@@ -9,12 +9,12 @@ from jaxtyping import Array, Bool, Float, Int
 
 from mvedge_jax._checks import checked_jit
 from mvedge_jax._params import cast
-from mvedge_jax.angular import ViewDepths
+from mvedge_jax.all_views import ViewDepths
 from mvedge_jax.color import srgb_to_lab
 from mvedge_jax.lightfield import LightField
 
+from ._clustering import SuperpixelClustering, validate
 from ._clusters import Surface, clustered, grid_over, surface_of
-from ._parameters import SuperpixelParams, SuperpixelSizes, look
 from ._pieces import Pieces, fewer, joined, numbered
 from ._tables import tables_of
 from ._views import canvas_of, continued, labelled
@@ -58,12 +58,11 @@ class Superpixels(NamedTuple):
     number: Int[Array, ""]
 
 
-@checked_jit(look)
+@checked_jit(validate)
 def superpixels(
     light_field: LightField,
     depths: ViewDepths,
-    params: SuperpixelParams,
-    sizes: SuperpixelSizes,
+    model: SuperpixelClustering,
 ) -> Superpixels:
     """Cuts a light field into small patches of surface, each with one label in every view.
 
@@ -81,8 +80,7 @@ def superpixels(
     Args:
         light_field: the views; ground truth is not read.
         depths: disparity of all views, from `depth_of_views`.
-        params: see `SuperpixelParams`.
-        sizes: see `SuperpixelSizes.for_depths`.
+        model: see `SuperpixelClustering.for_depths`.
 
     Returns:
         Labels of all views, of missing ones as well, and tables. The same for the same input. Not
@@ -98,33 +96,33 @@ def superpixels(
     Example:
         >>> flat = jnp.zeros((1, 3, 20, 20))
         >>> depths = ViewDepths(flat, flat, flat.astype(jnp.int8), jnp.asarray(0))
-        >>> params, sizes = SuperpixelParams(size=10.0), SuperpixelSizes.for_depths(depths)
+        >>> model = SuperpixelClustering.for_depths(depths).replace(size=10.0)
         >>> light_field = LightField(jnp.full((1, 3, 20, 20, 3), 0.5))
-        >>> found = superpixels(light_field, depths, params, sizes)
+        >>> found = superpixels(light_field, depths, model)
         >>> int(found.number), found.labels[0, 0, 0, ::10].tolist()
         (4, [1, 2])
     """
     check_depths(light_field, depths)
-    params = cast(params, light_field.views.dtype)
+    model = cast(model, light_field.views.dtype)
     disparities = depths.disparity.astype(light_field.views.dtype)
     vc, uc = light_field.centre
-    surface = surface_of(srgb_to_lab(light_field.centre_view), disparities[vc, uc], params.step)
-    centre, count = _counted(surface, params, sizes)
-    canvas = canvas_of(disparities, centre, params.step, margin=sizes.margin)
-    canvas, count = continued(canvas, count, params.step, params.speck, capacity=sizes.capacity)
+    surface = surface_of(srgb_to_lab(light_field.centre_view), disparities[vc, uc], model.step)
+    centre, count = _counted(surface, model)
+    canvas = canvas_of(disparities, centre, model.step, margin=model.margin)
+    canvas, count = continued(canvas, count, model.step, model.speck, capacity=model.capacity)
     labels = labelled(
         disparities,
         centre,
         canvas,
-        params.step,
-        params.fragment,
-        margin=sizes.margin,
-        capacity=sizes.capacity,
+        model.step,
+        model.fragment,
+        margin=model.margin,
+        capacity=model.capacity,
     )
     tables = tables_of(
-        light_field, labels, surface, canvas, params, margin=sizes.margin, capacity=sizes.capacity
+        light_field, labels, surface, canvas, model, margin=model.margin, capacity=model.capacity
     )
-    valid = jnp.arange(sizes.capacity, dtype=jnp.int32) < count
+    valid = jnp.arange(model.capacity, dtype=jnp.int32) < count
     return Superpixels(labels, valid, *tables, count)
 
 
@@ -159,22 +157,20 @@ class _Search(NamedTuple):
     badness: Float[Array, ""]
 
 
-def _counted(
-    surface: Surface, params: SuperpixelParams, sizes: SuperpixelSizes
-) -> tuple[Array, Array]:
+def _counted(surface: Surface, model: SuperpixelClustering) -> tuple[Array, Array]:
     """Labels of the centre view, about as many as the size asks for, and their number."""
     shape = surface.disparity.shape[0], surface.disparity.shape[1]
     pixels = jnp.asarray(shape[0] * shape[1], surface.disparity.dtype)
-    wanted = pixels / params.size**2
+    wanted = pixels / model.size**2
 
     def attempt(state: _Search) -> _Search:
         # A few rounds tell the number well enough to look for it.
-        full = (state.tried == sizes.attempts - 1) | (jnp.abs(state.off - _MORE) < _NEAR)
-        rounds = jnp.where(full, sizes.rounds, min(_SHORT, sizes.rounds)).astype(jnp.int32)
-        grid = grid_over(shape, jnp.exp(state.following), sizes.capacity)
-        labels, _ = clustered(surface, grid, params, rounds, capacity=sizes.capacity)
-        pieces = joined(surface, labels, params.size, params)
-        off = jnp.log(numbered(pieces.root, sizes.capacity)[1].astype(wanted.dtype) / wanted)
+        full = (state.tried == model.attempts - 1) | (jnp.abs(state.off - _MORE) < _NEAR)
+        rounds = jnp.where(full, model.rounds, min(_SHORT, model.rounds)).astype(jnp.int32)
+        grid = grid_over(shape, jnp.exp(state.following), model.capacity)
+        labels, _ = clustered(surface, grid, model, rounds, capacity=model.capacity)
+        pieces = joined(surface, labels, model.size, model)
+        off = jnp.log(numbered(pieces.root, model.capacity)[1].astype(wanted.dtype) / wanted)
         # Too many are made fewer afterwards; too few stay.
         badness = jnp.where(full, jnp.where(off < 0, -4 * off, off), jnp.inf)
         better = badness < state.badness
@@ -191,11 +187,11 @@ def _counted(
         return _Search(state.tried + 1, state.following, following, slope, off, best, least)
 
     def going(state: _Search) -> Array:
-        return (state.tried < sizes.attempts) & (state.badness > _ENOUGH)
+        return (state.tried < model.attempts) & (state.badness > _ENOUGH)
 
-    size, endless = jnp.log(params.size), jnp.full_like(wanted, jnp.inf)
+    size, endless = jnp.log(model.size), jnp.full_like(wanted, jnp.inf)
     nothing = Pieces(jnp.zeros((shape[0] * shape[1], 5), wanted.dtype), jnp.zeros(shape, jnp.int32))
     first = jnp.asarray(0, jnp.int32)
     start = _Search(first, size, size, jnp.full_like(size, -1.5), endless, nothing, endless)
     best = lax.while_loop(going, attempt, start).best
-    return numbered(fewer(best, surface, wanted, _SHARE * params.size**2).root, sizes.capacity)
+    return numbered(fewer(best, surface, wanted, _SHARE * model.size**2).root, model.capacity)

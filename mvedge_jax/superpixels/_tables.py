@@ -9,8 +9,8 @@ from jaxtyping import Array, Bool, Float, Int
 
 from mvedge_jax.lightfield import LightField
 
+from ._clustering import SuperpixelClustering
 from ._clusters import Clusters, Surface, means, shifted, updated
-from ._parameters import SuperpixelParams
 from ._views import Canvas
 
 
@@ -31,7 +31,7 @@ def tables_of(
     labels: Int[Array, "v u y x"],
     surface: Surface,
     canvas: Canvas,
-    params: SuperpixelParams,
+    model: SuperpixelClustering,
     *,
     margin: int,
     capacity: int,
@@ -40,13 +40,13 @@ def tables_of(
     vc, uc = light_field.centre
     centre, dtype = labels[vc, uc], surface.disparity.dtype
     area = jnp.zeros(capacity + 1, jnp.int32).at[centre].add(1)[1:]
-    xy, plane = _planes(surface.xy, surface.disparity, surface.lab, centre, params, capacity)
+    xy, plane = _planes(surface.xy, surface.disparity, surface.lab, centre, model, capacity)
 
     rows, columns = jnp.indices(canvas.back.shape)
     place = jnp.stack([columns - margin, rows - margin], axis=-1).astype(dtype)
     back = jnp.where(canvas.back_labels > 0, canvas.back, 0)
     nothing = jnp.zeros((*back.shape, 3), dtype)
-    hidden = _planes(place, back, nothing, canvas.back_labels, params, capacity)
+    hidden = _planes(place, back, nothing, canvas.back_labels, model, capacity)
     seen = (area > 0)[:, None]
     xy, plane = jnp.where(seen, xy, hidden[0]), jnp.where(seen, plane, hidden[1])
 
@@ -77,14 +77,14 @@ def _planes(
     disparity: Array,
     lab: Array,
     labels: Array,
-    params: SuperpixelParams,
+    model: SuperpixelClustering,
     capacity: int,
 ) -> tuple[Array, Array]:
     """Mean places and planes of labels."""
     which = jnp.where(labels > 0, labels - 1, 0)
     weights = (labels > 0).astype(disparity.dtype)
     # All pixels of a label are on its surface.
-    every = eqx.tree_at(lambda p: p.limit, params, jnp.full_like(params.limit, jnp.inf))
+    every = eqx.tree_at(lambda p: p.limit, model, jnp.full_like(model.limit, jnp.inf))
     start = Clusters(*(jnp.zeros((capacity, n), disparity.dtype) for n in (2, 3, 3)))
     known = Surface(place, lab, disparity, jnp.zeros((4, *labels.shape), bool))
     found = start

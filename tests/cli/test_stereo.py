@@ -17,7 +17,7 @@ from mvedge_jax.lightfield import LightField
 from mvedge_jax.photometry import Noise
 from mvedge_jax.posed import Photographs, StereoResult, StereoStats
 from mvedge_jax.posed.cloud import photographs_of
-from mvedge_jax.posed.sparse import SparseStereoSizes
+from mvedge_jax.posed.sparse import SparseStereoDepth
 
 IMAGES, DEPTHS = wall(POSES)
 
@@ -80,8 +80,8 @@ def test_a_depth_that_failed_is_said_on_the_screen_and_in_the_report(
 
 @pytest.mark.slow
 def test_points_are_optimised_and_exported_without_errors(model, tmp_path, monkeypatch):
-    few = SparseStereoSizes(smoothing=2, iterations=2, passes=1)
-    monkeypatch.setattr("mvedge_jax.cli._stereo.SparseStereoSizes", lambda: few)
+    few = SparseStereoDepth(smoothing=2, iterations=2, passes=1)
+    monkeypatch.setattr("mvedge_jax.cli._stereo.SparseStereoDepth", lambda: few)
     pixels = np.random.default_rng(0).permutation(DEPTHS[1].size)[:40]
     points = places(POSES[1], DEPTHS[1]).reshape(-1, 3)[pixels]
     names = tuple(f"{i}.png" for i in range(4))

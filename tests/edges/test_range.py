@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from photometry.scenes import changed, cross_gains, textured
 
-from mvedge_jax.angular import ViewDepths, ViewSizes
-from mvedge_jax.depth import Sizes
-from mvedge_jax.edges import EdgeSizes
+from mvedge_jax.all_views import ViewDepth, ViewDepths
+from mvedge_jax.depth import EdgeDepth
+from mvedge_jax.edges import 
 from mvedge_jax.edges._range import disparity_range
 from mvedge_jax.lightfield import LightField
-from mvedge_jax.superpixels import SuperpixelSizes
+from mvedge_jax.superpixels import SuperpixelClustering
 
 
 @pytest.fixture(scope="module")
@@ -47,10 +47,10 @@ def test_sizes_within_jit_are_refused_in_a_sentence(known):
     field = LightField(jnp.zeros((3, 3, 16, 16, 3)), disparity_range=known)
     name = "light_field" if known is None else "light_field.disparity_range"
     message = f"`{name}` is traced, as everything within `jit`.* choose them outside"
-    for kind in (Sizes, ViewSizes, EdgeSizes):
+    for kind in (EdgeDepth, ViewDepth):
         with pytest.raises(TypeError, match=message):
             jax.jit(lambda f, kind=kind: kind.for_light_field(f))(field)
-    closed = jax.jit(lambda x: x + Sizes.for_light_field(field).radius)
+    closed = jax.jit(lambda x: x + EdgeDepth.for_light_field(field).measurement.radius)
     if known is not None:
         assert int(closed(1)) > 1
 
@@ -59,4 +59,4 @@ def test_other_sizes_within_jit_are_refused_in_a_sentence():
     flat = jnp.ones((3, 3, 8, 8))
     depths = ViewDepths(flat, flat, flat.astype(jnp.int8), jnp.asarray(0))
     with pytest.raises(TypeError, match="`depths` is traced"):
-        jax.jit(lambda d: SuperpixelSizes.for_depths(d).margin)(depths)
+        jax.jit(lambda d: SuperpixelClustering.for_depths(d).margin)(depths)

@@ -7,19 +7,19 @@ from helpers import count_traces
 
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.losses import Views, all_views, gather_views
-from mvedge_jax.model import ModelParams, ModelSizes, StartParams
+from mvedge_jax.model import Renderer, StartFit
 from mvedge_jax.model._start import start_from_points
 from mvedge_jax.model.approaches import (
     ByEvidence,
-    EvidenceParams,
-    RelocateParams,
+    StepRelocation,
+    ViewAgreement,
     polish,
     relocate_steps,
 )
 from mvedge_jax.model.approaches._approach import explained
 from mvedge_jax.model.approaches._evidence import agreed_correction
 from mvedge_jax.model.optimisation import Rates, advance, all_at_once, begin
-from mvedge_jax.splatting import SplatSizes
+from mvedge_jax.splatting import SplatLabels, SplatRaster, SplatWidths
 
 SHAPE = (20, 22)
 
@@ -68,7 +68,7 @@ def inner(image):
 
 
 def agreed(views, disparity, params=None):
-    params = EvidenceParams() if params is None else params
+    params = ViewAgreement() if params is None else params
     return agreed_correction(views, disparity, params, radius=2)
 
 
@@ -86,7 +86,7 @@ def test_a_map_that_is_right_stays_and_so_does_one_that_no_view_speaks_of():
 
 def test_halves_do_not_confirm_noise():
     change = agreed(scene(noise=0.02), flat(0.3)).change
-    params = EvidenceParams(region=jnp.asarray(1e-3))
+    params = ViewAgreement(region=jnp.asarray(1e-3))
     alone = agreed(scene(noise=0.02), flat(0.3), params).change
     assert np.square(inner(change)).mean() < np.square(inner(alone)).mean()
 
@@ -95,8 +95,8 @@ def test_one_trace_serves_all_parameters_and_x64_changes_little():
     single, double = scene(), scene(dtype=np.float64)
     traced, traces = count_traces(lambda v, d, p: agreed(v, d, p).change)
     wrong = jnp.full(SHAPE, 0.31, jnp.float32)
-    first = traced(single, wrong, EvidenceParams())
-    traced(single, wrong, EvidenceParams(region=jnp.asarray(2.0)))
+    first = traced(single, wrong, ViewAgreement())
+    traced(single, wrong, ViewAgreement(region=jnp.asarray(2.0)))
     assert traces() == 1
     assert first.dtype == jnp.float32
     exact = agreed(double, wrong.astype(jnp.float64)).change
@@ -120,24 +120,24 @@ def test_refinement_corrects_a_map_as_far_as_the_views_say():
     xy = jnp.asarray(rng.uniform(0, [SHAPE[1] - 1, SHAPE[0] - 1], (60, 2)), jnp.float32)
     start = start_from_points(
         xy, jnp.full(60, 0.32, jnp.float32), jnp.full(60, 0.01, jnp.float32), jnp.ones(60, bool),
-        jnp.moveaxis(views.centre, 0, -1), first, StartParams(),
+        jnp.moveaxis(views.centre, 0, -1), first, StartFit(),
     )  # fmt: skip
-    sizes = ModelSizes(splat=SplatSizes(scale=1, lanes=16))
-    params = ByEvidence(rendering=ModelParams())
-    ready = params.prepare(grid(views), start, sizes)
+    wide = Renderer(SplatLabels(SplatWidths(), SplatRaster(scale=1, lanes=16)))
+    approach = ByEvidence()
+    ready = approach.prepare(grid(views), start, wide)
     state = begin(ready.start.model, ready.start.disparity, key=jax.random.key(0))
-    unchanged, _ = params.finish(
+    unchanged, _ = approach.finish(
         grid(views), ready, eqx.tree_at(lambda s: s.best, state, ready.start.model)
     )
     np.testing.assert_allclose(unchanged, ready.base, atol=1e-3)
     rates = Rates(rate=jnp.asarray([0.02, 0.002, 0.02, 0.01]))
     state, history = advance(state, all_at_once(rates, iterations=30), ready.objective)
     assert float(history.loss[-1]) < 0.3 * float(history.loss[0])
-    refined, verdict = params.finish(grid(views), ready, state)
+    refined, verdict = approach.finish(grid(views), ready, state)
     assert np.abs(inner(refined) - 0.3).max() < 0.25 * np.abs(inner(first) - 0.3).max()
     assert bool(verdict.kept)
     # The true map has an error, too: views are interpolated linearly, and end.
-    least = explained(grid(views), flat(0.3), flat(0.3), params.features)[0]
+    least = explained(grid(views), flat(0.3), flat(0.3), approach.features)[0]
     assert float(verdict.error[1] - least) < 0.1 * float(verdict.error[0] - least)
     assert verdict.confirmed is not None
     assert ready.correction is not None
@@ -155,15 +155,15 @@ def test_refinement_relocates_steps_in_doubt_first():
     xy = jnp.asarray(np.random.default_rng(1).uniform(0, 19, (60, 2)), jnp.float32)
     start = start_from_points(
         xy, jnp.full(60, 0.3, jnp.float32), jnp.full(60, 0.01, jnp.float32), jnp.ones(60, bool),
-        jnp.moveaxis(views.centre, 0, -1), first, StartParams(),
+        jnp.moveaxis(views.centre, 0, -1), first, StartFit(),
     )  # fmt: skip
-    sizes = ModelSizes(splat=SplatSizes(scale=1, lanes=16))
-    params = ByEvidence(rendering=ModelParams(), relocate=RelocateParams())
-    found = params.prepare(grid(views), start, sizes)
+    wide = Renderer(SplatLabels(SplatWidths(), SplatRaster(scale=1, lanes=16)))
+    approach = ByEvidence(relocate=StepRelocation())
+    found = approach.prepare(grid(views), start, wide)
     np.testing.assert_array_equal(found.first, first)
-    relocated = relocate_steps(first, views.centre, RelocateParams())
+    relocated = relocate_steps(first, views.centre, StepRelocation())
     assert jnp.abs(relocated - first).max() > 0.1
-    np.testing.assert_allclose(found.base, polish(relocated, params.polish), rtol=0, atol=1e-5)
+    np.testing.assert_allclose(found.base, polish(relocated, approach.polish), rtol=0, atol=1e-5)
 
 
 def test_nothing_is_measured_beside_depth_steps():

@@ -7,10 +7,9 @@ import pytest
 from mvedge_jax.lightfield import GroundTruth
 from mvedge_jax.model import (
     DepthModel,
-    FitParams,
-    ModelParams,
-    ModelSizes,
+    Renderer,
     Start,
+    SupervisedFit,
     fit_edges,
     render_model,
 )
@@ -27,7 +26,7 @@ from mvedge_jax.model.optimisation import (
 )
 
 SHAPE = (14, 18)
-SIZES = ModelSizes.on_raster(1)
+NARROW = Renderer.on_raster(1)
 KNOWN = GroundTruth(jnp.zeros(SHAPE).at[4:10, 6:13].set(1.0), jnp.ones(SHAPE, bool))
 
 
@@ -46,10 +45,8 @@ def same(a, b):
 
 def test_fitting_is_the_loop_with_the_defaults_that_are_written_down():
     start = noisy_start()
-    found = fit_edges(KNOWN, start, FitParams(), SIZES, strategy=FixedPoints())
-    goal = Supervised(
-        KNOWN.disparity, KNOWN.valid, unlimited(start.model), ModelParams.narrow(1), sizes=SIZES
-    )
+    found = fit_edges(KNOWN, start, SupervisedFit(), NARROW, strategy=FixedPoints())
+    goal = Supervised(KNOWN.disparity, KNOWN.valid, unlimited(start.model), NARROW)
     assert float(goal.weights.square) == 3
     state = begin(start.model, start.disparity, key=jax.random.key(0))
     table = all_at_once(Rates.supervised(), iterations=40)
@@ -58,7 +55,7 @@ def test_fitting_is_the_loop_with_the_defaults_that_are_written_down():
     same(found.model, state.best)
     assert found.history.loss.shape == (40,)
     assert found.verdict is None
-    rendered = render_model(state.best, ModelParams.narrow(1), SIZES).disparity
+    rendered = render_model(state.best, NARROW).disparity
     np.testing.assert_allclose(found.disparity, rendered, atol=1e-4)
     assert float(found.history.loss[-1]) < 0.5 * float(found.history.loss[0])
 
@@ -68,22 +65,22 @@ def test_free_places_leave_points_are_added_and_a_state_goes_on(tmp_path):
     roomy = start._replace(model=with_capacity(start.model, 33), error=jnp.pad(start.error, (0, 3)))
     table, told = all_at_once(Rates.supervised(), iterations=8), []
     options = {"strategy": Growth(recycle=False, extra=5, rounds=2), "routine": table}
-    found = fit_edges(KNOWN, roomy, FitParams(), SIZES, progress=told.append, **options)
+    found = fit_edges(KNOWN, roomy, SupervisedFit(), NARROW, progress=told.append, **options)
     assert found.model.valid.tolist() == 35 * [True]
     assert [int(now.grown.added) for now in told if now.grown is not None] == [5]
     told[1].state.save(tmp_path / "half.eqx")
     half = State.load(tmp_path / "half.eqx")
-    again = fit_edges(KNOWN, roomy, FitParams(), SIZES, state=half, **options)
+    again = fit_edges(KNOWN, roomy, SupervisedFit(), NARROW, state=half, **options)
     assert again.history.loss.shape == (8 - int(half.iteration),)
     same(found.model, again.model)
     with pytest.raises(ValueError, match="`state` has 35 points .*; the start has 30 points"):
-        fit_edges(KNOWN, start, FitParams(), SIZES, state=half, strategy=FixedPoints())
+        fit_edges(KNOWN, start, SupervisedFit(), NARROW, state=half, strategy=FixedPoints())
 
 
 def test_a_map_of_another_shape_is_refused():
     small = GroundTruth(jnp.zeros((3, 4)), jnp.ones((3, 4), bool))
     with pytest.raises(ValueError, match=r"`truth` has the shape \(3, 4\); the map of `start`"):
-        fit_edges(small, noisy_start(), FitParams(), SIZES)
+        fit_edges(small, noisy_start(), SupervisedFit(), NARROW)
 
 
 def test_unknown_pixels_have_no_say():
@@ -92,7 +89,7 @@ def test_unknown_pixels_have_no_say():
     maps = [
         fit_edges(
             GroundTruth(KNOWN.disparity.at[0, 0].set(value), valid),
-            start, FitParams(), SIZES, routine=table, strategy=Growth(rounds=1),
+            start, SupervisedFit(), NARROW, routine=table, strategy=Growth(rounds=1),
         ).disparity
         for value in (0.0, 9.0)
     ]  # fmt: skip
@@ -104,10 +101,14 @@ def test_a_state_from_between_two_rounds_goes_on_the_same(recycle):
     table, told = all_at_once(Rates.supervised(), iterations=10), []
     growth = Growth(recycle=recycle, extra=40, rounds=3, threshold=jnp.asarray(0.0))
     options = {"strategy": growth, "routine": table}
-    whole = fit_edges(KNOWN, noisy_start(), FitParams(), SIZES, progress=told.append, **options)
+    whole = fit_edges(
+        KNOWN, noisy_start(), SupervisedFit(), NARROW, progress=told.append, **options
+    )
     assert whole.model.valid.sum() == 70
     # The first of three rounds is over.
-    resumed = fit_edges(KNOWN, noisy_start(), FitParams(), SIZES, state=told[0].state, **options)
+    resumed = fit_edges(
+        KNOWN, noisy_start(), SupervisedFit(), NARROW, state=told[0].state, **options
+    )
     same(whole.model, resumed.model)
 
 
@@ -115,7 +116,7 @@ def test_a_state_from_between_two_rounds_goes_on_the_same(recycle):
 def test_free_places_are_filled_in_time(iterations):
     """Rounds are evenly spaced, so that there may be fewer than `rounds`."""
     found = fit_edges(
-        KNOWN, noisy_start(), FitParams(), SIZES,
+        KNOWN, noisy_start(), SupervisedFit(), NARROW,
         strategy=Growth(recycle=False, extra=90, threshold=jnp.asarray(0.0)),
         routine=all_at_once(Rates.supervised(), iterations=iterations),
     )  # fmt: skip
@@ -128,7 +129,7 @@ def test_rounds_without_a_new_point_forget_nothing():
     exact = start._replace(model=eqx.tree_at(lambda m: m.disparity, start.model, label))
     known = GroundTruth(jnp.full(SHAPE, 0.5), KNOWN.valid)
     found = fit_edges(
-        known, exact, FitParams(), SIZES, strategy=Growth(),
+        known, exact, SupervisedFit(), NARROW, strategy=Growth(),
         routine=all_at_once(Rates.supervised(), iterations=12),
     )  # fmt: skip
     np.testing.assert_allclose(found.disparity, 0.5, atol=1e-6)

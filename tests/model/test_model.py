@@ -5,19 +5,19 @@ import numpy as np
 import pytest
 from helpers import check_modes, count_traces, lean
 
+from mvedge_jax.depth import SplattedLabels
 from mvedge_jax.diffusion import AutoSolver, Elimination, Multigrid
 from mvedge_jax.losses import LossWeights, SupervisedWeights, Views, self_supervised_loss
-from mvedge_jax.model import DepthModel, ModelParams, ModelSizes, StartParams, render_model
+from mvedge_jax.model import DepthModel, Renderer, StartFit, render_model, start_from_image
 from mvedge_jax.model._model import (
     downsample,
-    image_roughness,
     map_roughness,
     upsample,
 )
-from mvedge_jax.model._start import start_from_points
+from mvedge_jax.model._start import Start, start_from_points
 from mvedge_jax.model.approaches import ByReprojection
 from mvedge_jax.model.objectives import SelfSupervised, Supervised, unlimited
-from mvedge_jax.splatting import SplatParams, SplatSizes
+from mvedge_jax.splatting import SplatLabels, SplatRaster, SplatWidths
 
 SHAPE = (13, 16)
 render = eqx.filter_jit(render_model)
@@ -34,9 +34,10 @@ def small_model(n=25, dtype: type = np.float64, seed=0):
     )
 
 
-def exact():
+def exact(splat=None, **choices):
     """A solver whose own error is far below that of the differences."""
-    return ModelParams(solver=AutoSolver(tolerance=jnp.asarray(1e-13)))
+    splat = SplatLabels.thesis() if splat is None else splat
+    return Renderer(splat, AutoSolver(tolerance=jnp.asarray(1e-13)), **choices)
 
 
 def random_views(seed=1):
@@ -56,15 +57,15 @@ def random_views(seed=1):
 @pytest.mark.parametrize("scale", [pytest.param(1, marks=pytest.mark.slow), 2])
 def test_gradient_of_the_whole_chain(scale):
     """Splat, diffuse, warp, loss: with respect to Z, xy, R and Q, each on its own."""
-    sizes = ModelSizes(splat=SplatSizes(scale=scale, lanes=16))
-    model, params, views = small_model(), exact(), random_views()
+    renderer = exact(SplatLabels(SplatWidths(), SplatRaster(scale=scale, lanes=16)))
+    model, views = small_model(), random_views()
     visible = jnp.asarray(np.random.default_rng(2).random((3, *SHAPE)) > 0.2)
     moving, fixed = eqx.partition(model, eqx.is_inexact_array)
 
     @lean
     def loss_and_gradient(tree):
         def loss(tree):
-            disparity = render_model(eqx.combine(tree, fixed), params, sizes).disparity
+            disparity = render_model(eqx.combine(tree, fixed), renderer).disparity
             return self_supervised_loss(disparity, views, LossWeights(), visible=visible)[0]
 
         return jax.value_and_grad(loss)(tree)
@@ -87,32 +88,29 @@ def test_gradient_of_the_whole_chain(scale):
 def test_both_modes_and_the_second_derivative(kind):
     """Of the rendered map, with respect to points and parameters."""
     solver = kind(tolerance=1e-13)
-    params = eqx.tree_at(lambda p: p.solver, exact(), solver)
-    params = jax.tree.map(jnp.asarray, params)
+    renderer = jax.tree.map(jnp.asarray, exact().replace(solver=solver))
     target = jnp.asarray(np.random.default_rng(4).normal(size=SHAPE))
-    still, turning = eqx.partition(params, lambda leaf: leaf is params.solver.tolerance)
+    still, turning = eqx.partition(renderer, lambda leaf: leaf is renderer.solver.tolerance)
 
     def loss(tree):
-        model, params = tree
-        params = eqx.combine(still, params)
-        return jnp.sum(jnp.sin(render_model(model, params, ModelSizes()).disparity - target))
+        model, turning = tree
+        renderer = eqx.combine(still, turning)
+        return jnp.sum(jnp.sin(render_model(model, renderer).disparity - target))
 
     check_modes(loss, (small_model(), turning), rtol=1e-5, key=jax.random.key(6))
 
 
 @pytest.mark.parametrize("name", ["supervised", "self-supervised"])
 def test_both_modes_and_the_second_derivative_of_the_objectives(name):
-    model, params, sizes = small_model(), exact(), ModelSizes()
+    model, renderer = small_model(), exact()
     target = jnp.asarray(np.random.default_rng(4).normal(size=SHAPE))
     objective: Supervised | SelfSupervised
     if name == "supervised":
         weights = SupervisedWeights()
-        objective = Supervised(
-            target, jnp.ones(SHAPE, bool), unlimited(model), params, weights, sizes
-        )
+        objective = Supervised(target, jnp.ones(SHAPE, bool), unlimited(model), renderer, weights)
     else:
         views = random_views()
-        objective = SelfSupervised(views, unlimited(model), params, LossWeights(), sizes=sizes)
+        objective = SelfSupervised(views, unlimited(model), renderer)
     key = jax.random.key(8)
 
     def loss(model):
@@ -124,14 +122,13 @@ def test_both_modes_and_the_second_derivative_of_the_objectives(name):
 def test_a_plane_of_equal_labels_is_reproduced_and_a_mask_ignored():
     model = small_model()
     flat = eqx.tree_at(lambda m: m.disparity, model, jnp.full(25, 0.7))
-    sizes = ModelSizes()
-    np.testing.assert_allclose(render(flat, exact(), sizes).disparity, 0.7, atol=1e-9)
+    np.testing.assert_allclose(render(flat, exact()).disparity, 0.7, atol=1e-9)
     masked = DepthModel(
         model.disparity.at[3].set(jnp.nan), model.xy.at[4].set(jnp.nan), model.log_weight,
         model.roughness, model.valid.at[jnp.array([3, 4])].set(False),
     )  # fmt: skip
     clean = eqx.tree_at(lambda m: m.valid, model, masked.valid)
-    a, b = (render(m, exact(), sizes).disparity for m in (masked, clean))
+    a, b = (render(m, exact()).disparity for m in (masked, clean))
     np.testing.assert_array_equal(a, b)
 
 
@@ -141,8 +138,8 @@ def test_unnormalised_labels_fade_beside_points():
     model = eqx.tree_at(
         lambda m: (m.xy, m.disparity), model, (jnp.array([[8.0, 6.0]]), jnp.ones(1))
     )
-    full = render(model, exact(), ModelSizes()).disparity
-    faded = render(model, exact(), ModelSizes(normalised=False)).disparity
+    full = render(model, exact()).disparity
+    faded = render(model, exact(normalized=False)).disparity
     np.testing.assert_allclose(full, 1, atol=1e-9)
     assert 1e-6 < float(1 - faded.mean()) < 1e-2
 
@@ -154,27 +151,47 @@ def test_narrow_points_leave_the_pixel_beside_them_to_others(scale):
     model = DepthModel(
         jnp.array([1.0, 0.0, 0.0]), xy, jnp.zeros(3), jnp.full(SHAPE, 8.0), jnp.ones(3, bool)
     )
-    sizes = ModelSizes(splat=SplatSizes(scale=scale, lanes=16))
-    narrow = render(model, ModelParams.narrow(scale), sizes).disparity
+    raster = SplatRaster(scale=scale, lanes=16)
+    narrow = SplatLabels(SplatLabels.on_raster(scale).widths, raster)
+    narrow = render(model, Renderer(narrow)).disparity
     assert float(narrow[6, 5]) > 0.9
     assert float(narrow[6, 6]) < 0.5
-    thesis = ModelParams(
-        splat=SplatParams(
-            sigma_label=jnp.asarray(0.65 * scale), sigma_weight=jnp.asarray(0.35 * scale)
-        )
-    )
-    assert float(render(model, thesis, sizes).disparity[6, 6]) > 0.9
+    label, weight = jnp.asarray(0.65 * scale), jnp.asarray(0.35 * scale)
+    thesis = SplatLabels(SplatWidths(sigma_label=label, sigma_weight=weight), raster)
+    assert float(render(model, Renderer(thesis)).disparity[6, 6]) > 0.9
 
 
 def test_no_points_at_all_render_to_zero_with_finite_gradients():
     model = eqx.tree_at(lambda m: m.valid, small_model(), jnp.zeros(25, bool))
 
     def total(tree):
-        return jnp.sum(render_model(eqx.combine(tree, model), exact(), ModelSizes()).disparity)
+        return jnp.sum(render_model(eqx.combine(tree, model), exact()).disparity)
 
     value, gradient = lean(jax.value_and_grad(total))(eqx.filter(model, eqx.is_inexact_array))
     assert float(value) == 0
     assert all(bool(jnp.isfinite(leaf).all()) for leaf in jax.tree.leaves(gradient))
+
+
+@pytest.mark.parametrize("scale", [1, 2])
+def test_points_of_a_model_are_splatted_as_those_of_the_chain(scale):
+    """`SplattedLabels` calls the same `SplatLabels`, in image pixels."""
+    model, labels = small_model(), SplatLabels.on_raster(scale)
+    opaque = Renderer(labels, clears=False)
+    found = render(model, opaque).splat
+    weight = jnp.exp(-model.log_weight)
+    expected = SplattedLabels(labels).splat(model.xy, model.disparity, weight, model.valid, SHAPE)
+    np.testing.assert_array_equal(found.weight, expected.weight)
+    np.testing.assert_array_equal(found.label, expected.label)
+
+
+def test_a_renderer_lists_its_numbers_and_takes_others_by_path():
+    renderer = Renderer.on_raster(1)
+    assert "splat.widths.sigma_label = 0.35 raster px" in str(renderer)
+    thicker = renderer.replace({"splat.widths.density": 7.0}, clears=False)
+    assert float(thicker.splat.widths.density) == 7.0
+    assert not thicker.clears
+    with pytest.raises(ValueError, match="`splat.width` is no path of `Renderer`"):
+        renderer.replace({"splat.width": 1.0})
 
 
 def test_resampling_is_aligned_and_adjoint_to_averaging():
@@ -187,8 +204,9 @@ def test_resampling_is_aligned_and_adjoint_to_averaging():
 
 def test_initial_roughness_follows_edges():
     image = jnp.zeros((6, 8, 3)).at[:, 4:].set(1.0)
-    rough = image_roughness(image, jnp.asarray(0.1))
-    np.testing.assert_allclose(rough[:, 3:5], 5.0, atol=0.1)
+    flat = Start(small_model(), jnp.ones(25), jnp.zeros((6, 8)))
+    rough = start_from_image(flat, image).model.roughness
+    np.testing.assert_allclose(rough[:, 3:5], 15.0, atol=0.1)
     np.testing.assert_allclose(rough[:, :3], 0, atol=1e-6)
     step = jnp.zeros((6, 8)).at[:, 4:].set(0.5)
     both = map_roughness(step, image)
@@ -199,13 +217,13 @@ def test_initial_roughness_follows_edges():
 
 
 def test_one_trace_and_float32():
-    traced, traces = count_traces(lambda m, p: render_model(m, p, ModelSizes()).disparity)
+    traced, traces = count_traces(lambda m, r: render_model(m, r).disparity)
     model = small_model(dtype=np.float32)
-    first = traced(model, ModelParams())
-    traced(eqx.tree_at(lambda m: m.disparity, model, model.disparity + 1), ModelParams())
+    first = traced(model, Renderer.thesis())
+    traced(eqx.tree_at(lambda m: m.disparity, model, model.disparity + 1), Renderer.thesis())
     assert traces() == 1
     assert first.dtype == jnp.float32
-    wide = render(small_model(), exact(), ModelSizes()).disparity
+    wide = render(small_model(), exact()).disparity
     assert float(jnp.abs(first.astype(float) - wide).max()) < 1e-3
 
 
@@ -232,30 +250,32 @@ def test_narrow_points_end_where_their_sizes_cut_them_off(scale):
         jnp.asarray(rng.normal(size=n)), xy, jnp.asarray(rng.normal(size=n)),
         jnp.asarray(rng.uniform(0, 4, SHAPE)), jnp.ones(n, bool),
     )  # fmt: skip
-    narrow = ModelParams.narrow(scale)
-    everywhere = ModelSizes(splat=SplatSizes(scale=scale, radius=16))
-    expected = render(model, narrow, everywhere).splat
-    found = render(model, narrow, ModelSizes.on_raster(scale)).splat
+    narrow = SplatLabels.on_raster(scale)
+    everywhere = SplatLabels(narrow.widths, SplatRaster(scale=scale, radius=16))
+    expected = render(model, Renderer(everywhere)).splat
+    found = render(model, Renderer(narrow)).splat
     for name in ("label_sum", "weight", "transmittance"):
         np.testing.assert_allclose(getattr(found, name), getattr(expected, name), atol=2e-5)
 
 
 def test_points_that_are_cut_off_are_refused():
-    assert ModelSizes.on_raster(2).rendering(None).splat.sigma_label == 0.7
-    thesis = ModelParams()
-    assert ModelSizes().rendering(thesis) is thesis
+    narrow = Renderer.on_raster(1)
+    assert Renderer.on_raster(2).splat.widths.sigma_label == 0.7
+    assert Renderer.thesis().splat.widths.sigma_label == 1.3
     with pytest.raises(ValueError, match=r"sigma_label` = 1\.3 px .*radius` = 2 px"):
-        ModelSizes.on_raster(1).rendering(thesis)
-    cramped = ModelSizes(splat=SplatSizes(scale=2, radius=1))
+        narrow.replace({"splat.widths": SplatWidths()})
     with pytest.raises(ValueError, match=r"sigma_label` = 0\.7 px .*radius` = 1 px"):
-        cramped.rendering(None)
+        SplatLabels(SplatLabels.on_raster(2).widths, SplatRaster(scale=2, radius=1))
+    # Of several settings, the widest counts.
+    with pytest.raises(ValueError, match=r"sigma_weight` = 3 px .*radius` = 2 px"):
+        narrow.replace({"splat.widths.sigma_weight": jnp.asarray([0.4, 3.0])})
 
 
 def test_a_point_outside_of_the_image_takes_no_part():
     xy = jnp.array([[3.0, 4.0], [-0.7, 2.0]])
     start = start_from_points(
         xy, jnp.ones(2), jnp.full(2, 0.01), jnp.ones(2, bool), jnp.full((*SHAPE, 3), 0.5),
-        jnp.zeros(SHAPE), StartParams(),
+        jnp.zeros(SHAPE), StartFit(),
     )  # fmt: skip
     assert start.model.valid.tolist() == [True, False]
 

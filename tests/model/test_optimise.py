@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from mvedge_jax.losses import SupervisedWeights
-from mvedge_jax.model import DepthModel, ModelParams, ModelSizes, render_model
+from mvedge_jax.model import DepthModel, Renderer, render_model
 from mvedge_jax.model._capacity import with_capacity, without_free_places
 from mvedge_jax.model._host import compiled_render
 from mvedge_jax.model.objectives import Supervised, Trust, unlimited
@@ -22,10 +22,10 @@ from mvedge_jax.model.optimisation import (
     optimise,
 )
 from mvedge_jax.model.optimisation._grow import grow, usefulness, worst_pixels
-from mvedge_jax.splatting import SplatParams, SplatSizes
+from mvedge_jax.splatting import SplatLabels, SplatRaster, SplatWidths
 
 SHAPE = (14, 18)
-SIZES = ModelSizes(splat=SplatSizes(scale=1, lanes=16))
+WIDE = Renderer(SplatLabels(SplatWidths(), SplatRaster(scale=1, lanes=16)))
 SIXES = FixedPoints(piece=6)
 RATES = Rates(rate=jnp.array([0.1, 0.03, 0.05, 0.05]))
 
@@ -48,7 +48,7 @@ def start_model(n=30, capacity=None, seed=0):
 def objective(model, trust=None):
     weights = SupervisedWeights(square=jnp.asarray(1.0))
     known = jnp.ones(SHAPE, bool)
-    return Supervised(truth(), known, trust or unlimited(model), weights=weights, sizes=SIZES)
+    return Supervised(truth(), known, trust or unlimited(model), WIDE, weights)
 
 
 def first_state(model, seed=0):
@@ -148,7 +148,7 @@ def test_trust_limits_and_pulls_back():
 def test_new_points_go_where_the_residual_is_largest():
     model = start_model(30, capacity=34)
     state, goal = first_state(model), objective(model)
-    disparity = render_model(model, goal.params, SIZES).disparity
+    disparity = render_model(model, WIDE).disparity
     # Only on the nearer surface: a new point of the farther one, beside it, would be hidden.
     residual = jnp.where(truth() == 1, jnp.abs(disparity - truth()), 0)
     grown = grow(state, goal, residual, truth(), Growth(), count=3)
@@ -158,7 +158,7 @@ def test_new_points_go_where_the_residual_is_largest():
     assert {tuple(p) for p in np.asarray(grown.state.model.xy)[new]} == {
         tuple(p) for p in np.asarray(xy, float)
     }
-    after = render_model(grown.state.model, goal.params, SIZES).disparity
+    after = render_model(grown.state.model, WIDE).disparity
     at = xy[:, 1], xy[:, 0]
     assert bool(jnp.all(jnp.abs(after - truth())[at] < residual[at] * 2 / 3))
     assert isinstance(grown.objective, Supervised)
@@ -190,7 +190,7 @@ def test_hidden_points_are_recycled_and_open_ones_are_not():
     xy = jnp.array([[3.0, 3.0], [3.1, 3.0], [12.0, 8.0], [5.0, 11.0]])
     label = jnp.array([1.0, 0.0, 0.5, 0.5])
     model = eqx.tree_at(lambda m: (m.xy, m.disparity), model, (xy, label))
-    use = usefulness(model, ModelParams(), SIZES)
+    use = usefulness(model, WIDE)
     assert float(use[1]) < 1e-3
     assert float(use[0]) > 0.5
     grown = grow(first_state(model), objective(model), truth(), truth(), Growth(), count=3)
@@ -217,7 +217,7 @@ def test_free_places_leave_and_points_keep_their_order():
     dense = without_free_places(model)
     np.testing.assert_array_equal(dense.xy, model.xy[jnp.array([0, 1, 3, 4, 5])])
     assert bool(dense.valid.all())
-    maps = [render_model(m, ModelParams(), SIZES).disparity for m in (model, dense)]
+    maps = [render_model(m, WIDE).disparity for m in (model, dense)]
     np.testing.assert_allclose(maps[0], maps[1], atol=1e-6)
 
 
@@ -239,7 +239,8 @@ def one_sided_model():
 
 def test_growing_moves_points_to_what_no_gradient_reaches():
     model = one_sided_model()
-    goal = eqx.tree_at(lambda g: g.params, objective(model), ModelParams.narrow(1))
+    narrow = SplatLabels.on_raster(1).widths
+    goal = eqx.tree_at(lambda g: g.renderer.splat.widths, objective(model), narrow)
     routine = all_at_once(RATES, iterations=30)
     told = []
     strategy = Growth(rounds=3)
@@ -331,7 +332,7 @@ def test_the_residuals_are_the_roots_of_the_loss():
     moved = eqx.tree_at(lambda m: m.disparity, model, model.disparity + 0.2)
     for square in (0.0, 2.0):
         weights = SupervisedWeights(absolute=jnp.asarray(0.0), square=jnp.asarray(square))
-        goal = Supervised(truth(), jnp.ones(SHAPE, bool), trust, weights=weights, sizes=SIZES)
+        goal = Supervised(truth(), jnp.ones(SHAPE, bool), trust, WIDE, weights)
         residuals, _ = goal.residuals(moved, truth())
         half = sum(float(jnp.sum(r**2)) for r in residuals) / 2
         assert half == pytest.approx(float(goal(moved, truth())[0]), rel=1e-6)
@@ -364,23 +365,25 @@ def test_levenberg_marquardt_needs_few_steps():
 def test_points_that_are_cut_off_are_warned_of():
     """Inside the compiled loop nothing can be said, so the host says it before."""
     model = start_model()
-    wide = ModelParams(splat=SplatParams(sigma_label=jnp.asarray(4.0)))
-    goal = eqx.tree_at(lambda g: g.params, objective(model), wide)
+    goal = objective(model)
+    wide = eqx.tree_at(lambda r: r.splat.widths.sigma_label, goal.renderer, jnp.asarray(4.0))
+    goal = eqx.tree_at(lambda g: g.renderer, goal, wide)
     message = "Points of `sigma_label` = 4 px still count .* at `radius` = 6 px"
     nothing = all_at_once(RATES, iterations=0)
     with pytest.warns(UserWarning, match=message):
         optimise(first_state(model), nothing, goal)
     with pytest.raises(UserWarning, match=message):  # warnings are errors here
         minimise_least_squares(model, goal, jnp.zeros(SHAPE))
-    sizes = ModelSizes(splat=SplatSizes(scale=1, lanes=16, capacity=2))
-    goal = Supervised(truth(), jnp.ones(SHAPE, bool), unlimited(model), sizes=sizes)
-    full = "entries of the tiles' lists exceed `SplatSizes.capacity`"
+    few = Renderer(SplatLabels(SplatWidths(), SplatRaster(scale=1, lanes=16, capacity=2)))
+    goal = Supervised(truth(), jnp.ones(SHAPE, bool), unlimited(model), renderer=few)
+    full = "entries of the tiles' lists exceed `SplatRaster.capacity`"
     with pytest.warns(UserWarning, match=full):
         optimise(first_state(model), nothing, goal)
     with pytest.warns(UserWarning, match=full):
-        render_model(model, ModelParams(), sizes)
-    rendered = eqx.filter_jit(render_model)(model, wide, sizes)
-    assert ["`SplatSizes.radius`" in line for line in rendered.problems()] == [True, False]
-    with pytest.warns(UserWarning, match="SplatSizes") as said:
-        compiled_render(model, wide, sizes)
+        render_model(model, few)
+    both = eqx.tree_at(lambda r: r.splat.widths.sigma_label, few, jnp.asarray(4.0))
+    rendered = eqx.filter_jit(render_model)(model, both)
+    assert ["`SplatRaster.radius`" in line for line in rendered.problems()] == [True, False]
+    with pytest.warns(UserWarning, match="SplatRaster") as said:
+        compiled_render(model, both)
     assert tuple(str(warning.message) for warning in said) == rendered.problems()

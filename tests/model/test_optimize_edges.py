@@ -4,21 +4,22 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
+from mvedge_jax.depth import EdgeDepth
 from mvedge_jax.lightfield import GroundTruth, LightField
 from mvedge_jax.model import (
     DepthModel,
-    ModelParams,
-    ModelSizes,
+    Renderer,
     Start,
     optimize_edges,
     render_model,
+    start_from_depth,
 )
-from mvedge_jax.model.approaches import ByEvidence, ByReprojection, PolishParams, polish
+from mvedge_jax.model.approaches import Bending, ByEvidence, ByReprojection, polish
 from mvedge_jax.model.approaches._approach import explained
-from mvedge_jax.model.optimisation import Rates
+from mvedge_jax.model.optimisation import Rates, all_at_once
 
 SHAPE = (20, 22)
-SIZES = ModelSizes.on_raster(1)
+NARROW = Renderer.on_raster(1)
 TRUE = 0.3
 
 
@@ -44,26 +45,26 @@ def level(value, n=60):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "params",
+    "approach",
     [ByEvidence(), ByReprojection(subset=3, margin=jnp.asarray(0.01), rates=Rates.supervised())],
     ids=type,
 )
-def test_a_wrong_map_moves_towards_the_truth_that_is_not_read(params):
+def test_a_wrong_map_moves_towards_the_truth_that_is_not_read(approach):
     # Labels that are hardly known, so that nothing but the views holds them.
     start, told = level(TRUE + 0.02)._replace(error=jnp.full(60, 0.1)), []
     lie = GroundTruth(jnp.full(SHAPE, -5.0), jnp.ones(SHAPE, bool))
     key = jax.random.key(2)
-    found = optimize_edges(plane(truth=lie), start, params, SIZES, progress=told.append, key=key)
+    found = optimize_edges(plane(truth=lie), start, approach, NARROW, progress=told.append, key=key)
     error = np.abs(np.asarray(found.disparity) - TRUE)[4:-4, 4:-4]
     assert error.max() < 0.01
     assert found.verdict is not None
     assert bool(found.verdict.kept)
     # The truth, too, has an error: views are interpolated linearly, and end.
     true = jnp.full(SHAPE, TRUE)
-    least = explained(plane(), true, true, params.features)[0]
+    least = explained(plane(), true, true, approach.features)[0]
     assert float(found.verdict.error[1] - least) < 0.1 * float(found.verdict.error[0] - least)
-    assert (found.verdict.confirmed is not None) == isinstance(params, ByEvidence)
-    assert [now.iteration for now in told] == [params.iterations * k // 4 for k in (1, 2, 3, 4)]
+    assert (found.verdict.confirmed is not None) == isinstance(approach, ByEvidence)
+    assert [now.iteration for now in told] == [approach.iterations * k // 4 for k in (1, 2, 3, 4)]
     assert all(now.grown is None for now in told)
 
 
@@ -71,21 +72,36 @@ def test_a_wrong_map_moves_towards_the_truth_that_is_not_read(params):
 def test_what_the_judges_do_not_confirm_is_dropped_and_the_first_map_polished(margin):
     ramp = jnp.broadcast_to(jnp.linspace(TRUE, TRUE + 0.05, SHAPE[1]), SHAPE)
     start = level(TRUE + 0.05)._replace(disparity=ramp)
-    params = ByReprojection(fit=None, margin=jnp.asarray(margin))
-    found = optimize_edges(plane(), start, params, SIZES)
+    approach = ByReprojection(fit=None, margin=jnp.asarray(margin))
+    found = optimize_edges(plane(), start, approach, NARROW)
     assert found.verdict is not None
     assert bool(found.verdict.kept) == (margin < 0)
 
     def rendered(model, guess):
-        return render_model(model, ModelParams.narrow(1), SIZES, start=guess).disparity
+        return render_model(model, NARROW, start=guess).disparity
 
     change = rendered(found.model, found.state.disparity) - rendered(start.model, ramp)
     assert float(jnp.abs(change).max()) > 2e-3
     kept = ramp + change if margin < 0 else ramp
-    np.testing.assert_allclose(found.disparity, polish(kept, PolishParams()), atol=1e-4)
+    np.testing.assert_allclose(found.disparity, polish(kept, Bending()), atol=1e-4)
+
+
+@pytest.mark.slow
+def test_the_edges_alone_are_a_start():
+    """Points, surfaces and map of the chain without dense labels: all that a start reads."""
+    field = plane()
+    result = EdgeDepth.for_light_field(field, preset="edges")(field)
+    start = start_from_depth(field, result)
+    assert int(start.model.valid.sum()) > 50
+    before = render_model(start.model, NARROW, start=start.disparity).disparity
+    assert float(jnp.abs(before - start.disparity).max()) < 0.05
+    routine = all_at_once(ByEvidence().rates, iterations=2)
+    found = optimize_edges(field, start, ByEvidence(), NARROW, routine=routine)
+    error = np.abs(np.asarray(found.disparity) - TRUE)[4:-4, 4:-4]
+    assert error.max() < 0.02
 
 
 def test_a_start_of_another_shape_is_refused():
     start = level(TRUE)._replace(disparity=jnp.zeros((3, 4)))
     with pytest.raises(ValueError, match=r"`start` has the shape \(3, 4\); the views have \(20"):
-        optimize_edges(plane(), start, ByEvidence(), SIZES)
+        optimize_edges(plane(), start, ByEvidence(), NARROW)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from helpers import count_traces
 
-from mvedge_jax.model.approaches import RelocateParams, relocate_steps
+from mvedge_jax.model.approaches import StepRelocation, relocate_steps
 
 
 def scene(off, *, down=False, size=24):
@@ -24,17 +24,17 @@ def scene(off, *, down=False, size=24):
 def test_a_step_moves_to_the_image_edge(off, down):
     image, disparity, truth = scene(off, down=down)
     np.testing.assert_allclose(
-        relocate_steps(disparity, image, RelocateParams()), truth, rtol=0, atol=0.02
+        relocate_steps(disparity, image, StepRelocation()), truth, rtol=0, atol=0.02
     )
 
 
 @pytest.mark.parametrize("reach", [1, 2, 3])
 def test_it_reaches_as_far_as_it_says(reach):
     image, disparity, truth = scene(reach)
-    found = relocate_steps(disparity, image, RelocateParams(), reach=reach)
+    found = relocate_steps(disparity, image, StepRelocation(), reach=reach)
     np.testing.assert_allclose(found, truth, rtol=0, atol=0.02)
     image, disparity, truth = scene(reach + 1)
-    found = relocate_steps(disparity, image, RelocateParams(), reach=reach)
+    found = relocate_steps(disparity, image, StepRelocation(), reach=reach)
     assert jnp.abs(found - truth).max() > 0.1
 
 
@@ -42,20 +42,20 @@ def test_surfaces_without_steps_stay():
     image, _, _ = scene(0)
     rows, columns = jnp.mgrid[:24, :24]
     slanted = (2 * rows - 3 * columns) / 20
-    found = relocate_steps(slanted, image, RelocateParams())
+    found = relocate_steps(slanted, image, StepRelocation())
     np.testing.assert_allclose(found, slanted, rtol=0, atol=1e-4)
 
 
 def test_a_map_of_steps_alone_stays():
     image, _, _ = scene(0)
     steps = jnp.where((jnp.arange(24)[:, None] + jnp.arange(24)[None]) % 2 == 0, 1.0, 0.0)
-    found = relocate_steps(steps, image, RelocateParams())
+    found = relocate_steps(steps, image, StepRelocation())
     np.testing.assert_allclose(found, steps, rtol=0, atol=0.01)
 
 
 def test_gradient_against_differences():
     image, disparity, _ = scene(1)
-    params = RelocateParams()
+    params = StepRelocation()
     weights = jax.random.normal(jax.random.key(0), disparity.shape)
 
     def total(disparity, image):
@@ -75,7 +75,7 @@ def test_one_trace_for_many_values():
     image, disparity, _ = scene(1)
     traced, traces = count_traces(lambda d, p: relocate_steps(d, image, p))
     for step in (0.1, 0.3):
-        traced(disparity, RelocateParams(step=jnp.asarray(step)))
+        traced(disparity, StepRelocation(step=jnp.asarray(step)))
     assert traces() == 1
 
 
@@ -83,6 +83,6 @@ def test_errors():
     image, disparity, _ = scene(1)
     # A type error where shapes are checked at run time, as in these tests.
     with pytest.raises((ValueError, TypeError), match="image"):
-        relocate_steps(disparity, image[:, :, :-1], RelocateParams())
+        relocate_steps(disparity, image[:, :, :-1], StepRelocation())
     with pytest.raises(ValueError, match="`reach` must be at least 1 pixel, got 0"):
-        relocate_steps(disparity, image, RelocateParams(), reach=0)
+        relocate_steps(disparity, image, StepRelocation(), reach=0)

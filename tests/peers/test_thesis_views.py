@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from angular.cards import cards
+from all_views.cards import cards
 from helpers import check_gradient
 
 from experiments.peers.thesis_views import Guiding, thesis_views

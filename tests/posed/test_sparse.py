@@ -7,19 +7,18 @@ import pytest
 from helpers import check_gradient
 from posed.walls import MATRIX, POSES, places, wall
 
-from mvedge_jax.model import DepthModel, ModelParams, ModelSizes
+from mvedge_jax.model import DepthModel, Renderer
 from mvedge_jax.posed import Photographs, projections, reference_of
 from mvedge_jax.posed.objective import posed_loss
 from mvedge_jax.posed.scores import depth_errors
 from mvedge_jax.posed.sparse import (
-    SparseStereoParams,
-    SparseStereoSizes,
+    SparseStereoDepth,
     _with_edges,
     posed_reprojection,
     seen_points,
     sparse_stereo,
 )
-from mvedge_jax.splatting import SplatSizes
+from mvedge_jax.splatting import SplatLabels, SplatRaster
 
 IMAGES, DEPTHS = wall(POSES)
 RANGE = (1.2, 3.5)
@@ -67,7 +66,7 @@ def test_the_truth_explains_the_photographs_best():
     where = projections(view.poses[order], view.intrinsics[order], 0, scale)
     images = jnp.moveaxis(view.images[order], -1, 1)
     truth = scale / jnp.asarray(DEPTHS[INDEX])
-    weights = SparseStereoParams().weights
+    weights = SparseStereoDepth().weights
     loss = jax.jit(lambda d: posed_loss(truth + d, images, where, weights))
     losses = [float(loss(d)) for d in (-0.2, -0.1, -0.05, 0.0, 0.05, 0.1, 0.2)]
     assert losses == sorted(losses[:4], reverse=True) + sorted(losses[4:])
@@ -89,8 +88,9 @@ def test_gradients_of_the_loss_with_respect_to_points_and_poses():
     def loss(points, poses):
         view = photographs(points, poses)
         # Differences this fine see where a point is cut off.
-        model, sizes = model_of(view), ModelSizes(splat=SplatSizes(scale=1))
-        goal = posed_reprojection(view, WANTED, model, SparseStereoParams(), sizes)
+        narrow = SplatLabels(SplatLabels().widths, SplatRaster(scale=1))
+        model, method = model_of(view), SparseStereoDepth(Renderer(narrow))
+        goal = posed_reprojection(view, WANTED, model, method)
         return goal(model, jnp.full(IMAGES.shape[1:3], 2.0))[0]
 
     points, poses = jnp.asarray(POINTS), jnp.asarray(POSES)
@@ -106,8 +106,8 @@ def test_optimising_makes_the_diffused_points_better():
         photographs(POSES[INDEX, :3, 3] + (1 + noise) * (POINTS - POSES[INDEX, :3, 3])),
         WANTED,
     )
-    sizes = SparseStereoSizes(smoothing=10, iterations=10, passes=3)
-    found = sparse_stereo(view, wanted, SparseStereoParams(), sizes, key=jax.random.key(0))
+    method = SparseStereoDepth(smoothing=10, iterations=10, passes=3)
+    found = sparse_stereo(view, wanted, method, key=jax.random.key(0))
     truth = jnp.asarray(DEPTHS[INDEX])
     before = depth_errors(wanted.scale(view) / found.diffused, truth)
     after = depth_errors(found.depth, truth)
@@ -124,14 +124,9 @@ def test_errors_say_what_is_missing():
         seen_points(none, WANTED)
     behind = photographs(np.asarray([[0, 0, -3.0], [0, 0.1, -3.0]]))
     with pytest.raises(ValueError, match="no sparse point that the reference shows"):
-        sparse_stereo(
-            behind, WANTED, SparseStereoParams(), SparseStereoSizes(), key=jax.random.key(0)
-        )
-    wide, seen = SparseStereoParams(rendering=ModelParams()), photographs(POINTS)
-    with pytest.raises(ValueError, match="sigma_label` = 1.3 px still count .* at `radius` = 2 px"):
-        sparse_stereo(seen, WANTED, wide, SparseStereoSizes(), key=jax.random.key(0))
+        sparse_stereo(behind, WANTED, SparseStereoDepth(), key=jax.random.key(0))
     with pytest.raises(ValueError, match="`iterations` must be at least 1, got 0"):
-        SparseStereoSizes(iterations=0)
+        SparseStereoDepth(iterations=0)
 
 
 def test_new_points_are_no_more_than_asked_for_and_fit_the_image():

@@ -8,12 +8,12 @@ import pytest
 from helpers import check_gradient, check_modes, count_traces, with_values
 
 from mvedge_jax import splatting
-from mvedge_jax.splatting import SplatParams, SplatSizes, absorption, splat_reference
+from mvedge_jax.splatting import SplatRaster, SplatWidths, absorption, splat_reference
 
 SHAPE = (21, 27)
 splat = eqx.filter_jit(splatting.splat)
 # Wide enough that the oracle, which cuts nothing, agrees to rounding.
-WIDE = SplatSizes(radius=14, lanes=7)
+WIDE = SplatRaster(radius=14, lanes=7)
 
 
 def cloud(n=40, dtype: type = np.float64, seed=0):
@@ -56,11 +56,11 @@ def random_functional(function, sizes):
 )
 def test_fast_path_equals_every_point_at_every_pixel(sizes):
     points = cloud()
-    fast = splat(*points, SplatParams(), SHAPE, sizes)
-    slow = splat_reference(*points, SplatParams(), SHAPE, sizes)
+    fast = splat(*points, SplatWidths(), SHAPE, sizes)
+    slow = splat_reference(*points, SplatWidths(), SHAPE, sizes)
     np.testing.assert_allclose(maps(fast), maps(slow), atol=1e-13)
     assert int(fast.overflow) == 0
-    tree = (*points[:3], SplatParams(), 0.01 + points[2] / 3)
+    tree = (*points[:3], SplatWidths(), 0.01 + points[2] / 3)
     gradient_fast = jax.grad(random_functional(splat, sizes))(tree)
     gradient_slow = jax.grad(random_functional(splat_reference, sizes))(tree)
     for a, b in zip(jax.tree.leaves(gradient_fast), jax.tree.leaves(gradient_slow), strict=True):
@@ -68,23 +68,23 @@ def test_fast_path_equals_every_point_at_every_pixel(sizes):
 
 
 def test_gradient_against_differences():
-    tree = (*cloud()[:3], SplatParams(), 0.3 + cloud()[2] / 3)
+    tree = (*cloud()[:3], SplatWidths(), 0.3 + cloud()[2] / 3)
     check_gradient(
-        random_functional(splat, SplatSizes(lanes=16)), tree, rtol=1e-5, key=jax.random.key(0)
+        random_functional(splat, SplatRaster(lanes=16)), tree, rtol=1e-5, key=jax.random.key(0)
     )
 
 
 @pytest.mark.parametrize("absorption", ["closed", "quadrature"])
 def test_both_modes_and_the_second_derivative(absorption):
-    sizes = SplatSizes(absorption=absorption, lanes=16)
-    tree = (*cloud()[:3], SplatParams(), 0.3 + cloud()[2] / 3)
+    sizes = SplatRaster(absorption=absorption, lanes=16)
+    tree = (*cloud()[:3], SplatWidths(), 0.3 + cloud()[2] / 3)
     check_modes(random_functional(splat, sizes), tree, rtol=1e-5, key=jax.random.key(5))
 
 
 def test_default_radius_cuts_less_than_it_says():
     points = cloud()
-    fast = splat(*points, SplatParams(), SHAPE, SplatSizes())
-    slow = splat_reference(*points, SplatParams(), SHAPE, SplatSizes())
+    fast = splat(*points, SplatWidths(), SHAPE, SplatRaster())
+    slow = splat_reference(*points, SplatWidths(), SHAPE, SplatRaster())
     assert float(jnp.abs(maps(fast) - maps(slow)).max()) < 4e-4 * float(
         jnp.abs(points[1]).max() * 2
     )
@@ -97,8 +97,8 @@ def test_closed_form_equals_quadrature():
     sampled = absorption(optical, "quadrature")[0]
     assert float(jnp.abs(closed - sampled).max()) < 2e-3
     points = cloud()
-    a = splat(*points, SplatParams(), SHAPE, SplatSizes())
-    b = splat(*points, SplatParams(), SHAPE, SplatSizes(absorption="quadrature"))
+    a = splat(*points, SplatWidths(), SHAPE, SplatRaster())
+    b = splat(*points, SplatWidths(), SHAPE, SplatRaster(absorption="quadrature"))
     spread = float(jnp.abs(points[1]).max())
     assert float(jnp.abs(a.label_sum - b.label_sum).max()) < 2e-3 * max(spread, 1)
     assert float(jnp.abs(a.weight - b.weight).max()) < 2e-3
@@ -106,15 +106,15 @@ def test_closed_form_equals_quadrature():
 
 def test_absorptions_and_remaining_transmittance_sum_to_one():
     xy, _, weight, valid = cloud(dtype=np.float32)
-    result = splat(xy, jnp.ones_like(weight), weight, valid, SplatParams(), SHAPE, SplatSizes())
+    result = splat(xy, jnp.ones_like(weight), weight, valid, SplatWidths(), SHAPE, SplatRaster())
     assert result.label_sum.dtype == jnp.float32
     assert float(jnp.abs(result.label_sum + result.transmittance - 1).max()) < 1e-6
 
 
 @pytest.mark.parametrize("border", [7.5, 8.0, 9.0])
 def test_crossing_a_pixel_or_tile_border_changes_nothing_abruptly(border):
-    run = jax.jit(lambda xy: maps(splat(xy, label, weight, valid, SplatParams(), SHAPE, sizes)))
-    sizes = SplatSizes()
+    run = jax.jit(lambda xy: maps(splat(xy, label, weight, valid, SplatWidths(), SHAPE, sizes)))
+    sizes = SplatRaster()
     label, weight, valid = jnp.array([1.0, 0.4]), jnp.ones(2), jnp.ones(2, bool)
     other = jnp.array([12.3, 9.1])
     sides = [
@@ -129,7 +129,7 @@ def test_masked_points_change_neither_value_nor_gradient():
 
     def value(tree):
         xy, label, weight = tree
-        result = splat(xy, label, weight, valid, SplatParams(), SHAPE, SplatSizes())
+        result = splat(xy, label, weight, valid, SplatWidths(), SHAPE, SplatRaster())
         return jnp.sum(maps(result) ** 2)
 
     spoiled = (
@@ -149,9 +149,11 @@ def test_not_finite_points_are_left_out_although_valid():
     xy, label, weight, valid = cloud()
     result = splat(
         xy.at[0, 0].set(jnp.nan), label.at[1].set(jnp.inf), weight, valid,
-        SplatParams(), SHAPE, SplatSizes(),
+        SplatWidths(), SHAPE, SplatRaster(),
     )  # fmt: skip
-    expected = splat(xy, label, weight, valid.at[:2].set(False), SplatParams(), SHAPE, SplatSizes())
+    expected = splat(
+        xy, label, weight, valid.at[:2].set(False), SplatWidths(), SHAPE, SplatRaster()
+    )
     np.testing.assert_array_equal(maps(result), maps(expected))
 
 
@@ -159,7 +161,7 @@ def test_nearest_label_wins_for_disparity_and_for_depth():
     xy = jnp.array([[10.0, 10.0], [10.2, 10.0]])
     label, weight, valid = jnp.array([0.5, 2.0]), jnp.ones(2), jnp.ones(2, bool)
     for nearest, expected in (("largest", 2.0), ("smallest", 0.5)):
-        result = splat(xy, label, weight, valid, SplatParams(), SHAPE, SplatSizes(nearest=nearest))
+        result = splat(xy, label, weight, valid, SplatWidths(), SHAPE, SplatRaster(nearest=nearest))
         assert float(result.label[10, 10]) == pytest.approx(expected, abs=1e-4)
 
 
@@ -167,9 +169,9 @@ def test_capacity_drops_the_farthest_and_counts_them():
     n = 12
     xy = 3.5 + 0.01 * jnp.tile(jnp.arange(n, dtype=float)[:, None], (1, 2))
     label, weight, valid = jnp.arange(n, dtype=float) * 0.1, jnp.ones(n), jnp.ones(n, bool)
-    shape, sizes = (8, 8), SplatSizes(capacity=5)
-    limited = splat(xy, label, weight, valid, SplatParams(), shape, sizes)
-    nearest = splat(xy, label, weight, jnp.arange(n) >= n - 5, SplatParams(), shape, SplatSizes())
+    shape, sizes = (8, 8), SplatRaster(capacity=5)
+    limited = splat(xy, label, weight, valid, SplatWidths(), shape, sizes)
+    nearest = splat(xy, label, weight, jnp.arange(n) >= n - 5, SplatWidths(), shape, SplatRaster())
     assert int(limited.overflow) == n - 5
     assert int(limited.longest) == n
     np.testing.assert_array_equal(maps(limited), maps(nearest))
@@ -188,7 +190,7 @@ def test_degenerate_sets_are_defined_with_finite_gradients(case):
 
     def value(tree):
         xy, label, weight = tree
-        result = splat(xy, label, weight, valid, SplatParams(), SHAPE, SplatSizes())
+        result = splat(xy, label, weight, valid, SplatWidths(), SHAPE, SplatRaster())
         return jnp.sum(maps(result)) + jnp.sum(result.label), result
 
     (_, result), gradient = jax.value_and_grad(value, has_aux=True)((xy, label, jnp.ones(n)))
@@ -206,7 +208,7 @@ def test_a_transparent_point_hides_nothing():
     label, weight, valid = jnp.array([0.5, 2.0]), jnp.ones(2), jnp.ones(2, bool)
     for opacity, expected in ((1.0, 2.0), (1e-6, 0.5)):
         result = splat(
-            xy, label, weight, valid, SplatParams(), SHAPE, SplatSizes(),
+            xy, label, weight, valid, SplatWidths(), SHAPE, SplatRaster(),
             opacity=jnp.array([1.0, opacity]),
         )  # fmt: skip
         assert float(result.label[10, 10]) == pytest.approx(expected, abs=1e-3)
@@ -216,25 +218,25 @@ def test_equal_depths_are_ordered_by_index():
     xy = jnp.array([[5.0, 5.0], [5.0, 5.0]])
     label = jnp.array([0.3, 0.3])
     weight = jnp.array([1.0, 4.0])
-    result = splat(xy, label, weight, jnp.ones(2, bool), SplatParams(), SHAPE, SplatSizes())
+    result = splat(xy, label, weight, jnp.ones(2, bool), SplatWidths(), SHAPE, SplatRaster())
     assert float(result.weight[5, 5]) == pytest.approx(1.0, abs=1e-5)
 
 
 def test_jit_vmap_and_one_trace():
     xy, label, weight, valid = cloud(20)
-    sizes = SplatSizes()
+    sizes = SplatRaster()
     traced, traces = count_traces(lambda p, z: maps(splat(xy, z, weight, valid, p, SHAPE, sizes)))
     shifts = jnp.array([0.0, 0.3, -1.2])
-    loop = jnp.stack([traced(SplatParams(density=5.0 + s), label * s) for s in shifts])
+    loop = jnp.stack([traced(SplatWidths(density=5.0 + s), label * s) for s in shifts])
     assert traces() == 1
-    params = eqx.filter_vmap(lambda s: SplatParams(density=5.0 + s))(shifts)
+    params = eqx.filter_vmap(lambda s: SplatWidths(density=5.0 + s))(shifts)
     batch = jax.vmap(lambda p, s: maps(splat(xy, label * s, weight, valid, p, SHAPE, sizes)))(
         params, shifts
     )
     np.testing.assert_allclose(batch, loop, atol=1e-12)
     eager = maps(
         splatting.splat(
-            xy, label * 0.3, weight, valid, SplatParams(density=jnp.asarray(5.3)), SHAPE, sizes
+            xy, label * 0.3, weight, valid, SplatWidths(density=jnp.asarray(5.3)), SHAPE, sizes
         )
     )
     np.testing.assert_allclose(eager, loop[1], atol=1e-12)
@@ -242,8 +244,8 @@ def test_jit_vmap_and_one_trace():
 
 def test_float32_is_close_to_float64():
     wide, narrow = cloud(), cloud(dtype=np.float32)
-    exact = splat(*wide, SplatParams(), SHAPE, SplatSizes())
-    single = splat(*narrow, SplatParams(), SHAPE, SplatSizes())
+    exact = splat(*wide, SplatWidths(), SHAPE, SplatRaster())
+    single = splat(*narrow, SplatWidths(), SHAPE, SplatRaster())
     assert single.weight.dtype == jnp.float32
     assert float(jnp.abs(maps(exact) - maps(single).astype(float)).max()) < 2e-5
 
@@ -260,27 +262,27 @@ def test_float32_is_close_to_float64():
 )
 def test_bad_sizes_say_what_is_wrong(change, message):
     with pytest.raises(ValueError, match=message):
-        SplatSizes(**change)
+        SplatRaster(**change)
 
 
 @pytest.mark.parametrize("name", ["sigma_label", "sigma_weight"])
 def test_points_wider_than_their_radius_are_refused(name):
     points = (jnp.zeros((1, 2)), jnp.ones(1), jnp.ones(1), jnp.ones(1, bool))
-    wide = with_values(SplatParams, **{name: 3.0})
+    wide = with_values(SplatWidths, **{name: 3.0})
     with pytest.raises(ValueError, match=f"{name}` = 3 px still count .* at `radius` = 6 px"):
-        splatting.splat(*points, wide, SHAPE, SplatSizes())
-    splatting.splat(*points, wide, SHAPE, SplatSizes(radius=14))
+        splatting.splat(*points, wide, SHAPE, SplatRaster())
+    splatting.splat(*points, wide, SHAPE, SplatRaster(radius=14))
     for width in (0.0, float("nan")):
         with pytest.raises(ValueError, match=f"`{name}` must be positive, got {width}"):
-            SplatSizes().check(with_values(SplatParams, **{name: width}))
+            SplatRaster().check(with_values(SplatWidths, **{name: width}))
 
 
 @pytest.mark.parametrize("order", [2, 6, 26])
 def test_steep_weights_have_finite_derivatives_in_float32(order):
     """The place of no point is far away: powers of its distance must not overflow."""
     xy, label, weight, _ = (part[:2] for part in cloud(dtype=np.float32))
-    params = jax.tree.map(lambda a: a.astype(jnp.float32), SplatParams())
-    sizes = replace(SplatSizes(), order=order)
+    params = jax.tree.map(lambda a: a.astype(jnp.float32), SplatWidths())
+    sizes = replace(SplatRaster(), order=order)
 
     def total(params):
         there = jnp.array([True, False])
@@ -295,19 +297,19 @@ def test_steep_weights_have_finite_derivatives_in_float32(order):
 
 def test_a_ray_without_density_is_refused():
     with pytest.raises(ValueError, match="`density` and `sigma_depth` must be positive, got 0 and"):
-        SplatSizes().check(with_values(SplatParams, density=0.0))
+        SplatRaster().check(with_values(SplatWidths, density=0.0))
 
 
 @pytest.mark.parametrize("name", ["sigma_label", "sigma_weight"])
 def test_what_traced_widths_cut_off_is_a_number(name):
     """Within the radius the maps are the oracle's; beyond it `cut_off` says that they are not."""
-    points, sizes = cloud(), SplatSizes()
+    points, sizes = cloud(), SplatRaster()
     run = jax.jit(lambda p: splatting.splat(*points, p, SHAPE, sizes))
     oracle = jax.jit(lambda p: splat_reference(*points, p, SHAPE, sizes))
-    default = float(getattr(SplatParams(), name))
+    default = float(getattr(SplatWidths(), name))
     seen = []
     for width in (0.7 * default, default, 1.3 * default, 3.0, 6.0):
-        params = with_values(SplatParams, **{name: width})
+        params = with_values(SplatWidths, **{name: width})
         found, exact = run(params), oracle(params)
         lost, error = float(found.cut_off), float(jnp.abs(maps(found) - maps(exact)).max())
         within = True
@@ -321,25 +323,25 @@ def test_what_traced_widths_cut_off_is_a_number(name):
         seen.append((within, error))
     assert max(error for within, error in seen if within) < 2e-3
     assert max(error for within, error in seen if not within) > 0.1
-    assert float(oracle(SplatParams()).cut_off) == 0
+    assert float(oracle(SplatWidths()).cut_off) == 0
 
 
 def test_problems_of_a_splat_are_sentences():
     points = cloud()
-    wide = with_values(SplatParams, sigma_label=3.0)
-    found = jax.jit(lambda p: splatting.splat(*points, p, SHAPE, SplatSizes(capacity=3)))(wide)
+    wide = with_values(SplatWidths, sigma_label=3.0)
+    found = jax.jit(lambda p: splatting.splat(*points, p, SHAPE, SplatRaster(capacity=3)))(wide)
     cut, full = found.problems()
     assert cut == (
-        "points still count 2.1 at `SplatSizes.radius`, where they are cut off; at most 0.001 is "
+        "points still count 2.1 at `SplatRaster.radius`, where they are cut off; at most 0.001 is "
         "negligible: ask for a larger radius, or narrower points."
     )
     assert full.startswith(f"{int(found.overflow)} entries of the tiles' lists exceed")
-    unknown = jax.jit(lambda p: splatting.splat(*points, p, SHAPE, SplatSizes()))(
-        with_values(SplatParams, sigma_label=jnp.nan)
+    unknown = jax.jit(lambda p: splatting.splat(*points, p, SHAPE, SplatRaster()))(
+        with_values(SplatWidths, sigma_label=jnp.nan)
     )
     assert "count nan" in unknown.problems()[0]
 
 
 def test_what_is_cut_off_has_no_derivative():
-    slope = jax.grad(lambda p: SplatSizes().cut_off(p))(SplatParams())
+    slope = jax.grad(lambda p: SplatRaster().cut_off(p))(SplatWidths())
     assert all(float(leaf) == 0 for leaf in jax.tree.leaves(slope))

@@ -5,14 +5,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers import check_gradient, with_values
+from helpers import check_gradient
 
-from mvedge_jax.angular import ViewDepths
+from mvedge_jax.all_views import ViewDepths
 from mvedge_jax.color import srgb_to_lab
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.superpixels import (
-    SuperpixelParams,
-    SuperpixelSizes,
+    SuperpixelClustering,
     soft_superpixels,
     through_superpixels,
 )
@@ -28,30 +27,30 @@ def _scene(shape=(14, 17), dtype=np.float64):
     return field, ViewDepths(maps, 0 * maps, jnp.zeros(maps.shape, jnp.int8), jnp.asarray(0))
 
 
-_PARAMS = {"size": 6.0, "temperature": 0.5}
-_SIZES = SuperpixelSizes(capacity=16, margin=2, rounds=3)
+def _soft(field, depths, **numbers):
+    return soft_superpixels(field, depths, _model(**numbers))
 
 
-def _soft(field, depths, params=None):
-    params = with_values(SuperpixelParams, **_PARAMS) if params is None else params
-    return soft_superpixels(field, depths, params, _SIZES)
+def _model(**numbers):
+    few = SuperpixelClustering(capacity=16, margin=2, rounds=3)
+    return few.replace({"size": 6.0, "temperature": 0.5, **numbers})
 
 
 def test_shares_are_those_of_the_formula():
     field, depths = _scene()
     soft = jax.tree.map(np.asarray, _soft(field, depths))
-    params = with_values(SuperpixelParams, **_PARAMS)
+    model = _model()
     np.testing.assert_allclose(soft.shares.sum(0), 1, rtol=1e-12)
     assert int(soft.number) == 2 * 3
     lab, depth = np.asarray(srgb_to_lab(field.centre_view)), np.asarray(depths.disparity[0, 0])
     side = np.sqrt(14 * 17 / 6)
-    limit = float(params.limit)
+    limit = float(model.limit)
 
     def cost(k, y, x):
         away = np.array([x, y]) - soft.xy[k]
         plane = float(soft.plane[k, 0] + soft.plane[k, 1:] @ away)
-        colour = np.sum((lab[y, x] - soft.lab[k]) ** 2) / float(params.colour) ** 2
-        off = ((depth[y, x] - plane) / float(params.depth)) ** 2
+        colour = np.sum((lab[y, x] - soft.lab[k]) ** 2) / float(model.color) ** 2
+        off = ((depth[y, x] - plane) / float(model.depth)) ** 2
         return away @ away / side**2 + sum(a / (1 + a / limit) for a in (colour, off))
 
     for y, x in ((0, 0), (7, 8), (13, 16)):
@@ -64,7 +63,7 @@ def test_shares_are_those_of_the_formula():
 
 def test_a_low_temperature_tells_surfaces_apart():
     field, depths = _scene()
-    soft = _soft(field, depths, with_values(SuperpixelParams, size=6.0, temperature=0.01))
+    soft = _soft(field, depths, temperature=0.01)
     labels = np.take_along_axis(
         np.asarray(soft.names), np.asarray(soft.shares).argmax(0)[None], axis=0
     )[0]
@@ -81,8 +80,7 @@ def test_gradients_are_those_of_differences(what):
         found = through_superpixels(soft, target)
         return jnp.sum(jnp.sin(3 * found) * target) + jnp.sum(soft.plane[:6] ** 2)
 
-    params = with_values(SuperpixelParams, **_PARAMS)
-    names = ("colour", "depth", "limit", "slope", "temperature")
+    names = ("color", "depth", "limit", "slope", "temperature")
     cases = {
         "views": (
             field.views,
@@ -90,14 +88,8 @@ def test_gradients_are_those_of_differences(what):
         ),
         "depth": (depths.disparity, lambda a: loss(_soft(field, depths._replace(disparity=a)))),
         "params": (
-            jnp.stack([getattr(params, name) for name in names]),
-            lambda a: loss(
-                _soft(
-                    field,
-                    depths,
-                    with_values(SuperpixelParams, **_PARAMS | dict(zip(names, a, strict=True))),
-                )
-            ),
+            jnp.stack([getattr(_model(), name) for name in names]),
+            lambda a: loss(_soft(field, depths, **dict(zip(names, a, strict=True)))),
         ),
     }
     tree, function = cases[what]
@@ -106,6 +98,6 @@ def test_gradients_are_those_of_differences(what):
 
 def test_an_image_of_means_passes_unchanged():
     field, depths = _scene()
-    soft = _soft(field, depths, with_values(SuperpixelParams, size=6.0, temperature=1e-3))
+    soft = _soft(field, depths, temperature=1e-3)
     flat = jnp.full((14, 17, 2), 0.3)
     np.testing.assert_allclose(through_superpixels(soft, flat), flat, rtol=1e-12)

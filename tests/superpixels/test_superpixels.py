@@ -8,15 +8,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers import count_traces, with_values
+from helpers import count_traces
 from skimage import measure
 
-from mvedge_jax.angular import ViewDepths
+from mvedge_jax.all_views import ViewDepths
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.metrics.superpixels import superpixel_scores
 from mvedge_jax.superpixels import (
-    SuperpixelParams,
-    SuperpixelSizes,
+    SuperpixelClustering,
     soft_superpixels,
     superpixels,
 )
@@ -48,8 +47,8 @@ def _cards(shape=(3, 3, 36, 44), dtype: Any = np.float32, pole=False):
 
 
 def _found(field, depths, size=8.0, **choices):
-    sizes = SuperpixelSizes.for_depths(depths, **{"rounds": 3, "attempts": 2, **choices})
-    return superpixels(field, depths, with_values(SuperpixelParams, size=size), sizes)
+    choices = {"size": size, "rounds": 3, "attempts": 2, **choices}
+    return superpixels(field, depths, SuperpixelClustering.for_depths(depths, choices=choices))
 
 
 @pytest.mark.parametrize("shape", [(3, 3, 36, 44), (1, 5, 30, 33)])
@@ -171,11 +170,10 @@ def test_many_small_surfaces_do_not_make_the_others_large():
 
 def test_the_same_twice_and_one_program_for_all_sizes():
     field, depths, _ = _cards()
-    sizes = SuperpixelSizes.for_depths(depths, rounds=2, attempts=1)
+    model = SuperpixelClustering.for_depths(depths, choices={"rounds": 2, "attempts": 1})
     function, traces = count_traces(inspect.unwrap(superpixels))
     first, second, _ = (
-        function(field, depths, with_values(SuperpixelParams, size=size), sizes)
-        for size in (8.0, 8.0, 11.0)
+        function(field, depths, model.replace(size=jnp.asarray(size))) for size in (8.0, 8.0, 11.0)
     )
     assert traces() == 1
     same = jax.tree.map(lambda a, b: bool(jnp.array_equal(a, b)), first, second)
@@ -215,17 +213,17 @@ def test_distances_are_those_of_place_colour_and_plane():
     lab, disparity = rng.normal(0, 20, (5, 6, 3)), rng.normal(0, 0.2, (5, 6))
     xy, colours = rng.uniform(0, 5, (4, 2)), rng.normal(0, 20, (4, 3))
     planes = rng.normal(0, 0.1, (4, 3))
-    which, size, params = rng.integers(0, 4, (5, 6)), 3.0, SuperpixelParams()
+    which, size, model = rng.integers(0, 4, (5, 6)), 3.0, SuperpixelClustering(64, 2)
     surface = surface_of(jnp.asarray(lab), jnp.asarray(disparity), jnp.asarray(0.1))
     clusters = Clusters(*(jnp.asarray(table) for table in (xy, colours, planes)))
-    found = distance(surface, clusters, jnp.asarray(which), jnp.asarray(size), params)
+    found = distance(surface, clusters, jnp.asarray(which), jnp.asarray(size), model)
     wanted = np.zeros((5, 6))
     for y, x in np.ndindex(5, 6):
         k = which[y, x]
         dx, dy = x - xy[k, 0], y - xy[k, 1]
         off = disparity[y, x] - (planes[k, 0] + planes[k, 1] * dx + planes[k, 2] * dy)
-        colour = np.sum((lab[y, x] - colours[k]) ** 2) / float(params.colour) ** 2
-        depth, limit = (off / float(params.depth)) ** 2, float(params.limit)
+        colour = np.sum((lab[y, x] - colours[k]) ** 2) / float(model.color) ** 2
+        depth, limit = (off / float(model.depth)) ** 2, float(model.limit)
         bounded = sum(square * limit / (limit + square) for square in (colour, depth))
         wanted[y, x] = (dx**2 + dy**2) / size**2 + bounded
     np.testing.assert_allclose(found, wanted, rtol=1e-5)
@@ -287,22 +285,24 @@ def test_float64_labels_are_those_of_float32():
 def test_bad_input_is_named():
     field, depths, _ = _cards()
     other = depths._replace(disparity=depths.disparity[:, :, :5])
-    sizes = SuperpixelSizes.for_depths(depths)
+    model = SuperpixelClustering.for_depths(depths)
     with pytest.raises(ValueError, match="`depths` must have the shape of the views"):
-        inspect.unwrap(superpixels)(field, other, SuperpixelParams(), sizes)
+        inspect.unwrap(superpixels)(field, other, model)
     with pytest.raises(ValueError, match="`capacity` must be at least 1, got 0"):
-        SuperpixelSizes(capacity=0, margin=1)
+        SuperpixelClustering(capacity=0, margin=1)
     with pytest.raises(ValueError, match="`capacity` must be at most"):
-        SuperpixelSizes(capacity=100_000, margin=1)
+        SuperpixelClustering(capacity=100_000, margin=1)
     for function in (superpixels, soft_superpixels):
         for name, value in (("size", 0.0), ("size", -20.0), ("temperature", 0.0)):
-            params = with_values(SuperpixelParams, **{name: value})
-            with pytest.raises(ValueError, match=f"`params.{name}` must be"):
-                function(field, depths, params, sizes)
-        with pytest.raises(TypeError, match="`params` must be SuperpixelParams"):
-            function(field, depths, sizes, SuperpixelParams())
+            with pytest.raises(ValueError, match=f"`{name}` must be"):
+                function(field, depths, model.replace({name: value}))
+        with pytest.raises(TypeError, match="`model` must be SuperpixelClustering, got ViewDepths"):
+            function(field, depths, depths)
 
 
-def test_params_describe_themselves():
-    assert "size = 20 px" in str(SuperpixelParams())
-    assert eqx.is_array(SuperpixelParams().size)
+def test_the_model_describes_itself_and_names_what_it_lacks():
+    model = SuperpixelClustering(capacity=64, margin=2)
+    assert "size = 20 px" in str(model)
+    assert eqx.is_array(model.size)
+    with pytest.raises(ValueError, match="`colour` is no path of `SuperpixelClustering`"):
+        model.replace(colour=7.0)

@@ -3,6 +3,6 @@
 from ._approach import Approach as Approach
 from ._by_evidence import ByEvidence as ByEvidence
 from ._by_reprojection import ByReprojection as ByReprojection
-from ._evidence import EvidenceParams as EvidenceParams
-from ._polish import PolishParams as PolishParams, polish as polish
-from ._relocate import RelocateParams as RelocateParams, relocate_steps as relocate_steps
+from ._evidence import ViewAgreement as ViewAgreement
+from ._polish import Bending as Bending, polish as polish
+from ._relocate import StepRelocation as StepRelocation, relocate_steps as relocate_steps

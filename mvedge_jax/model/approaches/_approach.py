@@ -12,7 +12,7 @@ from mvedge_jax.lightfield import LightField
 from mvedge_jax.losses import LossWeights, Views, gather_views, self_supervised_loss
 from mvedge_jax.losses.terms import Features
 
-from .._model import ModelSizes
+from .._model import Renderer
 from .._result import Verdict
 from .._start import Start
 from ..objectives import SelfSupervised, Supervised
@@ -53,7 +53,7 @@ class Approach(eqx.Module):
     features: eqx.AbstractVar[Features]
 
     @abc.abstractmethod
-    def prepare(self, light_field: LightField, start: Start, sizes: ModelSizes) -> Prepared:
+    def prepare(self, light_field: LightField, start: Start, renderer: Renderer) -> Prepared:
         """Model and objective to optimise."""
 
     @abc.abstractmethod

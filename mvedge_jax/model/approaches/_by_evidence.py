@@ -11,16 +11,16 @@ from mvedge_jax.losses.terms import Features
 from mvedge_jax.photometry import occluder_radius
 
 from .._host import compiled_render
-from .._model import ModelParams, ModelSizes
+from .._model import Renderer
 from .._result import Verdict
-from .._start import Start, StartParams, fit_to_map, trust_labels
+from .._start import Start, StartFit, fit_to_map, trust_labels
 from ..objectives import Supervised
 from ..optimisation._routine import Rates
 from ..optimisation._state import State
 from ._approach import Approach, Prepared, explained
-from ._evidence import EvidenceParams, agreed_correction
-from ._polish import PolishParams, polish
-from ._relocate import RelocateParams, relocate_steps
+from ._evidence import ViewAgreement, agreed_correction
+from ._polish import Bending, polish
+from ._relocate import StepRelocation, relocate_steps
 
 
 class ByEvidence(Approach):
@@ -30,53 +30,50 @@ class ByEvidence(Approach):
     drift eliminated, as far as views that were not asked confirm it
     (`agreed_correction`): a quadratic in the rendered map, minimised over Z, xy, R and Q. The
     plain reprojection error (7.15) cannot take its place: on *cotton* the true map explains the
-    views worse than that of `edge_to_depth`, since gloss and blurred edges have their say in it.
+    views worse than that of `EdgeDepth`, since gloss and blurred edges have their say in it.
 
     Attributes:
-        rendering: of the model; by default `ModelParams.narrow`, as the raster asks for.
         fit: of the model to the first map, in which a tenth more points are added.
         evidence: of what the views say.
         polish: of the map, before and after.
         relocate: of the first map's depth steps, if the points' positions are in doubt; those of
-            `edge_to_depth` are not.
+            `EdgeDepth` are not.
         rates: learning rates.
         iterations: with which it has converged, at these rates.
         features: what images are compared by in the verdict, which decides nothing here.
 
     Example:
-        >>> ByEvidence(relocate=RelocateParams()).features
+        >>> ByEvidence(relocate=StepRelocation()).features
         Colours()
     """
 
-    rendering: ModelParams | None = None
-    fit: StartParams = eqx.field(default_factory=StartParams)
-    evidence: EvidenceParams = eqx.field(default_factory=EvidenceParams)
-    polish: PolishParams = eqx.field(default_factory=PolishParams)
-    relocate: RelocateParams | None = None
+    fit: StartFit = eqx.field(default_factory=StartFit)
+    evidence: ViewAgreement = eqx.field(default_factory=ViewAgreement)
+    polish: Bending = eqx.field(default_factory=Bending)
+    relocate: StepRelocation | None = None
     rates: Rates = eqx.field(default_factory=Rates.evidence)
     iterations: int = eqx.field(static=True, default=12)
     features: Features = eqx.field(default_factory=Colours)
 
-    def prepare(self, light_field: LightField, start: Start, sizes: ModelSizes) -> Prepared:
+    def prepare(self, light_field: LightField, start: Start, renderer: Renderer) -> Prepared:
         """Fits the model to the first map, polished, and asks the views what is wrong with that.
 
         Args:
             light_field: all its views are asked.
             start: see `Start`.
-            sizes: of the model.
+            renderer: of the model.
 
         Returns:
             Model and objective. The map of the start is what the fitted model renders; it differs
             from `base` by what the model cannot reproduce, which is not for the views to correct.
         """
         views = gather_views(light_field, choice=all_views(light_field))
-        rendering = sizes.rendering(self.rendering)
         given = first = start.disparity
         if self.relocate is not None:
             first = relocate_steps(first, views.centre, self.relocate)
         base = polish(first, self.polish)
-        start = fit_to_map(start._replace(disparity=base), self.fit, rendering, sizes)
-        rendered = compiled_render(start.model, rendering, sizes, start=base).disparity
+        start = fit_to_map(start._replace(disparity=base), self.fit, renderer)
+        rendered = compiled_render(start.model, renderer, start=base).disparity
         height, width = base.shape
         steps = round(float(jnp.max(jnp.abs(views.steps))))
         reach = occluder_radius(float(jnp.ptp(base)), steps, (height, width))
@@ -86,7 +83,7 @@ class ByEvidence(Approach):
         # Corrections are thousandths of a pixel.
         blunt = jnp.asarray(0.001)
         target = rendered + correction.change
-        goal = Supervised(target, known, trust, rendering, sizes=sizes, blunt=blunt)
+        goal = Supervised(target, known, trust, renderer, blunt=blunt)
         return Prepared(start._replace(disparity=rendered), given, base, goal, correction)
 
     def finish(
@@ -111,7 +108,7 @@ class ByEvidence(Approach):
             prepared.correction,
         )
         assert correction is not None
-        after = compiled_render(state.best, goal.params, goal.sizes, start=rendered).disparity
+        after = compiled_render(state.best, goal.renderer, start=rendered).disparity
         twice = 2 * correction.change
         change = jnp.clip(after - rendered, jnp.minimum(twice, 0), jnp.maximum(twice, 0))
         refined = polish(prepared.base + change, self.polish)

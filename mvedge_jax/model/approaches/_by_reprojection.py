@@ -11,26 +11,25 @@ from mvedge_jax.losses.features import Colours
 from mvedge_jax.losses.terms import Features
 
 from .._host import compiled_render
-from .._model import ModelParams, ModelSizes
+from .._model import Renderer
 from .._result import Verdict
-from .._start import Start, StartParams, fit_to_map, trust_labels
+from .._start import Start, StartFit, fit_to_map, trust_labels
 from ..objectives import SelfSupervised, check_subset
 from ..optimisation._routine import Rates
 from ..optimisation._state import State
 from ._approach import Approach, Prepared, crosshair_halves, explained
-from ._polish import PolishParams, polish
+from ._polish import Bending, polish
 
 
 class ByReprojection(Approach):
     """Minimises the reprojection error of every second view of the crosshair.
 
     The other half of it judges: unless the optimisation lowers their error by `margin`, it is
-    dropped. On cotton the true map explains the views 0.7 % worse than that of `edge_to_depth`, and
+    dropped. On cotton the true map explains the views 0.7 % worse than that of `EdgeDepth`, and
     every optimisation that lowered the error by less than a tenth made the map worse: gloss,
     blurred image edges and bilinear interpolation have a say of that size.
 
     Attributes:
-        rendering: of the model; by default `ModelParams.narrow`, as the raster asks for.
         fit: of the model to the first map, in which a tenth more points are added; None if the
             model of the start renders that map already.
         polish: of the map, afterwards.
@@ -56,9 +55,8 @@ class ByReprojection(Approach):
         0.1
     """
 
-    rendering: ModelParams | None = None
-    fit: StartParams | None = eqx.field(default_factory=StartParams)
-    polish: PolishParams = eqx.field(default_factory=PolishParams)
+    fit: StartFit | None = eqx.field(default_factory=StartFit)
+    polish: Bending = eqx.field(default_factory=Bending)
     weights: LossWeights = eqx.field(default_factory=LossWeights)
     features: Features = eqx.field(default_factory=Colours)
     prior: Float[Array, ""] = number(1e-3)
@@ -72,29 +70,27 @@ class ByReprojection(Approach):
     def __check_init__(self) -> None:
         check_subset(self.subset)
 
-    def prepare(self, light_field: LightField, start: Start, sizes: ModelSizes) -> Prepared:
+    def prepare(self, light_field: LightField, start: Start, renderer: Renderer) -> Prepared:
         """Fits the model to the first map.
 
         Args:
             light_field: its crosshair of views is read.
             start: see `Start`.
-            sizes: of the model.
+            renderer: of the model.
 
         Returns:
             Model and objective.
         """
-        rendering = sizes.rendering(self.rendering)
         if self.fit is not None:
-            start = fit_to_map(start, self.fit, rendering, sizes)
+            start = fit_to_map(start, self.fit, renderer)
         trust = trust_labels(start, weight=self.prior, label=self.label)
         training, _ = crosshair_halves(light_field)
         goal = SelfSupervised(
             training,
             trust,
-            rendering,
+            renderer,
             self.weights,
             self.features,
-            sizes,
             self.subset,
             self.similarity,
         )
@@ -116,7 +112,7 @@ class ByReprojection(Approach):
         before, goal = prepared.first, prepared.objective
         # The model's own error in rendering the first map does not enter.
         changed, same = (
-            compiled_render(model, goal.params, goal.sizes, start=guess).disparity
+            compiled_render(model, goal.renderer, start=guess).disparity
             for model, guess in ((state.best, state.disparity), (prepared.start.model, before))
         )
         after = before + changed - same

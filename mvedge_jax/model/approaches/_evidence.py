@@ -21,8 +21,8 @@ from mvedge_jax.smoothness import ColorAndDepth, edge_smoothness
 _REGION_REACH = 12
 
 
-class EvidenceParams(eqx.Module):
-    """Parameters of the evidence.
+class ViewAgreement(eqx.Module):
+    """What two halves of the views have to agree on, and how corrections are diffused.
 
     Attributes:
         measuring: of the measurement in the views.
@@ -63,7 +63,7 @@ class Correction(NamedTuple):
 def agreed_correction(
     views: Views,
     disparity: Float[Array, "y x"],
-    params: EvidenceParams,
+    params: ViewAgreement,
     *,
     radius: int,
     passes: int = 2,
@@ -80,7 +80,7 @@ def agreed_correction(
     Args:
         views: all that there are. A half without views proposes and confirms nothing.
         disparity: the map, px per view step, finite.
-        params: see `EvidenceParams`.
+        params: see `ViewAgreement`.
         radius: how far occluders are looked for, px.
         passes: over the neighbours whose measurements are shared, see `photometric_labels`.
         margin: how far depth steps spoil measurements, px: windows and neighbours that share theirs

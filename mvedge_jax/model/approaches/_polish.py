@@ -12,7 +12,7 @@ from mvedge_jax._compiler import lean_jit
 from mvedge_jax._params import cast, number
 
 
-class PolishParams(eqx.Module):
+class Bending(eqx.Module):
     """What counts as noise, and how strongly it is removed.
 
     Attributes:
@@ -34,7 +34,7 @@ class PolishParams(eqx.Module):
 
 
 def bending(
-    disparity: Float[Array, "y x"], guide: Float[Array, "y x"], params: PolishParams
+    disparity: Float[Array, "y x"], guide: Float[Array, "y x"], params: Bending
 ) -> Float[Array, ""]:
     r"""How much a map bends within surfaces.
 
@@ -90,7 +90,7 @@ def _away_from_steps(along_x: Bool[Array, "y w"], along_y: Bool[Array, "h x"]) -
 
 @lean_jit
 def polish(
-    disparity: Float[Array, "y x"], params: PolishParams, *, iterations: int = 120
+    disparity: Float[Array, "y x"], params: Bending, *, iterations: int = 120
 ) -> Float[Array, "y x"]:
     r"""Removes bends that are within the error of a map.
 

@@ -5,8 +5,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from mvedge_jax._compiler import lean_jit
-from mvedge_jax._params import cast, number
-from mvedge_jax._paths import replaced
+from mvedge_jax._params import as_number, cast, number
 from mvedge_jax.color import planes_to_lab
 from mvedge_jax.diffusion import System, diffuse
 from mvedge_jax.smoothness import ColorAndDepth, edge_smoothness
@@ -14,8 +13,13 @@ from mvedge_jax.smoothness import ColorAndDepth, edge_smoothness
 from ._evidence import _shrink
 
 
-class RelocateParams(eqx.Module):
-    """Parameters of the relocation.
+def _image_alone() -> ColorAndDepth:
+    color, color_power, depth_power = map(as_number, (0.5, 4.0, 0.0))
+    return ColorAndDepth(color=color, color_power=color_power, depth_power=depth_power)
+
+
+class StepRelocation(eqx.Module):
+    """Which depth steps may move, and where to.
 
     Attributes:
         step: neighbours whose disparities differ by more than this lie at a depth step, px.
@@ -25,18 +29,14 @@ class RelocateParams(eqx.Module):
 
     step: Float[Array, ""] = number(0.2)
     trust: Float[Array, ""] = number(1e4)
-    smoothness: ColorAndDepth = eqx.field(
-        default_factory=lambda: replaced(
-            ColorAndDepth(), {"color": 0.5, "color_power": 4.0, "depth_power": 0.0}
-        )
-    )
+    smoothness: ColorAndDepth = eqx.field(default_factory=_image_alone)
 
 
 @lean_jit
 def relocate_steps(
     disparity: Float[Array, "y x"],
     image: Float[Array, "c y x"],
-    params: RelocateParams,
+    params: StepRelocation,
     *,
     reach: int = 1,
 ) -> Float[Array, "y x"]:
@@ -45,13 +45,13 @@ def relocate_steps(
     What lies near a depth step is forgotten and diffused anew from both sides, with a smoothness
     that follows the image alone. It mends steps that are in doubt, such as those of points whose
     positions are noisy: on *cotton*, on which the defaults were chosen, with noise of 1 px, 89 % of
-    the mean squared error that the noise brought. Steps of `edge_to_depth`, which had more to go
+    the mean squared error that the noise brought. Steps of `EdgeDepth`, which had more to go
     by than the image, get worse by a little.
 
     Args:
         disparity: the map, px per view step, finite.
         image: centre view, sRGB in [0, 1].
-        params: see `RelocateParams`.
+        params: see `StepRelocation`.
         reach: how far from a step the map is forgotten, px; static.
 
     Returns:
@@ -64,7 +64,7 @@ def relocate_steps(
         >>> import jax.numpy as jnp
         >>> image = jnp.zeros((3, 5, 12)).at[:, :, 6:].set(1.0)
         >>> disparity = jnp.zeros((5, 12)).at[:, 7:].set(1.0)  # a pixel off
-        >>> found = relocate_steps(disparity, image, RelocateParams())
+        >>> found = relocate_steps(disparity, image, StepRelocation())
         >>> found[2, 4:9].round(2).tolist()
         [0.0, 0.0, 1.0, 1.0, 1.0]
     """

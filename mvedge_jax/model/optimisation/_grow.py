@@ -9,7 +9,7 @@ from mvedge_jax._compiler import lean_jit
 from mvedge_jax._params import cast, number
 
 from .._capacity import with_capacity, without_free_places
-from .._model import DepthModel, ModelParams, ModelSizes, opacities, splat_model
+from .._model import DepthModel, Renderer, opacities, splat_model
 from ..objectives import Objective, SelfSupervised, Supervised
 from ._optimise import Grown, Plan, Strategy
 from ._routine import Routine
@@ -95,7 +95,7 @@ class Growth(Strategy):
         return grow(state, objective, wrong, objective.truth, self, count=plan.most)
 
 
-def usefulness(model: DepthModel, params: ModelParams, sizes: ModelSizes) -> Float[Array, "n"]:
+def usefulness(model: DepthModel, renderer: Renderer) -> Float[Array, "n"]:
     """How much data weight each point contributes to the map, in raster pixels.
 
     A point in the open contributes about `exp(-R)` times 1.4; one that nearer neighbours hide
@@ -103,17 +103,16 @@ def usefulness(model: DepthModel, params: ModelParams, sizes: ModelSizes) -> Flo
 
     Args:
         model: the points.
-        params: of the rendering.
-        sizes: of the rendering.
+        renderer: of the model.
 
     Returns:
         Σ over pixels of w λ T; zero for places that are free.
     """
     weight = jnp.exp(-model.log_weight)
-    opacity = opacities(model, params, sizes)
+    opacity = opacities(model, renderer)
 
     def total(weight: Array) -> Array:
-        return jnp.sum(splat_model(model, weight, opacity, params, sizes).weight)
+        return jnp.sum(splat_model(model, weight, opacity, renderer).weight)
 
     return jnp.where(model.valid, weight * jax.grad(total)(weight), 0)
 
@@ -161,7 +160,7 @@ def grow(
 
     Free places are used first, then those of the points that contribute least (nearly all are
     points that nearer neighbours hide: recycling is what brings them back, since they receive no
-    gradient of their own; `ModelSizes.clears` has the measurement).
+    gradient of their own; `Renderer.clears` has the measurement).
 
     Args:
         state: of the optimisation.
@@ -180,7 +179,7 @@ def grow(
     model = state.model
     dtype = model.disparity.dtype
     growth = cast(growth, dtype)
-    use = usefulness(model, cast(objective.params, dtype), objective.sizes)
+    use = usefulness(model, cast(objective.renderer, dtype))
     xy, value = worst_pixels(residual, min(count, model.valid.size))
     place = jnp.argsort(jnp.where(model.valid, use, -1))[: xy.shape[0]]
     open_place = ~model.valid[place]

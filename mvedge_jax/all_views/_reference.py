@@ -1,6 +1,5 @@
 """Measuring, in a view other than the centre one, the surfaces that only such views show."""
 
-from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -22,7 +21,7 @@ from mvedge_jax.photometry.measuring import Look, labels, look, mismatch
 from mvedge_jax.smoothness import edge_smoothness
 
 from ._draw import STEP, decided, drawn
-from ._parameters import ViewParams, ViewSizes
+from ._model import ViewDepth
 from ._samples import Samples, added
 
 # Weight of the map itself, so that no region is without any label.
@@ -84,8 +83,7 @@ def uncovered(
     light_field: LightField,
     exposure: Exposure,
     noise: Noise,
-    params: ViewParams,
-    sizes: ViewSizes,
+    model: ViewDepth,
 ) -> tuple[Samples, Int[Array, ""]]:
     """Adds the surfaces that the outermost views show and the centre view does not.
 
@@ -97,8 +95,7 @@ def uncovered(
         light_field: the views.
         exposure: of all views.
         noise: of them, exposure taken out.
-        params: see `ViewParams`.
-        sizes: see `ViewSizes`.
+        model: see `ViewDepth`.
 
     Returns:
         All samples, and how many were to be added. Differentiable.
@@ -106,8 +103,7 @@ def uncovered(
 
     def add(state: tuple[Samples, Array], view: Array) -> tuple[tuple[Samples, Array], None]:
         samples, count = state
-        measure = partial(_measured_in, sizes=sizes)
-        found = staged(measure)(samples, light_field, view, exposure, noise, params)
+        found = staged(_measured_in)(samples, light_field, view, exposure, noise, model)
         step = light_field.steps[view[0], view[1]]
         disparity, error, new = found
         new = new & ~_contradicted(samples, disparity, step)
@@ -123,14 +119,12 @@ def _measured_in(
     view: Array,
     exposure: Exposure,
     noise: Noise,
-    params: ViewParams,
-    *,
-    sizes: ViewSizes,
+    model: ViewDepth,
 ) -> tuple[Float[Array, "y x"], Float[Array, "y x"], Bool[Array, "y x"]]:
     """Disparity and standard error of a view, and which pixels the samples do not explain."""
     shape = (light_field.views.shape[2], light_field.views.shape[3])
     scene = recentred(light_field, view, exposure, noise)
-    reference = _Reference(scene, prepare_views(scene, params.photometric))
+    reference = _Reference(scene, prepare_views(scene, model.measurement))
     picture = jnp.moveaxis(light_field.views[view[0], view[1]], -1, 0)
     first = drawn(samples, light_field.steps[view[0], view[1]], shape)
     drawing = decided(first, samples, picture, noise.deviation)
@@ -141,19 +135,19 @@ def _measured_in(
     doubt = samples.error[drawing.sample]
     doubt = jnp.minimum(doubt, jnp.maximum(root(jnp.var(known)), jnp.min(doubt)))
 
-    guess, found = _guess(reference, known, new, params, sizes)
+    guess, found = _guess(reference, known, new, model)
 
     def solve(state: tuple[Array, Array, Look], more: Array) -> Any:
         disparity, _, found = state
         seen = reference.sight.params
-        measured = labels(found, reference.scene.lab, disparity, seen, passes=sizes.passes)
-        sure = measured.weight(seen, precision=params.precision, trust=params.trust)
+        measured = labels(found, reference.scene.lab, disparity, seen, passes=seen.passes)
+        sure = measured.weight(seen, precision=model.precision, trust=model.trust)
         weight = jnp.where(new, sure + _ANCHOR, 1)
         label = jnp.where(new, measured.disparity, known)
-        edges = edge_smoothness(reference.scene.lab, disparity, params.smoothness)
-        across, down = (params.stiffness * t for t in edges)
+        edges = edge_smoothness(reference.scene.lab, disparity, model.smoothness)
+        across, down = (model.stiffness * t for t in edges)
         # What a label of this weight is known to.
-        uncertain = params.precision * jnp.sqrt(1 / jnp.clip(weight, 1e-9, 0.99) - 1)
+        uncertain = model.precision * jnp.sqrt(1 / jnp.clip(weight, 1e-9, 0.99) - 1)
         uncertain = jnp.where(new, uncertain, doubt)
 
         # One after the other by a loop: the solver compiles slowly.
@@ -162,26 +156,24 @@ def _measured_in(
             solver = AutoSolver(tolerance=tolerance, by_residual=True)
             return diffuse(System(weight, values, across, down), start=start, solver=solver).value
 
-        tolerances = sizes.tolerance * jnp.asarray([1, _COARSER], disparity.dtype)
+        tolerances = model.tolerance * jnp.asarray([1, _COARSER], disparity.dtype)
         values, starts = jnp.stack([label, uncertain]), jnp.stack([disparity, uncertain])
         value, doubted = lax.map(diffused, (values, starts, tolerances))
         disparity, error = jnp.where(new, value, known), jnp.where(new, doubted, doubt)
-        found = lax.cond(more, lambda d: _look(reference, d, sizes), lambda _: found, disparity)
+        found = lax.cond(more, lambda d: _look(reference, d), lambda _: found, disparity)
         return (disparity, error, found), None
 
-    more = jnp.arange(sizes.solves) < sizes.solves - 1
+    more = jnp.arange(model.solves) < model.solves - 1
     (disparity, error, _), _ = lax.scan(recomputed(solve), (guess, doubt, found), more)
     return disparity, error, new
 
 
-def _look(reference: _Reference, disparity: Array, sizes: ViewSizes) -> Look:
+def _look(reference: _Reference, disparity: Array) -> Look:
     seen = reference.sight
-    return look(*seen.splines, disparity, seen.params, radius=sizes.radius).per_pixel()
+    return look(*seen.splines, disparity, seen.params, radius=seen.params.radius).per_pixel()
 
 
-def _guess(
-    reference: _Reference, known: Array, new: Array, params: ViewParams, sizes: ViewSizes
-) -> tuple[Array, Look]:
+def _guess(reference: _Reference, known: Array, new: Array, model: ViewDepth) -> tuple[Array, Look]:
     """Where to look for new surfaces, and what is seen there.
 
     The surface behind goes on, unless the views say otherwise.
@@ -190,16 +182,17 @@ def _guess(
     low, high = jnp.min(known), jnp.max(known)
     # Pixels of twice the size are precise enough for a guess, and shift half as far.
     arms = tuple(arm._replace(planes=_halved(arm.planes)) for arm in seen.arms)
-    tried = low / 2 + (high - low) / 2 * jnp.linspace(0, 1, sizes.hypotheses, dtype=known.dtype)
-    half = hypotheses(*arms, _halved(scene.lab), tried, params.volume, noise=scene.noise, window=2)
+    tried = low / 2 + (high - low) / 2 * jnp.linspace(0, 1, model.hypotheses, dtype=known.dtype)
+    half = hypotheses(*arms, _halved(scene.lab), tried, model.matching, noise=scene.noise, window=2)
     other = jnp.repeat(jnp.repeat(2 * half, 2, axis=0), 2, axis=1)
     height, width = known.shape
     other = jnp.pad(other, ((0, height % 2), (0, width % 2)), mode="edge")[:height, :width]
     other = jnp.where(new, other, known)
 
     def tried_at(disparity: Array) -> tuple[Look, Array]:
-        found = _look(reference, disparity, sizes)
-        differs = mismatch(found, scene.lab, disparity, seen.params, passes=sizes.passes)
+        found = _look(reference, disparity)
+        passes = seen.params.passes
+        differs = mismatch(found, scene.lab, disparity, seen.params, passes=passes)
         # That few views agree says little.
         few = 1 + _FEW / jnp.maximum(found.freedom, 0.1)
         return found, (differs + seen.params.noise**2) * few

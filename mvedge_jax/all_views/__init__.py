@@ -1,4 +1,4 @@
 """Depth of every view (Thesis 6.1)."""
 
-from ._parameters import ViewParams as ViewParams, ViewSizes as ViewSizes
+from ._model import ViewDepth as ViewDepth
 from ._views import ViewDepths as ViewDepths, depth_of_views as depth_of_views

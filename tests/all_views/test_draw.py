@@ -4,8 +4,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from mvedge_jax.angular._draw import decided, drawn
-from mvedge_jax.angular._samples import samples_of
+from mvedge_jax.all_views._draw import decided, drawn
+from mvedge_jax.all_views._samples import samples_of
 
 
 def _encoded(linear):

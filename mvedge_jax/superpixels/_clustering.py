@@ -1,7 +1,7 @@
-"""Parameters (traced) and sizes (static) of superpixels."""
+"""Numbers and capacities of superpixels."""
 
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
 from typing import Any
 
 import equinox as eqx
@@ -11,38 +11,45 @@ from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from mvedge_jax._checks import expect, untraced, with_numbers
-from mvedge_jax._params import at_least, described, number
-from mvedge_jax.angular import ViewDepths
+from mvedge_jax._params import at_least, number
+from mvedge_jax._paths import described, replaced
+from mvedge_jax.all_views import ViewDepths
 from mvedge_jax.lightfield import LightField
 
 # Pairs of labels are numbered in 32 bits.
 _MOST = 32000
 
 
-class SuperpixelParams(eqx.Module):
-    """The continuous parameters of `superpixels` and `soft_superpixels`, each traced.
+class SuperpixelClustering(eqx.Module):
+    """How superpixels are clustered: the numbers and capacities of `superpixels`.
 
     Attributes:
+        capacity: of superpixels.
+        margin: how far surfaces that the centre view does not show may lie beyond its frame, px.
         size: side of a superpixel in the centre view, px: the views' area over its square is the
             number of superpixels that is aimed at. A scene with many surfaces that are smaller
             than that has more.
-        colour: difference of colour, CIE Lab, that counts as much as a distance of `size`.
+        color: difference of color, CIELAB, that counts as much as a distance of `size`.
         depth: difference from the plane of a superpixel that counts as much, px per view step.
         limit: most that either difference counts, in units of `size`, squared.
         contour: what a contour costs per px of its length, in the same units.
-        step: differences of disparity between neighbours beyond this are steps between two
+        step: differences of disparity between neighbors beyond this are steps between two
             surfaces, px per view step.
-        smallest: pieces with less than this share of the aimed area join a neighbour on the same
+        smallest: pieces with less than this share of the aimed area join a neighbor on the same
             surface.
         speck: surfaces with fewer pixels than this join whatever is around them.
         fragment: pieces with fewer pixels than this, apart from the rest of their superpixel in
             a view, join what is around them.
         slope: of a plane that is expected, px per view step and px.
         temperature: of soft assignments, in the same units as `limit`.
+        rounds: of clustering.
+        attempts: at the wanted number of superpixels.
     """
 
+    capacity: int = eqx.field(static=True)
+    margin: int = eqx.field(static=True)
     size: Float[Array, ""] = number(20.0, "px")
-    colour: Float[Array, ""] = number(7.0, "Lab")
+    color: Float[Array, ""] = number(7.0, "CIELAB")
     depth: Float[Array, ""] = number(0.05, "px per view step")
     limit: Float[Array, ""] = number(8.0, "sizes squared")
     contour: Float[Array, ""] = number(0.48, "sizes squared per px")
@@ -52,61 +59,55 @@ class SuperpixelParams(eqx.Module):
     fragment: Float[Array, ""] = number(10.0, "px")
     slope: Float[Array, ""] = number(0.02, "px per view step and px")
     temperature: Float[Array, ""] = number(0.2, "sizes squared")
+    rounds: int = eqx.field(static=True, default=10)
+    attempts: int = eqx.field(static=True, default=4)
 
-    def __str__(self) -> str:
-        return "\n".join(described(self))
-
-
-@dataclass(frozen=True)
-class SuperpixelSizes:
-    """Static sizes of `superpixels`; equal ones share a compiled program, whatever the params.
-
-    Attributes:
-        capacity: of superpixels.
-        margin: how far surfaces that the centre view does not show may lie beyond its frame, px.
-        rounds: of clustering.
-        attempts: at the wanted number of superpixels.
-    """
-
-    capacity: int
-    margin: int
-    rounds: int = 10
-    attempts: int = 4
-
-    def __post_init__(self) -> None:
+    def __check_init__(self) -> None:
         at_least(self, capacity=1, margin=0, rounds=1, attempts=1)
         if self.capacity > _MOST:
             raise ValueError(f"`capacity` must be at most {_MOST}, got {self.capacity}.")
 
     @staticmethod
-    def for_depths(depths: ViewDepths, **choices) -> "SuperpixelSizes":
-        """Chooses sizes on the host for light fields with such depths.
+    def for_depths(
+        depths: ViewDepths, *, choices: Mapping[str, Any] | None = None
+    ) -> "SuperpixelClustering":
+        """Chooses capacities on the host for light fields with such depths.
 
         Args:
             depths: of all views, from `depth_of_views`.
-            **choices: any field of `SuperpixelSizes` to set by hand.
+            choices: numbers and static fields to set, such as `{"size": 10.0}`.
 
         Returns:
-            Sizes for `superpixels`, with room for superpixels of 8 px and more.
+            The model for `superpixels`, with room for superpixels of 8 px and more. Equal static
+            fields share a compiled program.
 
         Raises:
             TypeError: the depths are traced.
-            ValueError: a choice is out of range.
+            ValueError: a name is unknown, or a choice is out of range.
 
         Example:
             >>> flat = jnp.ones((3, 3, 32, 32))
             >>> depths = ViewDepths(flat, flat, flat.astype(jnp.int8), jnp.asarray(0))
-            >>> SuperpixelSizes.for_depths(depths).margin
+            >>> SuperpixelClustering.for_depths(depths).margin
             2
         """
         untraced("depths", depths.disparity)
         rows, columns, height, width = depths.disparity.shape
         most = float(np.nanmax(np.abs(np.asarray(depths.disparity)), initial=0.0))
-        defaults = {
-            "capacity": min(max(64, height * width // 32), _MOST),
-            "margin": math.ceil(most * (max(rows, columns) // 2)) + 1,
-        }
-        return SuperpixelSizes(**{**defaults, **choices})
+        model = SuperpixelClustering(
+            capacity=min(max(64, height * width // 32), _MOST),
+            margin=math.ceil(most * (max(rows, columns) // 2)) + 1,
+        )
+        return model.replace(choices)
+
+    def replace(
+        self, choices: Mapping[str, Any] | None = None, /, **numbers: Any
+    ) -> "SuperpixelClustering":
+        """The same model with other numbers or static fields; see `EdgeDepth.replace`."""
+        return replaced(self, {**(choices or {}), **numbers})
+
+    def __str__(self) -> str:
+        return "\n".join(described(self))
 
 
 def grid_of(
@@ -128,22 +129,19 @@ def grid_of(
 
 
 # What distances are divided by.
-_UNITS = ("size", "colour", "depth", "slope", "temperature")
+_UNITS = ("size", "color", "depth", "slope", "temperature")
 
 
-def look(light_field: Any, depths: Any, params: Any, sizes: Any) -> tuple[Any, ...]:
+def validate(light_field: Any, depths: Any, model: Any) -> tuple[Any, ...]:
     """The arguments of `superpixels` and `soft_superpixels`, or what is wrong with them."""
-    order = "the order is (light_field, depths, params, sizes)"
+    order = "the order is (light_field, depths, model)"
     expect("light_field", light_field, LightField, order)
     expect("depths", depths, ViewDepths, "`depth_of_views` makes them, and " + order)
-    expect(
-        "params", params, SuperpixelParams, "`SuperpixelParams()` has the defaults, and " + order
-    )
-    chosen = "`SuperpixelSizes.for_depths(depths)` chooses them, and " + order
-    expect("sizes", sizes, SuperpixelSizes, chosen)
-    params = with_numbers(params)
+    made = "`SuperpixelClustering.for_depths(depths)` makes one, and " + order
+    expect("model", model, SuperpixelClustering, made)
+    model = with_numbers(model)
     for name in _UNITS:
-        value = getattr(params, name)
+        value = getattr(model, name)
         if not isinstance(value, Tracer) and not (np.asarray(value) > 0).all():
-            raise ValueError(f"`params.{name}` must be positive, got {np.min(value):g}.")
-    return (light_field.bare(), depths, params, sizes), {}
+            raise ValueError(f"`{name}` must be positive, got {np.min(value):g}.")
+    return (light_field.bare(), depths, model), {}

@@ -14,7 +14,7 @@ from mvedge_jax.depth import DepthResult
 from mvedge_jax.lightfield import LightField
 
 from ._draw import decided, drawn
-from ._parameters import ViewParams, ViewSizes
+from ._model import ViewDepth
 from ._reference import uncovered
 from ._samples import FILLED, SEEN, UNCOVERED, samples_of
 
@@ -28,7 +28,7 @@ class ViewDepths(NamedTuple):
             surfaces around differ by.
         source: what each pixel is known from, `[v, u, y, x]`: 0, seen by the centre view; 1, by
             other views only; 2, by none, and continued from the surface behind.
-        overflow: samples of other views that found no slot (`ViewSizes.capacity`).
+        overflow: samples of other views that found no slot (`ViewDepth.capacity`).
     """
 
     disparity: Float[Array, "v u y x"]
@@ -37,21 +37,18 @@ class ViewDepths(NamedTuple):
     overflow: Int[Array, ""]
 
 
-def _look(light_field: Any, result: Any, params: Any, sizes: Any) -> tuple[Any, ...]:
+def _validate(light_field: Any, result: Any, model: Any) -> tuple[Any, ...]:
     """The arguments of `depth_of_views`, or what is wrong with them."""
-    order = "the order is (light_field, result, params, sizes)"
+    order = "the order is (light_field, result, model)"
     expect("light_field", light_field, LightField, order)
     expect("result", result, DepthResult, "`depth` makes one, and " + order)
-    expect("params", params, ViewParams, "`ViewParams()` has the defaults, and " + order)
-    chosen = "`ViewSizes.for_light_field(light_field)` chooses them, and " + order
-    expect("sizes", sizes, ViewSizes, chosen)
-    return (light_field.bare(), result, with_numbers(params), sizes), {}
+    made = "`ViewDepth.for_light_field(light_field)` makes one, and " + order
+    expect("model", model, ViewDepth, made)
+    return (light_field.bare(), result, with_numbers(model)), {}
 
 
-@checked_jit(_look)
-def depth_of_views(
-    light_field: LightField, result: DepthResult, params: ViewParams, sizes: ViewSizes
-) -> ViewDepths:
+@checked_jit(_validate)
+def depth_of_views(light_field: LightField, result: DepthResult, model: ViewDepth) -> ViewDepths:
     """Estimates the disparity of every pixel of every view.
 
     1. The pixels of the centre view are surface samples. The corner views show most of what it does
@@ -67,17 +64,16 @@ def depth_of_views(
     Args:
         light_field: all views that are there; ground truth is not read.
         result: of `depth` for this light field.
-        params: see `ViewParams`.
-        sizes: see `ViewSizes.for_light_field`.
+        model: see `ViewDepth.for_light_field`.
 
     Returns:
         Maps of all views, of missing ones as well. Differentiable, forwards and backwards, in the
-        views, in the disparity of `result` and in every leaf of `params`; which sample a pixel
+        views, in the disparity of `result` and in every array of `model`; which sample a pixel
         shows is a selection.
 
     Raises:
-        ValueError: the map of `result` has another size than the views; outside `jit`, a parameter
-            is not finite or is negative.
+        ValueError: the map of `result` has another size than the views; outside `jit`, a number of
+            `model` is not finite or is negative.
         TypeError: an argument is of another kind, or their order is another.
 
     Source: Thesis 6.1, whose angular diffusion (6.4)-(6.8) this replaces.
@@ -86,8 +82,8 @@ def depth_of_views(
         >>> from mvedge_jax import depth
         >>> flat = LightField(jnp.full((3, 3, 16, 16, 3), 0.5), disparity_range=(-1.0, 1.0))
         >>> result = depth(flat)
-        >>> sizes = ViewSizes.for_light_field(flat)
-        >>> depth_of_views(flat, result, ViewParams(), sizes).disparity.shape
+        >>> model = ViewDepth.for_light_field(flat)
+        >>> depth_of_views(flat, result, model).disparity.shape
         (3, 3, 16, 16)
     """
     rows, columns, height, width = light_field.views.shape[:4]
@@ -96,12 +92,12 @@ def depth_of_views(
             f"`result.disparity` must have the size of the views, {height}x{width}, got "
             f"{result.disparity.shape}."
         )
-    params = cast(params, light_field.views.dtype)
+    model = cast(model, light_field.views.dtype)
     # Where nothing is known, infinities would make derivatives that are no numbers.
     error = jnp.where(jnp.isfinite(result.error), result.error, root(jnp.var(result.disparity)))
-    samples = samples_of(result.disparity, error, capacity=sizes.capacity)
+    samples = samples_of(result.disparity, error, capacity=model.capacity)
     exposure = result.stats.exposure.everywhere(light_field, result.disparity)
-    samples, count = uncovered(samples, light_field, exposure, result.stats.noise, params, sizes)
+    samples, count = uncovered(samples, light_field, exposure, result.stats.noise, model)
 
     def view(item: tuple[Array, ...]) -> tuple[Array, Array, Array]:
         picture, there, step = item
@@ -120,6 +116,6 @@ def depth_of_views(
     own = (result.disparity, error, jnp.full((height, width), SEEN, jnp.int8))
     middle = grid // 2
     maps = [m.at[middle].set(o) for m, o in zip(maps, own, strict=True)]
-    overflow = jnp.maximum(count - sizes.capacity, 0)
+    overflow = jnp.maximum(count - model.capacity, 0)
     disparity, error, source = (m.reshape(rows, columns, height, width) for m in maps)
     return ViewDepths(disparity, error, source, overflow)

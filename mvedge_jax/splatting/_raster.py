@@ -1,4 +1,4 @@
-"""Hyperparameters and static modes of the splat."""
+"""Widths of a splatted point, and the raster that it is splatted to."""
 
 import math
 from dataclasses import dataclass
@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
@@ -16,7 +17,7 @@ from mvedge_jax._params import number
 MOST_LOST = 1e-3
 
 
-class SplatParams(eqx.Module):
+class SplatWidths(eqx.Module):
     """Widths and density of a splatted point, in pixels of the raster that is splatted to.
 
     Attributes:
@@ -31,14 +32,14 @@ class SplatParams(eqx.Module):
         Thesis 7.1.5.
     """
 
-    sigma_label: Float[Array, ""] = number(1.3)
-    sigma_weight: Float[Array, ""] = number(0.7054)
-    density: Float[Array, ""] = number(6.2)
-    sigma_depth: Float[Array, ""] = number(1.0)
+    sigma_label: Float[Array, ""] = number(1.3, "raster px")
+    sigma_weight: Float[Array, ""] = number(0.7054, "raster px")
+    density: Float[Array, ""] = number(6.2, "1/raster px")
+    sigma_depth: Float[Array, ""] = number(1.0, "raster px")
 
 
 @dataclass(frozen=True)
-class SplatSizes:
+class SplatRaster:
     """Static choices of the splat.
 
     Attributes:
@@ -81,50 +82,52 @@ class SplatSizes:
         if self.capacity is not None and self.capacity < 1:
             raise ValueError(f"capacity must be None or at least 1, got {self.capacity}.")
 
-    def check(self, params: SplatParams) -> None:
+    def check(self, widths: SplatWidths) -> None:
         """Refuses widths too large for `radius`, and what is not positive; not where traced.
 
         Where widths are traced, `Splat.cut_off` has the number.
 
         Args:
-            params: of the points.
+            widths: of the points; of several settings, each is checked.
 
         Raises:
             ValueError: naming the value, and for widths the radius.
         """
-        if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(params)):
+        if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(widths)):
             return
-        thickness = float(params.density) * float(params.sigma_depth) * math.sqrt(2 * math.pi)
-        if not thickness > 0:
+        density, depth = (np.asarray(a, float) for a in (widths.density, widths.sigma_depth))
+        if not (np.min(density) > 0 and np.min(depth) > 0):
             raise ValueError(
                 "`density` and `sigma_depth` must be positive, got "
-                f"{float(params.density):g} and {float(params.sigma_depth):g}."
+                f"{np.min(density):g} and {np.min(depth):g}."
             )
+        thickness = float(np.max(density) * np.max(depth)) * math.sqrt(2 * math.pi)
         parts = (("sigma_label", thickness, 1), ("sigma_weight", 1.0, self.order))
         for name, whole, order in parts:
-            width = float(getattr(params, name))
-            if not width > 0:
-                raise ValueError(f"`{name}` must be positive, got {width}.")
+            given = np.asarray(getattr(widths, name), float)
+            if not np.min(given) > 0:
+                raise ValueError(f"`{name}` must be positive, got {float(np.min(given))}.")
+            width = float(np.max(given))
             lost = whole * math.exp(-((0.5 * (self.radius / width) ** 2) ** order))
             if lost > MOST_LOST:
                 raise ValueError(
                     f"Points of `{name}` = {width:.3g} px still count {lost:.2g} at `radius` = "
                     f"{self.radius} px, where they are cut off: ask for a larger radius "
-                    "(`SplatSizes`), or narrower points."
+                    "(`SplatRaster`), or narrower points."
                 )
 
-    def cut_off(self, params: SplatParams) -> Float[Array, ""]:
+    def cut_off(self, widths: SplatWidths) -> Float[Array, ""]:
         """How much a point still counts at `radius`, where it is cut off.
 
         Args:
-            params: of the points, traced or not.
+            widths: of the points, traced or not.
 
         Returns:
             The larger of the optical thickness and the share of the data weight there. `check`
             refuses more than 1e-3. Without derivative.
         """
-        params = jax.lax.stop_gradient(params)
-        thickness = params.density * params.sigma_depth * math.sqrt(2 * math.pi)
-        label = thickness * jnp.exp(-0.5 * (self.radius / params.sigma_label) ** 2)
-        half = 0.5 * (self.radius / params.sigma_weight) ** 2
+        widths = jax.lax.stop_gradient(widths)
+        thickness = widths.density * widths.sigma_depth * math.sqrt(2 * math.pi)
+        label = thickness * jnp.exp(-0.5 * (self.radius / widths.sigma_label) ** 2)
+        half = 0.5 * (self.radius / widths.sigma_weight) ** 2
         return jnp.maximum(label, jnp.exp(-jax.lax.integer_pow(half, self.order)))

@@ -8,11 +8,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from angular.cards import FAR, NEAR, cards
-from helpers import dot, random_like, with_values
-
-from mvedge_jax.angular import ViewParams, ViewSizes, depth_of_views
+from all_views.cards import FAR, NEAR, cards
+from helpers import dot, random_like
 from mvedge_jax.baselines import reproject_views
+
+from mvedge_jax.all_views import ViewDepth, depth_of_views
 from mvedge_jax.depth import DepthResult, DepthStats, EdgeDepth
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.photometry.brightness import Exposure, Noise
@@ -44,7 +44,7 @@ def _known(field):
 def test_views_that_show_nothing_have_errors_as_wide_as_the_range(shape):
     field = LightField(jnp.full((3, 3, *shape, 3), 0.5), disparity_range=(-1.0, 2.0))
     result = EdgeDepth.for_light_field(field)(field)
-    found = depth_of_views(field, result, ViewParams(), ViewSizes.for_light_field(field))
+    found = depth_of_views(field, result, ViewDepth.for_light_field(field))
     assert bool(jnp.isfinite(found.disparity).all())
     assert float(found.error.min()) >= 3
 
@@ -56,7 +56,7 @@ def _bad(maps, field):
 def test_surfaces_hidden_in_the_centre_view_are_found():
     field = cards()
     result = _known(field)
-    found = depth_of_views(field, result, ViewParams(), ViewSizes.for_light_field(field))
+    found = depth_of_views(field, result, ViewDepth.for_light_field(field))
     assert _bad(found.disparity, field) < 0.002
     np.testing.assert_array_equal(found.disparity[2, 2], result.disparity)
     # What the centre view shows of the wall and of the card, by moving it to every view.
@@ -81,7 +81,7 @@ def test_a_wrong_first_guess_is_put_right_by_the_views():
     rim = jnp.abs(jnp.arange(48) - 24) < 16
     depth = jnp.where(rim[None] & (depth == FAR), -1.15, depth)
     found = depth_of_views(
-        field, result._replace(disparity=depth), ViewParams(), ViewSizes.for_light_field(field)
+        field, result._replace(disparity=depth), ViewDepth.for_light_field(field)
     )
     new = found.source == 1
     error = jnp.abs(found.disparity - field.truth.view_disparity)
@@ -94,7 +94,7 @@ _SLOW = (pytest.param(grid, marks=pytest.mark.slow) for grid in ((5, 1), (3, 3))
 @pytest.mark.parametrize("grid", [(1, 5), (3, 7), *_SLOW])
 def test_any_grid(grid):
     field = cards((*grid, 33, 40))
-    found = depth_of_views(field, _known(field), ViewParams(), ViewSizes.for_light_field(field))
+    found = depth_of_views(field, _known(field), ViewDepth.for_light_field(field))
     assert _bad(found.disparity, field) < 0.004
     assert _bad(reproject_views(field.truth.disparity, field.steps), field) < 0.02
 
@@ -103,12 +103,12 @@ def test_missing_views_are_not_read():
     field = cards()
     there = np.zeros((5, 5), bool)
     there[2], there[:, 2] = True, True
-    sizes, result = ViewSizes.for_light_field(field), _known(field)
+    model, result = ViewDepth.for_light_field(field), _known(field)
 
     def run(fill):
         views = jnp.where(there[:, :, None, None, None], field.views, fill)
         partial = LightField(views, available=there, disparity_range=field.disparity_range)
-        return depth_of_views(partial, result, ViewParams(), sizes)
+        return depth_of_views(partial, result, model)
 
     black, white = run(0.0), run(1.0)
     for a, b in zip(black, white, strict=True):
@@ -119,14 +119,14 @@ def test_missing_views_are_not_read():
 def test_overflow_is_counted():
     field = cards()
     result = _known(field)
-    everything = depth_of_views(field, result, ViewParams(), ViewSizes.for_light_field(field))
+    everything = depth_of_views(field, result, ViewDepth.for_light_field(field))
     # Neither the truth nor a name is read, so neither has its own program.
     before, other = depth_of_views.traces, field.without_truth().renamed("other")
-    again = depth_of_views(other, result, ViewParams(), ViewSizes.for_light_field(field))
+    again = depth_of_views(other, result, ViewDepth.for_light_field(field))
     np.testing.assert_array_equal(again.disparity, everything.disparity)
     assert depth_of_views.traces == before
-    sizes = ViewSizes.for_light_field(field, capacity=10)
-    found = depth_of_views(field, result, ViewParams(), sizes)
+    few = ViewDepth.for_light_field(field, choices={"capacity": 10})
+    found = depth_of_views(field, result, few)
     assert found.overflow > 0
     assert 0 < (found.source == 1).sum() < (everything.source == 1).sum()
 
@@ -135,7 +135,7 @@ def test_overflow_is_counted():
 def test_derivatives_of_off_centre_maps_equal_differences():
     shape = (3, 3, 24, 32)
     field = cards(shape, np.float64)
-    sizes = ViewSizes.for_light_field(field, tolerance=1e-12)
+    exact = ViewDepth.for_light_field(field, choices={"tolerance": 1e-12})
     keys = jax.random.split(jax.random.key(1), 4)
     # Off the exact copies and the whole disparities, where minima and selections would tie.
     views = jnp.clip(field.views + 1e-3 * jax.random.normal(keys[0], field.views.shape), 0, 1)
@@ -144,12 +144,12 @@ def test_derivatives_of_off_centre_maps_equal_differences():
     weights = jax.random.normal(keys[2], shape)
 
     def loss(tree):
-        params, disparity, views = tree
+        model, disparity, views = tree
         lit = eqx.tree_at(lambda f: f.views, field, views)
-        found = depth_of_views(lit, centre._replace(disparity=disparity), params, sizes)
+        found = depth_of_views(lit, centre._replace(disparity=disparity), model)
         return jnp.sum(weights * (found.disparity + found.error))
 
-    tree = (ViewParams(), depth, views)
+    tree = (exact, depth, views)
     gradient = jax.jit(jax.grad(loss))(tree)
     value, forward = jax.jit(loss), jax.jit(lambda d: jax.jvp(loss, (tree,), (d,))[1])
     nothing = jax.tree.map(jnp.zeros_like, tree)
@@ -166,17 +166,27 @@ def test_derivatives_of_off_centre_maps_equal_differences():
         np.testing.assert_allclose(reverse, numeric, rtol=1e-4)
 
 
+def test_the_model_lists_its_numbers_and_takes_others_by_path():
+    model = ViewDepth.for_light_field(cards(), choices={"measurement.passes": 1, "trust": 2.0})
+    assert model.measurement.passes == 1
+    assert float(model.trust) == 2.0
+    assert "matching.jump = 0.8" in str(model)
+    assert float(model.replace({"smoothness.color": 0.5}, solves=1).smoothness.color) == 0.5
+
+
 def test_other_sizes_are_refused():
     field = cards()
     wrong = _known(field)._replace(disparity=jnp.zeros((8, 8)))
     with pytest.raises(ValueError, match=r"`result.disparity` must have the size"):
-        inspect.unwrap(depth_of_views)(field, wrong, ViewParams(), ViewSizes.for_light_field(field))
-    for name, value in (("capacity", 0), ("radius", 0), ("hypotheses", 1), ("tolerance", 0.0)):
-        with pytest.raises(ValueError, match=f"`{name}` must be"):
-            ViewSizes.for_light_field(field, **{name: value})
-    sizes = ViewSizes.for_light_field(field)
-    params = with_values(ViewParams, precision=float("nan"))
-    with pytest.raises(ValueError, match=r"`params.precision` must be finite .*, got nan"):
-        depth_of_views(field, _known(field), params, sizes)
-    with pytest.raises(TypeError, match="`params` must be ViewParams, got ViewSizes"):
-        depth_of_views(field, _known(field), sizes, ViewParams())
+        inspect.unwrap(depth_of_views)(field, wrong, ViewDepth.for_light_field(field))
+    bad = {"capacity": 0, "measurement.radius": 0, "hypotheses": 1, "tolerance": 0.0}
+    for path, value in bad.items():
+        with pytest.raises(ValueError, match=f"`{path.split('.')[-1]}` must be"):
+            ViewDepth.for_light_field(field, choices={path: value})
+    with pytest.raises(ValueError, match=r"`matching.colour` is no path of `ViewDepth`"):
+        ViewDepth.for_light_field(field, choices={"matching.colour": 1.0})
+    model = ViewDepth.for_light_field(field)
+    with pytest.raises(ValueError, match=r"`precision` must be finite .*, got nan"):
+        depth_of_views(field, _known(field), model.replace(precision=float("nan")))
+    with pytest.raises(TypeError, match="`result` must be DepthResult, got ViewDepth"):
+        depth_of_views(field, model, _known(field))

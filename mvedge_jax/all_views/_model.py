@@ -1,0 +1,92 @@
+"""The parts of the depth of every view."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import equinox as eqx
+from jaxtyping import Array, Float
+
+from mvedge_jax._params import at_least, number, positive
+from mvedge_jax._paths import described, replaced
+from mvedge_jax.edges import scene_range
+from mvedge_jax.lightfield import LightField
+from mvedge_jax.photometry import hypothesis_count, occluder_radius
+from mvedge_jax.photometry.matching import Matching
+from mvedge_jax.photometry.measuring import Measurement
+from mvedge_jax.smoothness import ColorAndDepth
+
+
+class ViewDepth(eqx.Module):
+    """Depth of every view: how surfaces that the centre view does not show are measured.
+
+    Attributes:
+        matching: costs of the hypotheses about such surfaces.
+        measurement: of their pixels; its `radius` is how far occluders are looked for from one end
+            of the grid to the other, its `views` is not read.
+        smoothness: between neighboring pixels.
+        precision: standard error at which a label counts half as much as a perfect one.
+        stiffness: weight of an uncut edge between pixels against a perfect label.
+        trust: residual of a label that halves its weight.
+        capacity: samples of surfaces that the centre view does not show; what exceeds it is counted
+            and left out.
+        hypotheses: disparities tried per pixel, in views of half the size.
+        solves: measurements, each followed by a diffusion, of what a view adds.
+        tolerance: of the diffusions, relative to their right-hand sides.
+    """
+
+    capacity: int = eqx.field(static=True)
+    hypotheses: int = eqx.field(static=True)
+    measurement: Measurement
+    matching: Matching = eqx.field(default_factory=Matching)
+    smoothness: ColorAndDepth = eqx.field(default_factory=ColorAndDepth)
+    precision: Float[Array, ""] = number(0.005, "px")
+    stiffness: Float[Array, ""] = number(1.5, "perfect labels")
+    trust: Float[Array, ""] = number(1.4, "noise variances")
+    solves: int = eqx.field(static=True, default=2)
+    tolerance: float = eqx.field(static=True, default=1e-4)
+
+    def __check_init__(self) -> None:
+        at_least(self, capacity=1, hypotheses=2, solves=1)
+        positive(self, "tolerance")
+
+    @staticmethod
+    def for_light_field(
+        light_field: LightField, *, choices: Mapping[str, Any] | None = None
+    ) -> "ViewDepth":
+        """Chooses capacities on the host from the shape and the disparity range of a light field.
+
+        Args:
+            light_field: its range is measured where it does not come with one.
+            choices: numbers and static fields to set, by path, such as
+                `{"measurement.radius": 8}`.
+
+        Returns:
+            The model for `depth_of_views`. Equal static fields share a compiled program.
+
+        Raises:
+            ValueError: a path is unknown, or a choice is out of range.
+
+        Example:
+            >>> import jax.numpy as jnp
+            >>> views = jnp.zeros((3, 3, 32, 32, 3))
+            >>> flat = LightField(views, disparity_range=(-1.0, 1.0))
+            >>> ViewDepth.for_light_field(flat).measurement.radius
+            4
+        """
+        low, high = scene_range(light_field)
+        height, width = light_field.views.shape[2:4]
+        steps = 2 * max(light_field.centre)
+        radius = occluder_radius(high - low, max(steps, 1), (height, width))
+        model = ViewDepth(
+            capacity=height * width,
+            hypotheses=hypothesis_count((high - low) / 2, max(steps // 2, 1)),
+            measurement=Measurement(radius=radius),
+        )
+        return model.replace(choices)
+
+    def replace(self, choices: Mapping[str, Any] | None = None, /, **parts: Any) -> "ViewDepth":
+        """The same model with other parts, numbers or static fields; see `EdgeDepth.replace`."""
+        return replaced(self, {**(choices or {}), **parts})
+
+    def __str__(self) -> str:
+        return "\n".join(described(self))
