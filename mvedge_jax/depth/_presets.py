@@ -1,7 +1,7 @@
 """The parts that each preset of `EdgeDepth` is made of."""
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import jax.numpy as jnp
 import numpy as np
@@ -34,7 +34,9 @@ _FILL = 0.65
 _ROUNDED = 0.02
 
 
-def parts_for(light_field: LightField, preset: str, views: str) -> dict[str, Any]:
+def parts_for(
+    light_field: LightField, preset: str, views: Literal["crosshair", "all"]
+) -> dict[str, Any]:
     """The fields of `EdgeDepth` for a light field; see `EdgeDepth.for_light_field`."""
     if preset not in PRESETS:
         raise ValueError(f"`preset` must be one of {PRESETS}, got {preset!r}.")
