@@ -14,15 +14,16 @@ from mvedge_jax import _export
 from mvedge_jax.depth import DepthStats
 from mvedge_jax.edges import EdgeStats
 from mvedge_jax.edges.sides import SurfaceVectors
-from mvedge_jax.photometry import Exposure, Noise
+from mvedge_jax.photometry.brightness import Exposure, Noise
+from mvedge_jax.smoothness import ColorAndDepth
 from mvedge_jax.superpixels import Superpixels
 
 pytest.importorskip("flatbuffers", reason="jax.export writes files by it")
 
 
-def result(light_field, params):
+def result(light_field, rule):
     """A `DepthResult` of nothing but sums: the chain would take a minute to compile."""
-    flat = light_field.views[1, 1, :, :, 0] * params.centre.precision
+    flat = light_field.views[1, 1, :, :, 0] * rule.color
     one, count, yes = flat[0, 0], jnp.asarray(3), jnp.asarray(True)
     column, pair = flat[:4, 0], flat[:4, :2]
     points = mv.EdgePoints(pair, column, column, column, pair, pair > 0, column > 0)
@@ -38,19 +39,19 @@ def test_a_depth_result_goes_to_a_file_and_back():
     views = jnp.asarray(np.random.default_rng(0).random((3, 3, 6, 8, 3)))
     truth = mv.GroundTruth(views[0, 0, :, :, 0], views[0, 0, :, :, 0] > 0.5)
     light_field = mv.LightField(views, disparity_range=(-1.0, 1.0), truth=truth, name="a scene")
-    data = export.export(jax.jit(result))(light_field, mv.Parameters()).serialize(vjp_order=1)
+    data = export.export(jax.jit(result))(light_field, ColorAndDepth()).serialize(vjp_order=1)
     program = export.deserialize(data)
-    found = program.call(light_field, mv.Parameters())
+    found = program.call(light_field, ColorAndDepth())
     assert type(found) is mv.DepthResult
-    wanted = result(light_field, mv.Parameters())
+    wanted = result(light_field, ColorAndDepth())
     assert jax.tree.structure(found) == jax.tree.structure(wanted)
     for a, b in zip(jax.tree.leaves(found), jax.tree.leaves(wanted), strict=True):
         np.testing.assert_allclose(a, b, atol=1e-12)
     call: Any = program.call
-    slope = jax.grad(lambda p: call(light_field, p).disparity.sum())(mv.Parameters())
-    assert float(slope.centre.precision) == pytest.approx(float(views[1, 1, :, :, 0].sum()))
+    slope = jax.grad(lambda p: call(light_field, p).disparity.sum())(ColorAndDepth())
+    assert float(slope.color) == pytest.approx(float(views[1, 1, :, :, 0].sum()))
     with pytest.raises(ValueError, match="a scene"):
-        program.call(light_field.renamed("another"), mv.Parameters())
+        program.call(light_field.renamed("another"), ColorAndDepth())
 
 
 def test_solvers_keep_their_static_fields():
@@ -62,7 +63,7 @@ def test_solvers_keep_their_static_fields():
 
 
 def test_every_public_type_is_registered():
-    for kind in (mv.LightField, mv.Parameters, mv.ViewDepths, mv.System, mv.Optimised, Superpixels):
+    for kind in (mv.LightField, ColorAndDepth, mv.ViewDepths, mv.System, mv.Optimised, Superpixels):
         assert kind in _export._registered
 
 

@@ -9,8 +9,6 @@ import pytest
 
 import mvedge_jax as mv
 from mvedge_jax import (
-    baselines,
-    centre,
     color,
     diffusion,
     edges,
@@ -25,11 +23,15 @@ from mvedge_jax import (
     warping,
 )
 from mvedge_jax._params import accepts_numpy
+from mvedge_jax.depth import Sharpen
+from mvedge_jax.depth._median import weighted_median
 from mvedge_jax.edges import sides
+from mvedge_jax.edges.thesis import joint_filter
 from mvedge_jax.losses import terms
 from mvedge_jax.metrics import depth as scores
 from mvedge_jax.posed import cloud, projections
 from mvedge_jax.posed.scores import depth_errors
+from mvedge_jax.smoothness import ColorAndDepth, edge_smoothness
 
 Y, X = 12, 14
 _RNG = np.random.default_rng(0)
@@ -91,16 +93,14 @@ CALLS = {
     "system": lambda: (system().matvec(MAP), system().right_hand_side(), system().energy(MAP)),
     "diffuse": lambda: (diffusion.diffuse(system()), diffusion.diffuse(system(MASK), start=MAP)),
     "edge weights": lambda: diffusion.edge_weights(MAP),
-    "filter": lambda: baselines.joint_filter(MAP, MASK, RGB, ONE, ONE, ONE, radius=1),
-    "smoothness": lambda: centre.edge_smoothness(PLANES, MAP, centre.SmoothnessParams()),
-    "sharpen": lambda: centre.sharpen(MAP, PLANES, centre.MedianParams(), radius=2, levels=8),
-    "median": lambda: centre.weighted_median(MAP, PLANES, ONE, radius=2, levels=8),
+    "filter": lambda: joint_filter(MAP, MASK, RGB, ONE, ONE, ONE, radius=1),
+    "smoothness": lambda: edge_smoothness(PLANES, MAP, ColorAndDepth()),
+    "sharpen": lambda: Sharpen(radius=2, levels=8)(MAP, PLANES),
+    "median": lambda: weighted_median(MAP, PLANES, ONE, radius=2, levels=8),
     "color": lambda: (color.srgb_to_lab(RGB), color.srgb_to_gray(RGB), color.planes_to_lab(PLANES)),
     "raster": lambda: edges.rasterise(XY, LABEL, VALID, (Y, X)),
     "share": lambda: edges.share(XY, LABEL, LABEL, MAP, ONE),
-    "sides": lambda: sides.surface_vectors(
-        points(), None, MAP, sides.SurfaceParams(), shape=(Y, X)
-    ),
+    "sides": lambda: sides.surface_vectors(points(), None, MAP, sides.SideVote(), shape=(Y, X)),
     "paint": lambda: edit.paint(light_field(), MAPS, MAP, some(3)),
     "epi": lambda: epi.epi_edge_map(some(3, X, 3), epi.prewitt_bank(2 * some(2) - 1, 3, 2)),
     "lines": lambda: epi.merge_scales(lines()[0], lines()[0], ONE, views=3),

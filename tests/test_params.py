@@ -10,7 +10,7 @@ from mvedge_jax._params import cast, number
 from mvedge_jax.depth import DepthStats
 from mvedge_jax.diffusion import SolveStats
 from mvedge_jax.edges import EdgeStats
-from mvedge_jax.photometry import Exposure, Noise
+from mvedge_jax.photometry.brightness import Exposure, Noise
 from mvedge_jax.posed import StereoStats
 
 

@@ -6,7 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from mvedge_jax._params import at_least, cast, number, one_of
+from mvedge_jax._params import accepts_numpy, at_least, cast, number, one_of
 
 from ._median import weighted_median
 
@@ -48,6 +48,7 @@ class Sharpen(eqx.Module):
         at_least(self, radius=1, levels=2)
         one_of(self, mode=get_args(Sharpening))
 
+    @accepts_numpy
     def __call__(
         self, disparity: Float[Array, "y x"], guide: Float[Array, "c y x"]
     ) -> Float[Array, "y x"]:

@@ -42,8 +42,8 @@ class Splat(eqx.Module):
         found, lost, overflow = [], float(self.cut_off), int(self.overflow)
         if not lost <= MOST_LOST:
             found.append(
-                f"points still count {lost:.2g} at `SplatRaster.radius`, where they are cut off; at "
-                f"most {MOST_LOST:g} is negligible: ask for a larger radius, or narrower points."
+                f"points still count {lost:.2g} at `SplatRaster.radius`, where they are cut off; "
+                f"at most {MOST_LOST:g} is negligible: ask for a larger radius, or narrower points."
             )
         if overflow:
             found.append(
@@ -167,5 +167,5 @@ def splat(
         image(rays.transmittance),
         tiling.overflow,
         tiling.longest,
-        sizes.cut_off(params),
+        raster.cut_off(widths),
     )

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from all_views.cards import FAR, NEAR, cards
 from helpers import dot, random_like
-from mvedge_jax.baselines import reproject_views
 
+from experiments.peers.reprojection import reproject_views
 from mvedge_jax.all_views import ViewDepth, depth_of_views
 from mvedge_jax.depth import DepthResult, DepthStats, EdgeDepth
 from mvedge_jax.lightfield import LightField

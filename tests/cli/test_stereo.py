@@ -62,7 +62,7 @@ def test_a_depth_that_failed_is_said_on_the_screen_and_in_the_report(
         noise=Noise.of(jnp.zeros(())),
         gain=jnp.ones(4),
         searched=jnp.asarray([0.0, 9.0]),
-        labelled=jnp.asarray(0.25),
+        labeled=jnp.asarray(0.25),
     )
     failed = StereoResult(depth, 0.2 * depth, depth, 0.2 * depth, depth, stats)
     monkeypatch.setattr("mvedge_jax.cli._stereo.estimate", lambda *_: failed)

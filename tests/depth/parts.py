@@ -100,7 +100,7 @@ def _total(tree: Any) -> jax.Array:
     return total
 
 
-def _close(found: Any, wanted: Any, **tolerance: float) -> None:
+def _close(found: Any, wanted: Any, **tolerance: Any) -> None:
     pairs = zip(jax.tree.leaves(found), jax.tree.leaves(wanted), strict=True)
     for a, b in pairs:
         np.testing.assert_allclose(a, b, **tolerance)

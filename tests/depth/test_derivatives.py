@@ -14,6 +14,7 @@ from helpers import check_modes
 
 from mvedge_jax import describe
 from mvedge_jax.depth import EdgeDepth
+from mvedge_jax.edges import OrientedEdges
 
 # Of the parts of a preset, what it does not read.
 UNREAD = {
@@ -76,6 +77,7 @@ def test_the_taps_of_the_filters_reach_the_map(name, preset):
         banks, views = tree
         return loss((model.replace({"edges.banks": banks}), views))
 
+    assert isinstance(model.edges, OrientedEdges)
     banks = model.edges.prewitt(views.shape, views.dtype)
     found = rows(of_banks, banks, views, agree=3e-4, directions=0, key=jax.random.key(1))
     report = table(found)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from helpers import count_traces, shared_data
 
+from mvedge_jax._paths import value_at
 from mvedge_jax.datasets import load_light_field, synthetic
 from mvedge_jax.depth import EdgeDepth, depth, estimate_depth
 from mvedge_jax.edges import scene_range
@@ -100,9 +101,9 @@ def test_static_fields_follow_the_range_and_explain_mistakes():
     narrow, wide = (
         EdgeDepth.for_light_field(LightField(views, disparity_range=(-r, r))) for r in (1.0, 3.5)
     )
-    hypotheses = [model.calibration.hypotheses for model in (narrow, wide)]
+    hypotheses = [value_at(model, "calibration.hypotheses") for model in (narrow, wide)]
     assert hypotheses[1] > 2.5 * hypotheses[0]
-    assert [model.measurement.radius for model in (narrow, wide)] == [8, 28]
+    assert [value_at(model, "measurement.radius") for model in (narrow, wide)] == [8, 28]
     assert [model.searched for model in (narrow, wide)] == [(-1.0, 1.0), (-3.5, 3.5)]
     with pytest.raises(ValueError, match="`solves` must be at least 1, got 0"):
         narrow.replace({"refine.solves": 0})

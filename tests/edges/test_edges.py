@@ -23,8 +23,7 @@ def _model(light_field, **choices):
     model = EdgeDepth.for_light_field(light_field)
     if not choices:
         return model
-    edges = OrientedEdges(**choices)
-    return model.replace(edges=edges, searched=edges.searched)
+    return model.replace(edges=OrientedEdges(**choices))
 
 
 def _flat(**choices):

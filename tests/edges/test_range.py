@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from photometry.scenes import changed, cross_gains, textured
 
+from mvedge_jax._paths import value_at
 from mvedge_jax.all_views import ViewDepth, ViewDepths
 from mvedge_jax.depth import EdgeDepth
-from mvedge_jax.edges import 
 from mvedge_jax.edges._range import disparity_range
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.superpixels import SuperpixelClustering
@@ -50,7 +50,7 @@ def test_sizes_within_jit_are_refused_in_a_sentence(known):
     for kind in (EdgeDepth, ViewDepth):
         with pytest.raises(TypeError, match=message):
             jax.jit(lambda f, kind=kind: kind.for_light_field(f))(field)
-    closed = jax.jit(lambda x: x + EdgeDepth.for_light_field(field).measurement.radius)
+    closed = jax.jit(lambda x: x + value_at(EdgeDepth.for_light_field(field), "measurement.radius"))
     if known is not None:
         assert int(closed(1)) > 1
 

@@ -43,6 +43,7 @@ def test_taps_reach_the_disparities_of_points_between_filters():
     blind = noisy_scene("edges", 40)
     choices = {"edges.lines.interpolate": True, "edges.lines.capacity": 32}
     model = EdgeDepth.for_light_field(blind, preset="thesis", choices=choices)
+    assert isinstance(model.edges, ThesisEdges)
     banks = model.edges.prewitt(blind.views.shape, blind.views.dtype)
 
     def loss(banks):
@@ -72,6 +73,7 @@ def test_taps_reach_the_disparities_of_points_between_filters():
 def test_a_bank_for_other_views_is_refused():
     light_field = plane(0.37, views=9, size=(16, 16))
     model = _model(light_field, capacity=64)
+    assert isinstance(model.edges, ThesisEdges)
     model = model.replace({"edges.banks": model.edges.prewitt((5, 5))})
     with pytest.raises(ValueError, match="`bank` is for 5 views, `arm` has 9"):
         multiview_edges(light_field, model, key=jax.random.key(0))

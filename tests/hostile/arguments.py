@@ -10,6 +10,7 @@ import numpy as np
 from hostile.case import Case, refuses
 
 from mvedge_jax import EdgeDepth, LightField, describe, multiview_edges
+from mvedge_jax.all_views import ViewDepth
 from mvedge_jax.depth import estimate_depth
 from mvedge_jax.diffusion import AutoSolver, System, diffuse
 from mvedge_jax.edges import OrientedEdges
@@ -177,7 +178,7 @@ def _tolerances() -> Iterator[Case]:
 
 
 def _traced() -> Iterator[Case]:
-    for kind in (Sizes, EdgeSizes):
+    for kind in (EdgeDepth, ViewDepth):
 
         def run(_: Path, kind=kind) -> None:
             choose = jax.jit(lambda field: kind.for_light_field(field))

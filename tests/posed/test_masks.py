@@ -6,15 +6,14 @@ import numpy as np
 import pytest
 from posed.walls import MATRIX, POSES, wall
 
-from mvedge_jax.photometry import Noise, PhotometricParams
+from mvedge_jax.photometry import Noise
 from mvedge_jax.photometry._places import shown_at
 from mvedge_jax.photometry._scene import measuring_in
-from mvedge_jax.photometry.measuring import look_around
+from mvedge_jax.photometry.measuring import Measurement, look_around
 from mvedge_jax.photometry.measuring._grid import posed_grid
 from mvedge_jax.posed import (
     Photographs,
-    StereoParams,
-    StereoSizes,
+    StereoDepth,
     posed_sweep,
     projections,
     reference_of,
@@ -48,7 +47,7 @@ def test_what_is_transparent_is_read_in_no_photograph():
     disparity = scale / jnp.asarray(DEPTHS[0])
     params = measuring_in(
         Noise.of(jnp.asarray(0.002)), jnp.asarray(1.0), jnp.asarray(1.0), jnp.asarray(1.0),
-        PhotometricParams(),
+        Measurement(),
     )  # fmt: skip
     # Splines reach far, though hardly: what is next to the mask is left out of it here.
     inner = jax.vmap(lambda m: jnp.asarray(np.hypot(X - 24, Y - 18) < 5) & (m > 0))(shown)
@@ -70,8 +69,7 @@ def test_what_is_transparent_is_read_in_no_photograph():
 
 def test_a_sweep_has_no_depth_where_the_photograph_is_transparent():
     wanted = reference_of(cut(0.0), 0, depth_range=RANGE)
-    sizes = StereoSizes.of(wanted)
-    found = np.asarray(posed_sweep(cut(0.0), wanted, StereoParams(), sizes).depth)
+    found = np.asarray(posed_sweep(cut(0.0), wanted, StereoDepth.of(wanted)).depth)
     assert np.isnan(found[~MASK[0]]).all()
     assert np.isfinite(found[MASK[0]]).all()
     inner = np.hypot(X - 24, Y - 18) < 9
@@ -82,7 +80,7 @@ def test_a_sweep_has_no_depth_where_the_photograph_is_transparent():
 @pytest.mark.slow
 def test_the_object_keeps_its_depth_and_the_rest_has_none():
     wanted = reference_of(cut(0.0), 0, depth_range=RANGE)
-    run = jax.jit(lambda p: stereo(p, wanted, StereoParams(), StereoSizes.of(wanted)))
+    run = jax.jit(lambda p: stereo(p, wanted, StereoDepth.of(wanted)))
     found = run(cut(0.0))
     depth, error = np.asarray(found.depth), np.asarray(found.error)
     assert np.isnan(depth[~MASK[0]]).all()

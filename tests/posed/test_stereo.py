@@ -272,7 +272,7 @@ def test_a_living_room_seen_from_too_far_apart_is_said_to_fail(name, fails):
     # Of the fifth in `livingroom_wide5` two thirds are right, and nothing tells it apart.
     for index in range(4):
         wanted = reference_of(view, index)
-        found = stereo(view.without_truth(), wanted, StereoParams(), StereoSizes.of(wanted))
+        found = stereo(view.without_truth(), wanted, StereoDepth.of(wanted))
         said = any("no accepted label" in text for text in found.problems())
         assert said == fails
 
