@@ -10,7 +10,7 @@ from mvedge_jax._params import as_number
 from mvedge_jax.diffusion import AutoSolver
 from mvedge_jax.edges import OrientedEdges, scene_range
 from mvedge_jax.edges.sides import BidirectionalSides, ThesisSides
-from mvedge_jax.edges.thesis import ThesisEdges
+from mvedge_jax.edges.thesis import LineSearch, ThesisEdges
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.photometry import AsIs, Calibrate, hypothesis_count, occluder_radius
 from mvedge_jax.photometry.matching import Matching
@@ -49,10 +49,12 @@ def parts_for(light_field: LightField, preset: str, views: LabelViews) -> dict[s
     if preset == "thesis":
         # A filter beyond either end of the range, so that its ends are no border of the bank.
         reach = round(1.05 * max(abs(low), abs(high), 0.1), 3)
+        # The authors ask for four views in a row, which an arm of three does not have.
+        lines = LineSearch(alignment="run" if 2 * steps + 1 > 3 else "count")
         return {
             "calibration": AsIs(),
             "measurement": None,
-            "edges": ThesisEdges(reach=reach, capacity=capacity),
+            "edges": ThesisEdges(reach=reach, capacity=capacity, lines=lines),
             "sides": ThesisSides(),
             "labels": NearestLabels(),
             "dense": None,
