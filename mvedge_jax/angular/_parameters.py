@@ -86,7 +86,7 @@ class ViewSizes:
         """
         low, high = scene_range(light_field)
         height, width = light_field.views.shape[2:4]
-        steps = 2 * max(light_field.centre)
+        steps = 2 * light_field.farthest
         defaults = {
             "capacity": height * width,
             "hypotheses": hypothesis_count((high - low) / 2, max(steps // 2, 1)),
