@@ -5,7 +5,7 @@ cameras, and are read by `load_light_field`. A row: regular; with every second v
 0.4 steps; the same taken as regular, which shows what knowing the positions is worth; with every
 second view missing, once as positions two steps apart and once as missing views, beside the regular
 row of as many views. An array of 5x5 views whose rows are 1.5 times as far apart as its columns,
-beside the square one. Errors are in px per step of the regular row.
+beside the square one, and taken as one. Errors are in px per step of the regular row.
 
     python experiments/irregular_views.py --out results/irregular_views
 """
@@ -109,6 +109,9 @@ def cases(name: str, arguments: Arguments) -> Iterator[tuple[str, LightField, fl
     for label, pitch in (("array", 1.0), ("array, rows 1.5 times as far apart", 1.5)):
         true, read = rendered(name, grid(pitch * array, 1.0 * array), arguments.size)
         yield label, read, 1.0, true
+        if pitch != 1:
+            blind = eqx.tree_at(lambda s: s.positions, read, None)
+            yield f"{label}, taken as square", blind, 1.0, true
 
 
 def main() -> None:
@@ -142,7 +145,6 @@ def main() -> None:
             )
             print(rows[-1], flush=True)
     print_table(rows, title=f"{arguments.size} px, preset {arguments.preset}")
-    arguments.out.mkdir(parents=True, exist_ok=True)
     write_csv(arguments.out / "irregular_views.csv", rows)
     write_json(arguments.out / "irregular_views.json", rows)
 

@@ -102,7 +102,7 @@ def _grid_pinhole(
 
 def _regular(shape: tuple[int, int, int, int], v: int, u: int) -> tuple[float, float]:
     """The position of a view of a regular grid."""
-    return u - shape[1] // 2, v - shape[0] // 2
+    return float(u - shape[1] // 2), float(v - shape[0] // 2)
 
 
 def render(
