@@ -13,6 +13,8 @@ from ._checks import untraced
 _BESIDE = 0.25
 # Medians of the distances of neighbouring columns and rows, view steps, that can be view steps.
 _SPACINGS = (0.1, 10.0)
+# No rig is wider, view steps: sizes are chosen from the outermost view.
+_WIDEST = 1000.0
 
 
 def check_positions(positions: Float[np.ndarray, "v u 2"]) -> None:
@@ -24,7 +26,7 @@ def check_positions(positions: Float[np.ndarray, "v u 2"]) -> None:
     Raises:
         ValueError: they are not finite, those of the centre view are not 0, columns do not increase
             along the rows or rows down the columns, views of the crosshair lie beside it, or
-            the numbers are no view steps.
+            the numbers are no view steps or too many.
     """
     if not np.isfinite(positions).all():
         v, u, _ = (int(i) for i in np.argwhere(~np.isfinite(positions))[0])
@@ -54,6 +56,12 @@ def check_positions(positions: Float[np.ndarray, "v u 2"]) -> None:
                 f"`positions` must be in view steps, to which disparities refer: neighbouring "
                 f"{name} about 1 apart ({low:g} to {high:g}), got {np.median(apart):.4g}."
             )
+    if np.abs(positions).max() > _WIDEST:
+        v, u, _ = (int(i) for i in np.argwhere(np.abs(positions) > _WIDEST)[0])
+        raise ValueError(
+            f"`positions` must be within {_WIDEST:g} view steps of the centre view, got "
+            f"{positions[v, u]} for view (v, u) = ({v}, {u})."
+        )
     beside = {"row": np.abs(positions[vc, :, 1]), "column": np.abs(positions[:, uc, 0])}
     for name, away in beside.items():
         if away.max() > _BESIDE:

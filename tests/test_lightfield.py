@@ -227,6 +227,7 @@ def test_positions_survive_what_is_done_to_a_light_field():
         ),
         (_places()[:, ::-1] * [1, 1], r"columns that increase to the right, got 2 .* and 1.4"),
         (_places() * [1, -1], r"rows that increase down, got 1.5 .* and -0 for \(1, 0\)"),
+        (_places((-1350, -1, 0, 1, 2)), r"within 1000 view steps .* got \[-1350. +-1.5\] for"),
         (60 * _places(), r"in view steps, .* columns about 1 apart \(0.1 to 10\), got 60"),
         (_places()[:2], r"of shape \(3, 5, 2\), got \(2, 5, 2\)"),
         (

@@ -137,12 +137,15 @@ class _Settings:
             if text is None:
                 return None
             try:
-                found.append(np.array([float(part) for part in text.split()]).reshape(grid))
+                values = np.array([float(part) for part in text.split()])
             except ValueError:
+                values = np.array(np.nan)
+            if values.size != grid[0] * grid[1] or not np.isfinite(values).all():
                 raise ValueError(
-                    f"{self._path} says {key} = {text[:60]!r} in [extrinsics]; expected a number "
-                    f"for each of the {grid[0]}x{grid[1]} views, row by row."
-                ) from None
+                    f"{self._path} says {key} = {text[:60]!r} in [extrinsics]; expected a finite "
+                    f"number for each of the {grid[0]}x{grid[1]} views, row by row."
+                )
+            found.append(values.reshape(grid))
         return np.stack(found, axis=-1)
 
     def camera(self) -> Camera | None:

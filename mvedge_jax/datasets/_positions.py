@@ -27,10 +27,13 @@ def with_positions(source: Source, path: Path) -> Source:
         The source without the rows and columns that the file leaves out.
 
     Raises:
+        FileNotFoundError: there is no such file.
         ValueError: the file cannot be read, a line is none of these, names a view that is not in
             the grid or was named before, or the centre view of what is left is another one, whose
             ground truth nobody knows.
     """
+    if not path.exists():
+        raise FileNotFoundError(f"{path} is not there; expected a text file of positions.")
     grid, named = source.available.shape, {}
     for number, line in enumerate(read_text(path).splitlines(), start=1):
         fields = line.split("#", 1)[0].split()
@@ -94,6 +97,10 @@ def view_positions(
         return None
     places = source.positions[np.ix_(rows, columns)].astype(float)
     where = f"{source.name} ({source.layout})"
+    if np.isinf(places).any():
+        raise ValueError(
+            f"{where} has views that are infinitely far away; expected finite numbers."
+        )
     for number, axis in ((0, 0), (1, 1)):
         # The crosshair is complete: a missing view is in a column and a row of others.
         known = places[..., number]

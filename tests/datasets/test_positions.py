@@ -125,6 +125,12 @@ def test_ground_truth_stays_that_of_the_centre_view(tmp_path):
         load_light_field(folder, positions=file)
 
 
+def test_a_missing_file_of_positions_is_named(tmp_path):
+    folder = write_grid(tmp_path / "lf", random_views())
+    with pytest.raises(FileNotFoundError, match=r"none.txt is not there; expected a text file"):
+        load_light_field(folder, positions=tmp_path / "none.txt")
+
+
 def test_settings_keep_positions(tmp_path):
     places = _grid([-2, -0.7, 0, 1, 2.25], [-1.5, 0, 1.5])
     views = random_views((3, 5, 6, 8, 3)) / np.float32(255)
@@ -132,9 +138,11 @@ def test_settings_keep_positions(tmp_path):
     field = load_light_field(tmp_path / "scene", views=3)
     np.testing.assert_allclose(known(field.positions), places[:, 1:4], rtol=1e-6)
     settings = tmp_path / "scene" / "parameters.cfg"
-    settings.write_text(settings.read_text().replace("positions_x = -2", "positions_x = two"))
-    with pytest.raises(ValueError, match=r"says positions_x = 'two .* of the 3x5 views"):
-        load_light_field(tmp_path / "scene", views=3)
+    text = settings.read_text()
+    for bad in ("two", "nan", "0 -2"):
+        settings.write_text(text.replace("positions_x = -2", f"positions_x = {bad}"))
+        with pytest.raises(ValueError, match=rf"says positions_x = '{bad} .* of the 3x5 views"):
+            load_light_field(tmp_path / "scene", views=3)
 
 
 def test_rendered_views_are_where_they_are_asked_for():

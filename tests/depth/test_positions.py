@@ -172,14 +172,14 @@ def test_an_uneven_row_is_as_good_as_a_regular_one(tmp_path):
     second = np.arange(17) % 2 == 1
     away = np.random.default_rng(0).uniform(-0.4, 0.4, 17)
     moved = even + np.where(second, away, 0)
-    true, row = rendered(tmp_path / "even", grid(one, even), 96)
-    shown, uneven = rendered(tmp_path / "moved", grid(one, moved), 96)
+    true, row = rendered(tmp_path / "even", grid(one, even))
+    shown, uneven = rendered(tmp_path / "moved", grid(one, moved))
     assert row.positions is None
     assert uneven.positions is not None
     wanted = _scores(row, true, 1.0)
     found = _scores(uneven, shown, float(np.median(np.diff(moved))))
     assert (found < 1.1 * wanted).all(), (found, wanted)
-    few, sparse = rendered(tmp_path / "sparse", grid(one, even[~second]), 96)
+    few, sparse = rendered(tmp_path / "sparse", grid(one, even[~second]))
     assert sparse.positions is None
     wanted = _scores(sparse, few, 2.0)
     apart = LightField(sparse.views, positions=grid(one, even[~second]))
@@ -190,8 +190,8 @@ def test_an_uneven_row_is_as_good_as_a_regular_one(tmp_path):
 @pytest.mark.slow
 def test_oblong_cells_are_as_good_as_squares(tmp_path):
     side = np.arange(-2.0, 3)
-    square, read = rendered(tmp_path / "square", grid(side, side), 96)
-    wide, oblong = rendered(tmp_path / "oblong", grid(1.5 * side, side), 96)
+    square, read = rendered(tmp_path / "square", grid(side, side))
+    wide, oblong = rendered(tmp_path / "oblong", grid(1.5 * side, side))
     assert read.positions is None
     np.testing.assert_allclose(oblong.positions, grid(1.5 * side, side), atol=1e-4)
     wanted, found = _scores(read, square, 1.0), _scores(oblong, wide, 1.0)
