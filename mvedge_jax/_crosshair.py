@@ -30,7 +30,7 @@ class Arm(NamedTuple):
 
 
 def view_steps(count: int, dtype: DTypeLike) -> Float[Array, " s"]:
-    """What disparity is multiplied by to get from the centre view to each view of an arm.
+    """What disparity is multiplied by to get from the centre view to each view of a regular arm.
 
     Args:
         count: views of the arm; the centre one is number `count // 2`.
@@ -43,13 +43,21 @@ def view_steps(count: int, dtype: DTypeLike) -> Float[Array, " s"]:
 
 
 def crosshair(light_field: LightField) -> tuple[Arm, Arm]:
-    """The horizontal and the vertical arm; the vertical one holds transposed images."""
+    """The horizontal and the vertical arm; the vertical one holds transposed images.
+
+    Views are read as if they were on the centre row and column; `LightField` sees to it that they
+    are not far beside them.
+    """
     vc, uc = light_field.centre
     dtype = light_field.views.dtype
     horizontal = jnp.transpose(light_field.horizontal_arm, (0, 3, 1, 2))
     vertical = jnp.transpose(light_field.vertical_arm, (0, 3, 2, 1))
+    if light_field.positions is None:
+        across, down = (view_steps(arm.shape[0], dtype) for arm in (horizontal, vertical))
+    else:
+        across, down = light_field.steps[vc, :, 0], light_field.steps[:, uc, 1]
 
     return (
-        Arm(horizontal, view_steps(horizontal.shape[0], dtype), light_field.available[vc]),
-        Arm(vertical, view_steps(vertical.shape[0], dtype), light_field.available[:, uc]),
+        Arm(horizontal, across, light_field.available[vc]),
+        Arm(vertical, down, light_field.available[:, uc]),
     )

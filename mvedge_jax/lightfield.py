@@ -1,5 +1,6 @@
 """The light field: a grid of views, what is known about it, and the slices the method reads."""
 
+import dataclasses
 from collections.abc import Iterable
 from typing import Any
 
@@ -12,14 +13,15 @@ from jaxtyping import Array, Bool, Float
 
 from mvedge_jax._known import Camera as Camera, GroundTruth as GroundTruth, areas
 from mvedge_jax._params import as_number
+from mvedge_jax._positions import check_positions, farthest
 
 
 class LightField(eqx.Module):
     """A grid of views `views[v, u, y, x, c]`.
 
     `v` counts view rows from the top, `u` view columns from the left. A point at `(x, y)` of the
-    centre view with disparity `d` is at `(x + (u_c - u) d, y + (v_c - v) d)` in view `(v, u)`;
-    larger `d` is nearer.
+    centre view with disparity `d` is at `(x - p_x d, y - p_y d)` in a view at the position
+    `(p_x, p_y)`, which is `(u - u_c, v - v_c)` on a regular grid; larger `d` is nearer.
 
     Construction checks shapes, and, outside of `jit`, values. Not every view has to be there: the
     crosshair (the centre row and the centre column of views) is enough for the centre view, and
@@ -28,6 +30,9 @@ class LightField(eqx.Module):
     Attributes:
         views: sRGB in [0, 1]; zero where a view is missing.
         available: which views are there.
+        positions: of all views, missing ones as well, from the centre view: columns (to the right),
+            then rows (down), in view steps; None for a regular grid of square cells. Columns may be
+            uneven, and rows closer or farther apart than columns.
         disparity_range: lowest and highest disparity of the scene, px per view step, if known.
         truth: ground truth if known; `without_truth` drops it.
         camera: the cameras' geometry if known.
@@ -35,8 +40,9 @@ class LightField(eqx.Module):
 
     Raises:
         ValueError: on a wrong rank, an even number of views per side, values that are not finite or
-            lie outside [0, 1], a centre view that is missing or alone on its row and column, an
-            empty disparity range, or ground truth of another size.
+            lie outside [0, 1], a centre view that is missing or alone on its row and column,
+            positions that are none of rows and columns of views, an empty disparity range, or
+            ground truth of another size.
 
     Example:
         >>> import jax.numpy as jnp
@@ -49,6 +55,7 @@ class LightField(eqx.Module):
 
     views: Float[Array, "v u y x c"]
     available: Bool[Array, "v u"]
+    positions: Float[Array, "v u 2"] | None
     disparity_range: Float[Array, "2"] | None
     truth: GroundTruth | None
     camera: Camera | None
@@ -59,6 +66,7 @@ class LightField(eqx.Module):
         views: Any,
         *,
         available: Any = None,
+        positions: Any = None,
         disparity_range: Any = None,
         truth: GroundTruth | None = None,
         camera: Camera | None = None,
@@ -74,6 +82,8 @@ class LightField(eqx.Module):
         self.available = (
             jnp.ones(grid, bool) if available is None else jnp.asarray(available, dtype=bool)
         )
+        dtype = self.views.dtype
+        self.positions = None if positions is None else jnp.asarray(positions, dtype)
         self.disparity_range = None if disparity_range is None else as_number(disparity_range)
         self.truth = truth
         self.camera = camera
@@ -105,6 +115,11 @@ class LightField(eqx.Module):
                 f"`available` must have the shape of the view grid {grid}, got "
                 f"{self.available.shape}."
             )
+        if self.positions is not None and self.positions.shape != (*grid, 2):
+            raise ValueError(
+                "`positions` must have the columns and rows of every view, of shape "
+                f"{(*grid, 2)}, got {self.positions.shape}."
+            )
         if self.disparity_range is not None and self.disparity_range.shape != (2,):
             raise ValueError(
                 "`disparity_range` must be a pair (low, high), got shape "
@@ -131,6 +146,8 @@ class LightField(eqx.Module):
                 "`available` must include a view of the crosshair, the centre row and column of "
                 f"views, besides the centre view; all {sum(available.shape) - 2} are missing."
             )
+        if self.positions is not None:
+            check_positions(np.asarray(self.positions))
         # Minimum and maximum do not tell: XLA drops NaN from them in large arrays on some CPUs.
         finite = jnp.isfinite(self.views)
         if not bool(finite.all()):
@@ -169,10 +186,26 @@ class LightField(eqx.Module):
 
     @property
     def steps(self) -> Float[Array, "v u 2"]:
-        """`(u_c - u, v_c - v)` per view: what the disparity is multiplied by to get there."""
+        """Minus the position of every view: what the disparity is multiplied by to get there.
+
+        On a regular grid `(u_c - u, v_c - v)`.
+        """
+        if self.positions is not None:
+            return 0 - self.positions
         vc, uc = self.centre
         dv, du = np.mgrid[vc : vc - self.views.shape[0] : -1, uc : uc - self.views.shape[1] : -1]
         return jnp.asarray(np.stack([du, dv], axis=-1), self.views.dtype)
+
+    @property
+    def farthest(self) -> int:
+        """View steps from the centre view to the outermost one along either axis, rounded up.
+
+        Sizes are chosen from it on the host.
+
+        Raises:
+            TypeError: the positions are traced.
+        """
+        return max(self.centre) if self.positions is None else farthest(self.positions)
 
     @property
     def horizontal_arm(self) -> Float[Array, "u y x c"]:
@@ -192,6 +225,11 @@ class LightField(eqx.Module):
         """One epipolar-plane image per image column `x`: `E[v, y] = views[v, u_c, y, x]`."""
         return jnp.transpose(self.vertical_arm, (2, 0, 1, 3))
 
+    def _with(self, **changes: Any) -> "LightField":
+        """The same light field with some fields of other values, which are checked."""
+        fields = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
+        return LightField(**{**fields, **changes})
+
     def without_truth(self) -> "LightField":
         """The same light field with nothing to cheat with."""
         return eqx.tree_at(lambda s: s.truth, self, None, is_leaf=lambda leaf: leaf is None)
@@ -199,21 +237,11 @@ class LightField(eqx.Module):
     def renamed(self, name: str) -> "LightField":
         """The same light field by another name."""
         # Values are not checked again: those on a device would have to be read back.
-        like = jax.eval_shape(
-            lambda s: LightField(
-                s.views,
-                available=s.available,
-                disparity_range=s.disparity_range,
-                truth=s.truth,
-                camera=s.camera,
-                name=name,
-            ),
-            self,
-        )
+        like = jax.eval_shape(lambda s: s._with(name=name), self)
         return jax.tree.unflatten(jax.tree.structure(like), jax.tree.leaves(self))
 
     def bare(self) -> "LightField":
-        """The views and which of them are there, without a name: all that depth is computed from.
+        """The views, their positions, and which of them are there: all that depth comes from.
 
         `edge_to_depth` and its like are compiled for it, so that what else is known about a scene,
         or whether it is, compiles nothing anew.
@@ -246,13 +274,11 @@ class LightField(eqx.Module):
             slice(vc - rows // 2, vc + rows // 2 + 1),
             slice(uc - columns // 2, uc + columns // 2 + 1),
         )
-        return LightField(
-            self.views[window],
+        return self._with(
+            views=self.views[window],
             available=self.available[window],
-            disparity_range=self.disparity_range,
+            positions=None if self.positions is None else self.positions[window],
             truth=None if self.truth is None else self.truth.crop_views(window),
-            camera=self.camera,
-            name=self.name,
         )
 
     def without_views(self, places: Iterable[tuple[int, int]]) -> "LightField":
@@ -281,13 +307,11 @@ class LightField(eqx.Module):
             gone[v, u] = True
         if not gone.any():
             return self
-        return LightField(
-            jnp.where(gone[..., None, None, None], jnp.zeros((), self.views.dtype), self.views),
+        return self._with(
+            views=jnp.where(
+                gone[..., None, None, None], jnp.zeros((), self.views.dtype), self.views
+            ),
             available=self.available & ~gone,
-            disparity_range=self.disparity_range,
-            truth=self.truth,
-            camera=self.camera,
-            name=self.name,
         )
 
     def downsample(self, factor: int) -> "LightField":
@@ -308,11 +332,9 @@ class LightField(eqx.Module):
             )
         if factor == 1:
             return self
-        return LightField(
-            areas(self.views, factor, 2).mean((3, 5)),
-            available=self.available,
+        return self._with(
+            views=areas(self.views, factor, 2).mean((3, 5)),
             disparity_range=None if self.disparity_range is None else self.disparity_range / factor,
             truth=None if self.truth is None else self.truth.downsample(factor),
             camera=None if self.camera is None else self.camera.downsample(factor),
-            name=self.name,
         )

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from mvedge_jax import Camera, GroundTruth, LightField
+from mvedge_jax._crosshair import crosshair
 
 
 def _random(v=3, u=5, y=6, x=8, **kwargs):
@@ -181,3 +182,66 @@ def test_a_single_bad_value_in_many_is_found(value, dtype):
 def test_corner_views_may_be_missing():
     available = jnp.ones((3, 3)).at[0, 0].set(0)
     assert not LightField(jnp.zeros((3, 3, 4, 4, 3)), available=available).available[0, 0]
+
+
+def _places(columns=(-2, -1, 0, 1.4, 2), rows=(-1.5, 0, 1.5)):
+    return np.stack(np.meshgrid(columns, rows), axis=-1)
+
+
+def test_positions_move_points_as_far_as_they_are_away():
+    field = _random(positions=_places())
+    np.testing.assert_allclose(field.steps[0, 3], [-1.4, 1.5], rtol=1e-6)
+    np.testing.assert_array_equal(field.steps[1, 2], [0, 0])
+    across, down = crosshair(field)
+    np.testing.assert_allclose(across.steps, [2, 1, 0, -1.4, -2], rtol=1e-6)
+    np.testing.assert_allclose(down.steps, [1.5, 0, -1.5], rtol=1e-6)
+    assert (field.farthest, _random().farthest) == (2, 2)
+    assert _random(positions=_places(rows=(-2.2, 0, 1.5))).farthest == 3
+
+
+def test_positions_survive_what_is_done_to_a_light_field():
+    field = _random(positions=_places())
+    for same in (
+        field.bare(),
+        field.without_truth(),
+        field.renamed("another"),
+        field.downsample(2),
+        field.without_views([(0, 0)]),
+        jax.jit(lambda s: s)(field),
+    ):
+        np.testing.assert_array_equal(same.positions, field.positions)
+    np.testing.assert_array_equal(field.crop_views(3, 1).positions, field.positions[:, 2:3])
+    assert _random().bare().positions is None
+
+
+@pytest.mark.parametrize(
+    ("positions", "message"),
+    [
+        (
+            _places() * np.nan,
+            r"must be finite, .*got \[nan nan\] .*\(v, u\) = \(0, 0\)",
+        ),
+        (
+            _places() + 1,
+            r"must be \(0, 0\) for the centre view, .*\(1, 2\), got \[1. 1.\]",
+        ),
+        (_places()[:, ::-1] * [1, 1], r"columns that increase to the right, got 2 .* and 1.4"),
+        (_places() * [1, -1], r"rows that increase down, got 1.5 .* and -0 for \(1, 0\)"),
+        (_places((-1350, -1, 0, 1, 2)), r"within 1000 view steps .* got \[-1350. +-1.5\] for"),
+        (60 * _places(), r"in view steps, .* columns about 1 apart \(0.1 to 10\), got 60"),
+        (_places()[:2], r"of shape \(3, 5, 2\), got \(2, 5, 2\)"),
+        (
+            _places() + 0.3 * (np.arange(5) == 4)[None, :, None] * [0, 1],
+            r"centre row on a straight row, at most 0.25 .* got 0.3 .*\(v, u\) = \(1, 4\)",
+        ),
+    ],
+)
+def test_positions_are_those_of_rows_and_columns(positions, message):
+    with pytest.raises(ValueError, match=message):
+        _random(positions=positions)
+
+
+def test_sizes_are_not_chosen_from_traced_positions():
+    field = _random(positions=_places())
+    with pytest.raises(TypeError, match="`light_field.positions` is traced"):
+        jax.jit(lambda s: jnp.asarray(s.farthest))(field)

@@ -75,7 +75,7 @@ class ViewDepth(eqx.Module):
         """
         low, high = scene_range(light_field)
         height, width = light_field.views.shape[2:4]
-        steps = 2 * max(light_field.centre)
+        steps = 2 * light_field.farthest
         radius = occluder_radius(high - low, max(steps, 1), (height, width))
         model = ViewDepth(
             capacity=height * width,

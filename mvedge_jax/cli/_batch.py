@@ -24,10 +24,17 @@ _SCORES = ("mse", "q25", "bad_01", "bad_03", "bad_07")
 
 
 class _Kind(NamedTuple):
-    """Light fields that share a program: shape and precision of their views."""
+    """Light fields that share a program: shape, precision and reach of their views.
+
+    Attributes:
+        shape: of the views.
+        dtype: of the views.
+        farthest: see `LightField.farthest`; None for a regular grid.
+    """
 
     shape: tuple[int, ...]
     dtype: str
+    farthest: int | None
 
 
 class _Options(NamedTuple):
@@ -100,7 +107,8 @@ def batch(
         try:
             with stage(f"reading {scene}"):
                 found = read_scene(scene, views=views, scale=scale)[0].without_truth()
-            kind = _Kind(found.views.shape, str(found.views.dtype))
+            farthest = None if found.positions is None else found.farthest
+            kind = _Kind(found.views.shape, str(found.views.dtype), farthest)
             ends = range or (ranges.get(kind) if asked.video else None) or scene_range(found)
         except (ValueError, OSError, MemoryError) as reason:
             rows[name] = {"state": "failed", "reason": str(reason)}
@@ -204,12 +212,17 @@ class _Estimate:
 
 
 def _over(light_field: LightField, ends: tuple[float, float]) -> LightField:
-    return LightField(light_field.views, available=light_field.available, disparity_range=ends)
+    return LightField(
+        light_field.views,
+        available=light_field.available,
+        positions=light_field.positions,
+        disparity_range=ends,
+    )
 
 
 def _anonymous(light_field: LightField) -> LightField:
     """Views alone: names, cameras and ranges would make a program of their own."""
-    return LightField(light_field.views, available=light_field.available)
+    return light_field.bare()
 
 
 def _names(scenes: Sequence[Path]) -> list[str]:

@@ -35,6 +35,20 @@ def stage(name: str) -> Iterator[None]:
     _say(("done", "green"), f" {name} ({time.perf_counter() - start:.1f} s)")
 
 
+def positions_of(light_field: LightField) -> str:
+    """Where the views are, in words."""
+    if light_field.positions is None:
+        return "regular grid"
+    rows, columns = light_field.available.shape
+    places = np.asarray(light_field.positions)
+    apart = []
+    for name, number, axis in (("columns", 0, 1), ("rows", 1, 0)):
+        if places.shape[axis] > 1:
+            steps = np.diff(places[..., number], axis=axis)
+            apart.append(f"{name} {steps.min():.3g} .. {steps.max():.3g} apart")
+    return f"not regular: {rows}x{columns} views, {', '.join(apart)} (view steps)"
+
+
 def note(text: str) -> None:
     """Prints lines for the user to the standard output; that nobody listens is no error."""
     lines = "\n".join(printable(line) for line in text.split("\n"))

@@ -18,7 +18,7 @@ from mvedge_jax.depth import DepthResult, DepthStats, EdgeDepth, estimate_depth
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.metrics import boundary_scores, calibration, depth_scores
 
-from ._common import compiled, missing_views, note, stage, warn
+from ._common import compiled, missing_views, note, positions_of, stage, warn
 from ._model import FULL, ModelArg, reads_all_views
 from ._output import output_folder, write_json
 from ._points import valid_points, write_points
@@ -44,6 +44,7 @@ def depth(
     flip_u: bool = False,
     flip_v: bool = False,
     swap_axes: bool = False,
+    positions: Path | None = None,
     range: tuple[float, float] | None = None,
     all_views: bool = False,
     view: bool = False,
@@ -70,6 +71,7 @@ def depth(
         flip_u: reverse the columns of views.
         flip_v: reverse the rows of views.
         swap_axes: exchange rows and columns of views, before they are reversed.
+        positions: text file with a line `v u x y` per view: row, column, place in view steps.
         range: lowest and highest disparity, px per view step; measured if not given or known.
         all_views: measure disparity in all views at the end, not in the central row and column
             alone: more accurate, twice as slow.
@@ -79,7 +81,8 @@ def depth(
         seed: of the search that preset thesis draws.
     """
     options.check(all_views=all_views)
-    order = {"flip_u": flip_u, "flip_v": flip_v, "swap_axes": swap_axes}
+    order: dict[str, Any] = {"flip_u": flip_u, "flip_v": flip_v, "swap_axes": swap_axes}
+    order["positions"] = None if positions is None else str(positions.resolve())
     with stage(f"reading {scene}"):
         light_field, said = read_scene(scene, views=views, scale=scale, **order)
     if range is not None:
@@ -132,6 +135,7 @@ def _within(light_field: LightField, limits: tuple[float, float]) -> LightField:
     return LightField(
         light_field.views,
         available=light_field.available,
+        positions=light_field.positions,
         disparity_range=limits,
         truth=light_field.truth,
         camera=light_field.camera,
@@ -220,6 +224,7 @@ def depth_report(
     return {
         "scene": light_field.name,
         "shape [v, u, y, x]": list(light_field.views.shape[:4]),
+        "positions": positions_of(light_field),
         "disparity range": [float(disparity.min()), float(disparity.max())],
         "standard error, median and 95 %": spread,
         "seconds": seconds,

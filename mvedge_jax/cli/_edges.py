@@ -64,6 +64,7 @@ def edges(
         light_field = LightField(
             light_field.views,
             available=light_field.available,
+            positions=light_field.positions,
             disparity_range=range,
             camera=light_field.camera,
             name=light_field.name,

@@ -15,7 +15,7 @@ from mvedge_jax.datasets import (
 from mvedge_jax.lightfield import Camera, GroundTruth, LightField
 from mvedge_jax.photometry.brightness import rough_brightness
 
-from ._common import note, stage, warn
+from ._common import note, positions_of, stage, warn
 from ._source import read_scene
 
 # A camera that is off by more than this many steps moves a point of disparity 1 as many pixels.
@@ -31,6 +31,7 @@ def info(
     flip_u: bool = False,
     flip_v: bool = False,
     swap_axes: bool = False,
+    positions: Path | None = None,
     quick: bool = False,
 ) -> None:
     """Says what is in a light field and checks that its views are the right way round.
@@ -45,19 +46,20 @@ def info(
         flip_u: reverse the view columns.
         flip_v: reverse the view rows.
         swap_axes: exchange view rows and columns, before they are reversed.
+        positions: text file with a line `v u x y` per view: row, column, place in view steps.
         quick: leave out the look at the occlusions, which takes some seconds.
     """
     with open_source(path) as source:
         layout = source.layout
     with stage(f"reading {path}"):
-        light_field, said = read_scene(
-            path, views=views, scale=scale, flip_u=flip_u, flip_v=flip_v, swap_axes=swap_axes
-        )
+        order = {"flip_u": flip_u, "flip_v": flip_v, "swap_axes": swap_axes}
+        light_field, said = read_scene(path, views=views, scale=scale, positions=positions, **order)
     for doubt in said:
         warn(doubt)
     lines = [
         ("light field", f"{light_field.name} ({layout})"),
         ("views", _views(light_field)),
+        ("positions", positions_of(light_field)),
         ("memory", f"{light_field.views.nbytes / 1e6:.0f} MB as {light_field.views.dtype}"),
         ("disparity range", _range(light_field.disparity_range, "px per view step")),
         ("ground truth", _truth(light_field.truth)),

@@ -17,6 +17,7 @@ _READING: dict[str, tuple[type, ...]] = {
     "flip_u": (bool,),
     "flip_v": (bool,),
     "swap_axes": (bool,),
+    "positions": (str, type(None)),
 }
 
 

@@ -105,8 +105,13 @@ def check_convention(
             f"{4 * HEIGHT}x{4 * HEIGHT} px, got {light_field.views.shape[:4]}."
         )
     (vc, uc), there = light_field.centre, np.asarray(light_field.available)
-    across = _central(np.asarray(light_field.horizontal_arm, np.float32), there[vc])
-    down = _central(np.asarray(light_field.vertical_arm, np.float32), there[:, uc])
+    steps = np.asarray(light_field.steps, np.float32)
+    horizontal, vertical = (
+        np.asarray(arm, np.float32)
+        for arm in (light_field.horizontal_arm, light_field.vertical_arm)
+    )
+    across = _central(horizontal, there[vc], steps[vc, :, 0])
+    down = _central(vertical, there[:, uc], steps[:, uc, 1])
     if disparity_range is None and light_field.disparity_range is not None:
         low, high = (float(limit) for limit in light_field.disparity_range)
         disparity_range = low - 0.2, high + 0.2
@@ -145,17 +150,17 @@ def _check(arms: list[Views], reach: float) -> ConventionCheck:
     return ConventionCheck(columns, rows, agreement, *_decide(columns, rows, agreement), limits)
 
 
-def _central(images: np.ndarray, there: np.ndarray) -> Views:
+def _central(images: np.ndarray, there: np.ndarray, steps: np.ndarray) -> Views:
     middle, half = len(there) // 2, min(_VIEWS, len(there)) // 2
     kept = slice(middle - half, middle + half + 1)
-    return Views(images[kept], there[kept])
+    return Views(images[kept], there[kept], steps[kept])
 
 
 def _search(arms: list[Views], reach: float | None) -> np.ndarray:
     """Disparities, without their signs, that a few strips of either arm can be matched at."""
     found = []
     for arm in arms:
-        far = arm.images.shape[2] / (4 * arm.middle)
+        far = arm.images.shape[2] / (4 * arm.farthest)
         strips = match(arm, min(_REACH, far) if reach is None else reach, 12).through
         found.append(np.abs(strips.disparity[strips.valid]))
     return np.concatenate(found)
@@ -164,7 +169,7 @@ def _search(arms: list[Views], reach: float | None) -> np.ndarray:
 def _arm(arm: Views, reach: float) -> tuple[tuple[int, int], Strips]:
     """Votes along one arm and what was matched on it."""
     matches = match(arm, reach, arm.images.shape[1])
-    votes = np.concatenate([_contours(matches), _hidden(matches, arm.middle, reach)])
+    votes = np.concatenate([_contours(matches), _hidden(matches, arm.farthest, reach)])
     return (int((votes > 0).sum()), int((votes < 0).sum())), matches.through
 
 
@@ -188,7 +193,7 @@ def _contours(matches: Matches) -> np.ndarray:
     return votes
 
 
-def _hidden(matches: Matches, middle: int, reach: float) -> np.ndarray:
+def _hidden(matches: Matches, farthest: float, reach: float) -> np.ndarray:
     """A vote per spot that one surface alone can hide, in the half of the views that miss it."""
     through, half = matches.through, matches.half
     e, x = np.nonzero(half.valid & (matches.missing != 0))
@@ -197,7 +202,7 @@ def _hidden(matches: Matches, middle: int, reach: float) -> np.ndarray:
     width = half.disparity.shape[1]
     for row, direction in enumerate((-1, 1)):
         searching = np.ones(len(e), bool)
-        for offset in range(1, math.ceil(2 * reach * middle) + WINDOW):
+        for offset in range(1, math.ceil(2 * reach * farthest) + WINDOW):
             place = x + direction * offset
             inside = (place >= 0) & (place < width)
             place = place.clip(0, width - 1)
@@ -205,7 +210,7 @@ def _hidden(matches: Matches, middle: int, reach: float) -> np.ndarray:
             found = searching & inside & through.valid[e, place] & (np.abs(step) > BEHIND)
             # In the views that miss the spot, does it move over it, and far enough?
             covers = found & (missing * step * direction < 0)
-            covers &= offset <= middle * np.abs(step) + WINDOW // 2
+            covers &= offset <= farthest * np.abs(step) + WINDOW // 2
             votes[row, covers] = np.sign(step)[covers]
             searching &= ~found
     return np.where((votes != 0).sum(0) == 1, votes.sum(0), 0)

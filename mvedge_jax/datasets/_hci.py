@@ -66,6 +66,8 @@ def open_hci(path: Path, names: list[str]) -> Source:
         camera=settings.camera() if settings else None,
         disparity_range=settings.disparity_range() if settings else None,
         size=settings.size() if settings else None,
+        positions=settings.positions(grid) if settings else None,
+        in_steps=True,
     )
 
 
@@ -126,6 +128,25 @@ class _Settings:
                 "expected positive numbers."
             )
         return int(values[0]), int(values[1]), str(self._path)
+
+    def positions(self, grid: tuple[int, int]) -> np.ndarray | None:
+        """Positions of all views in view steps, as `write_hci` writes them; row by row."""
+        found = []
+        for key in ("positions_x", "positions_y"):
+            text = self._parser.get("extrinsics", key, fallback=None)
+            if text is None:
+                return None
+            try:
+                values = np.array([float(part) for part in text.split()])
+            except ValueError:
+                values = np.array(np.nan)
+            if values.size != grid[0] * grid[1] or not np.isfinite(values).all():
+                raise ValueError(
+                    f"{self._path} says {key} = {text[:60]!r} in [extrinsics]; expected a finite "
+                    f"number for each of the {grid[0]}x{grid[1]} views, row by row."
+                )
+            found.append(values.reshape(grid))
+        return np.stack(found, axis=-1)
 
     def camera(self) -> Camera | None:
         """The geometry; the sensor's size is that of the longer side of the image."""

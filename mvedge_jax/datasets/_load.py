@@ -13,6 +13,7 @@ from ._dead import leave_out_dead_views
 from ._images import picked
 from ._limits import memory_limit
 from ._open import open_source
+from ._positions import view_positions, with_positions
 from ._read import read_views, shrink
 from ._source import Source, Truth
 
@@ -25,6 +26,7 @@ def load_light_field(
     flip_u: bool = False,
     flip_v: bool = False,
     swap_axes: bool = False,
+    positions: str | os.PathLike | None = None,
     disparity_range: tuple[float, float] | None = None,
     name: str | None = None,
     max_gb: float | None = None,
@@ -35,7 +37,7 @@ def load_light_field(
     |---|---|---|
     | HCI 4D benchmark | `input_CamNNN.png` | `parameters.cfg`, `gt_disp_lowres.pfm`, object ids |
     | old HCI benchmark | `.h5`, `.hdf5` with `LF` | `GT_DEPTH`, `GT_LABELS` |
-    | Stanford archive | `out_RR_CC_<y>_<x>.png` | `camera_spacing` tells how even the rig is |
+    | Stanford archive | `out_RR_CC_<y>_<x>.png` | positions of the cameras |
     | Lytro, EPFL | `.mat` with `LF`, `[v, u, y, x, c]` or `[y, x, v, u, c]` | |
     | any grid | `*_RR_CC.png`, `.jpg` or `.bmp` | |
 
@@ -54,6 +56,12 @@ def load_light_field(
     flick through the views of a row, then of a column. They also find out where rows and columns of
     the grid have changed places, as of files named by column and row.
 
+    **Positions.** Cameras need not be on a regular square grid. Where files tell their positions
+    (the names of the Stanford archive, `parameters.cfg` as `write_hci` writes it, or `positions`)
+    and these are off such a grid by more than 2 % of a step, the light field has them, and depth
+    follows them. A view step is the median distance of neighbouring columns then, unless the file
+    has its own.
+
     Args:
         path: a folder or a file.
         views: keeps the central `views` x `views` (odd), of a single row or column the central
@@ -64,6 +72,10 @@ def load_light_field(
         flip_u: reverses the view columns, on top of what the layout needs by itself.
         flip_v: reverses the view rows, likewise.
         swap_axes: exchanges view rows and columns, before they are reversed.
+        positions: a text file with a line `v u x y` per view, instead of what the files tell: its
+            row and column in file order, counted from 0, and its position, to the right and down,
+            in view steps (disparities are px per unit of it). Rows and columns that it leaves out
+            are not read.
         disparity_range: `(low, high)` in px per view step of the stored size, where the files do
             not tell or tell wrongly.
         name: what to call the scene; by default the name of the folder or file.
@@ -101,7 +113,8 @@ def load_light_field(
         raise ValueError(f"`scale` must be in (0, 1], got {scale}.")
     limit = memory_limit(max_gb)
     with open_source(Path(path), max_gb=max_gb) as opened:
-        source = opened.exchanged() if swap_axes else opened
+        placed = opened if positions is None else with_positions(opened, Path(positions))
+        source = placed.exchanged() if swap_axes else placed
         rows, columns = _places(source, views, flip_u, flip_v)
         images, available = read_views(source, rows, columns, scale, limit)
         leave_out_dead_views(images, available, source, rows, columns)
@@ -115,6 +128,7 @@ def load_light_field(
         return LightField(
             jax.device_put(images),
             available=available,
+            positions=view_positions(source, rows, columns),
             disparity_range=None if limits is None else tuple(scale * end for end in limits),
             truth=truth,
             camera=camera,

@@ -26,26 +26,33 @@ class Views(NamedTuple):
     Attributes:
         images: the epipolar axis is `x`, `[s, y, x, c]`.
         there: which of them are there.
+        steps: from the centre view, which disparity is multiplied by, float32.
     """
 
     images: Float[np.ndarray, "s y x c"]
     there: Bool[np.ndarray, " s"]
+    steps: Float[np.ndarray, " s"]
 
     @property
     def middle(self) -> int:
         """Index of the centre view."""
         return len(self.there) // 2
 
+    @property
+    def farthest(self) -> float:
+        """Steps to the outermost view."""
+        return float(np.abs(self.steps).max())
+
     def turned(self) -> "Views":
         """The same with `x` and `y` exchanged."""
-        return Views(self.images.transpose(0, 2, 1, 3), self.there)
+        return Views(self.images.transpose(0, 2, 1, 3), self.there, self.steps)
 
     def halved(self) -> "Views":
         """The same at half the size."""
         height, width = (side // 2 for side in self.images.shape[1:3])
         whole = self.images[:, : 2 * height, : 2 * width]
         halves = [cv2.resize(one, (width, height), interpolation=cv2.INTER_AREA) for one in whole]
-        return Views(np.stack(halves), self.there)
+        return Views(np.stack(halves), self.there, self.steps)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -85,9 +92,9 @@ def match(views: Views, reach: float, count: int) -> Matches:
     Returns:
         What was found.
     """
-    arm, middle = views.images, views.middle
+    arm, middle, farthest = views.images, views.middle, views.farthest
     height, width = arm.shape[1:3]
-    number = 2 * math.ceil(reach * middle / _STEP) + 1
+    number = 2 * math.ceil(reach * farthest / _STEP) + 1
     count = min(count, height // HEIGHT, max(12, int(_MEMORY / (number * width))))
     y = np.linspace(HEIGHT, height - 1 - HEIGHT, count).astype(int)
     rows = (y[:, None] + np.arange(-(HEIGHT // 2), HEIGHT // 2 + 1)).ravel()
@@ -98,7 +105,7 @@ def match(views: Views, reach: float, count: int) -> Matches:
         grey = cv2.transform(image, np.full((1, image.shape[2]), 1 / image.shape[2], np.float32))
         return grey.reshape(len(y), HEIGHT, width).mean(1)
 
-    pad = math.ceil(reach * middle) + 1
+    pad = math.ceil(reach * farthest) + 1
     padded = [cv2.copyMakeBorder(v, 0, 0, pad, pad, cv2.BORDER_REPLICATE) for v in arm]
     counts = [int(half.sum()) for half in (views.there[:middle], views.there[middle + 1 :])]
     halves = np.zeros((2, number, len(y), width), np.float32)
@@ -107,7 +114,7 @@ def match(views: Views, reach: float, count: int) -> Matches:
         if view == middle:
             continue
         for k, disparity in enumerate(disparities):
-            shift = float((middle - view) * disparity)
+            shift = float(views.steps[view] * disparity)
             seen = _moved(padded[view], pad + shift, width)
             error = cv2.blur(strips(cv2.absdiff(seen, arm[middle])), (WINDOW, 1))
             outside = slice(max(0, width - math.ceil(shift)), None)

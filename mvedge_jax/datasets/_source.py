@@ -1,8 +1,9 @@
 """What every layout comes down to: a grid of views to read, and what is known beside them."""
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -22,6 +23,15 @@ class Truth:
     object_ids: Int[np.ndarray, "y x"] | None = None
     view_disparity: Float[np.ndarray, "v u y x"] | None = None
     view_ids: Int[np.ndarray, "v u y x"] | None = None
+
+    def taken(self, rows: Sequence[int], columns: Sequence[int]) -> "Truth":
+        """The same of some rows and columns of the grid."""
+        window = np.ix_(rows, columns)
+        disparity, ids = (
+            None if values is None else values[window]
+            for values in (self.view_disparity, self.view_ids)
+        )
+        return dataclasses.replace(self, view_disparity=disparity, view_ids=ids)
 
     def exchanged(self) -> "Truth":
         """The same of a grid whose rows are the columns of this one."""
@@ -50,6 +60,9 @@ class Source:
         size: `(height, width)` that the metadata promises, if any, and the file that says so.
         header: gives height and width of view (row, column) from its header, without reading it;
             None where `read` is as cheap.
+        positions: `(x, y)` of every camera, NaN where it is missing; None if not known.
+        in_steps: whether they are in view steps, x to the right and y down; else they are in a unit
+            of their own.
     """
 
     name: str
@@ -64,6 +77,28 @@ class Source:
     flip_u: bool = False
     size: tuple[int, int, str] | None = None
     header: Callable[[int, int], tuple[int, int]] | None = None
+    positions: Float[np.ndarray, "v u 2"] | None = None
+    in_steps: bool = False
+
+    def taken(self, rows: Sequence[int], columns: Sequence[int], **changes: Any) -> "Source":
+        """The light field of some rows and columns of this one.
+
+        Args:
+            rows: to keep, in file order.
+            columns: likewise.
+            **changes: further fields of `Source`, of the whole grid.
+        """
+        whole = dataclasses.replace(self, **changes)
+        header, truth, window = whole.header, whole.truth, np.ix_(rows, columns)
+        return dataclasses.replace(
+            whole,
+            available=whole.available[window],
+            read=lambda row, column: whole.read(rows[row], columns[column]),
+            label=lambda row, column: whole.label(rows[row], columns[column]),
+            header=None if header is None else lambda r, c: header(rows[r], columns[c]),
+            truth=None if truth is None else lambda: truth().taken(rows, columns),
+            positions=None if whole.positions is None else whole.positions[window],
+        )
 
     def exchanged(self) -> "Source":
         """The same light field, whose rows of views are the columns of this one."""
@@ -75,6 +110,9 @@ class Source:
             label=lambda row, column: self.label(column, row),
             header=None if header is None else lambda row, column: header(column, row),
             truth=None if truth is None else lambda: truth().exchanged(),
+            positions=(
+                None if self.positions is None else self.positions.swapaxes(0, 1)[..., ::-1]
+            ),
             flip_v=self.flip_u,
             flip_u=self.flip_v,
         )

@@ -21,7 +21,7 @@ _VIEW = re.compile(
 
 @dataclasses.dataclass(frozen=True)
 class CameraSpacing:
-    """How evenly the cameras of a rig are spaced; the method takes them to be on a regular grid.
+    """How evenly the cameras of a rig are spaced.
 
     Attributes:
         positions: `(x, y)` of each camera in the archive's unit, NaN where it is missing.
@@ -42,16 +42,25 @@ def is_stanford(names: list[str]) -> bool:
 
 
 def open_stanford(path: Path, names: list[str]) -> Source:
-    """Opens a rectified light field of the Stanford archive."""
-    files = {place: path / name for place, (name, _) in _entries(path, names).items()}
-    rows, columns = (max(place[axis] for place in files) + 1 for axis in (0, 1))
-    check_grid(path, rows, columns)
+    """Opens a rectified light field of the Stanford archive.
+
+    Rows and columns without any file are none: the names tell where the others are.
+    """
+    entries = _entries(path, names)
+    check_grid(path, *(max(place[axis] for place in entries) + 1 for axis in (0, 1)))
+    rows, columns = (sorted({place[axis] for place in entries}) for axis in (0, 1))
+    grid = len(rows), len(columns)
+    files, positions = {}, np.full((*grid, 2), np.nan)
+    for (row, column), (name, position) in entries.items():
+        place = rows.index(row), columns.index(column)
+        files[place], positions[place] = path / name, position
     return image_source(
         path,
         "Stanford archive",
         files,
-        (rows, columns),
-        lambda row, column: f"out_{row:02d}_{column:02d}_<y>_<x>.png",
+        grid,
+        lambda row, column: f"out_{rows[row]:02d}_{columns[column]:02d}_<y>_<x>.png",
+        positions=positions,
     )
 
 

@@ -35,7 +35,9 @@ def write_hci(
     | `gt_disp_lowres_CamNNN.pfm`, `objectids_lowres_CamNNN.png` | the same for every view |
     | `visible_CamNNN.png` | 255 where view `NNN` sees the centre view's pixel, 0 elsewhere |
 
-    The last two rows are more than the benchmark has; `load_light_field` reads all but the last.
+    The last two rows are more than the benchmark has, as are `positions_x` and `positions_y` of all
+    views in `parameters.cfg`, row by row, of views that are on no regular grid. `load_light_field`
+    reads all but the last.
 
     Args:
         light_field: what to write; views that are not available are left out, as is what is not
@@ -114,6 +116,10 @@ def _write_parameters(path: Path, light_field: LightField) -> None:
             "baseline_mm": f"{float(camera.baseline) * 1000:.9g}",
             "focus_distance_m": f"{float(camera.focus_distance):.9g}",
         }
+    if light_field.positions is not None:
+        for axis, key in enumerate(("positions_x", "positions_y")):
+            values = np.asarray(light_field.positions)[..., axis]
+            extrinsics[key] = " ".join(f"{value:.9g}" for value in values.flat)
     if light_field.disparity_range is not None:
         low, high = np.asarray(light_field.disparity_range)
         meta |= {"disp_min": f"{low:.7g}", "disp_max": f"{high:.7g}"}

@@ -7,6 +7,7 @@ import numpy as np
 from jax.core import Tracer
 
 from mvedge_jax._params import as_number
+from mvedge_jax._positions import check_regular
 from mvedge_jax.diffusion import AutoSolver
 from mvedge_jax.edges import OrientedEdges, scene_range
 from mvedge_jax.edges.sides import BidirectionalSides, ThesisSides
@@ -38,8 +39,8 @@ def parts_for(light_field: LightField, preset: str, views: LabelViews) -> dict[s
     """The fields of `EdgeDepth` for a light field; see `EdgeDepth.for_light_field`."""
     if preset not in PRESETS:
         raise ValueError(f"`preset` must be one of {PRESETS}, got {preset!r}.")
-    steps = max(light_field.centre)
-    if steps == 0:
+    steps = light_field.farthest
+    if max(light_field.centre) == 0:
         raise ValueError(
             "`light_field` has a single view; depth needs at least three in a row or column."
         )
@@ -47,6 +48,7 @@ def parts_for(light_field: LightField, preset: str, views: LabelViews) -> dict[s
     height, width = light_field.views.shape[2:4]
     capacity = max(int(_FILL * height * width), 1)
     if preset == "thesis":
+        check_regular(light_field, "the preset 'thesis'")
         # A filter beyond either end of the range, so that its ends are no border of the bank.
         reach = round(1.05 * max(abs(low), abs(high), 0.1), 3)
         # The authors ask for four views in a row, which an arm of three does not have.
@@ -65,7 +67,12 @@ def parts_for(light_field: LightField, preset: str, views: LabelViews) -> dict[s
         }
     first = math.floor(round(low / _SPACING, 6)) - 1
     last = math.ceil(round(high / _SPACING, 6)) + 1
-    edges = OrientedEdges(first=first, filters=last - first + 1, capacity=capacity)
+    edges = OrientedEdges(
+        first=first,
+        filters=last - first + 1,
+        capacity=capacity,
+        farthest=None if light_field.positions is None else steps,
+    )
     radius = occluder_radius(high - low, steps, (height, width))
     hypotheses = hypothesis_count(high - low + 0.2, steps)
     common = {
@@ -98,15 +105,16 @@ def _solver() -> AutoSolver:
 
 
 def check_covers(light_field: LightField, model: "EdgeDepth") -> None:
-    """Refuses a model made for another range of disparities; silent where the range is traced.
+    """Refuses a model made for other positions of the views or another range of disparities.
 
     Args:
-        light_field: whose range counts.
-        model: what it searches has to cover it.
+        light_field: whose range and positions count; those that are traced are taken on trust.
+        model: what it searches has to cover them.
 
     Raises:
         ValueError: it does not.
     """
+    _check_positions(light_field, model)
     known = light_field.disparity_range
     if known is None or isinstance(known, Tracer):
         return
@@ -116,4 +124,27 @@ def check_covers(light_field: LightField, model: "EdgeDepth") -> None:
         raise ValueError(
             f"`model` searches disparities from {first:.4g} to {last:.4g}, but `light_field` says "
             f"{low:.4g} to {high:.4g} px; make it by `EdgeDepth.for_light_field(light_field)`."
+        )
+
+
+def _check_positions(light_field: LightField, model: "EdgeDepth") -> None:
+    """Refuses a model whose filters are not those of the views' positions."""
+    edges, positions = model.edges, light_field.positions
+    if isinstance(edges, ThesisEdges):
+        check_regular(light_field, "`ThesisEdges`")
+    if not isinstance(edges, OrientedEdges):
+        return
+    made = "make it by `EdgeDepth.for_light_field(light_field)`"
+    if (positions is None) != (edges.farthest is None):
+        kinds = ("with `positions`", "on a regular grid")
+        of, own = kinds if positions is None else kinds[::-1]
+        raise ValueError(
+            f"`model` is for views {of}, but those of `light_field` are {own}; {made}."
+        )
+    if positions is None or edges.farthest is None or isinstance(positions, Tracer):
+        return
+    if light_field.farthest > edges.farthest:
+        raise ValueError(
+            f"`model` is for views up to {edges.farthest} view steps from the centre view, but "
+            f"`light_field` has views up to {light_field.farthest} away; {made}."
         )

@@ -55,6 +55,8 @@ class OrientedEdges(eqx.Module):
         filters: number of filters.
         capacity: slots for points.
         spacing: spacing of the filters, px per view step.
+        farthest: view steps from the centre view to the outermost one of a light field that comes
+            with `positions`; None for a regular grid.
         banks: filters of the horizontal and of the vertical arm; None for Prewitt filters. Give
             them (`prewitt`) to learn them.
         strength_floor: weakest edge considered in a scene without noise.
@@ -73,6 +75,7 @@ class OrientedEdges(eqx.Module):
     filters: int = eqx.field(static=True)
     capacity: int = eqx.field(static=True)
     spacing: float = eqx.field(static=True, default=0.1)
+    farthest: int | None = eqx.field(static=True, default=None)
     banks: tuple[FilterBank, FilterBank] | None = None
     strength_floor: Float[Array, ""] = number(0.1, "CIELAB/px", threshold=True)
     above_noise: Float[Array, ""] = number(3.0, "noise deviations", threshold=True)
@@ -85,6 +88,8 @@ class OrientedEdges(eqx.Module):
         if not self.spacing > 0:
             raise ValueError(f"`spacing` must be positive, got {self.spacing}.")
         at_least(self, filters=3, capacity=1)
+        if self.farthest is not None:
+            at_least(self, farthest=1)
 
     @property
     def ends(self) -> tuple[float, float]:
@@ -98,13 +103,19 @@ class OrientedEdges(eqx.Module):
         return low + self.spacing, high - self.spacing
 
     def prewitt(
-        self, views: tuple[int, ...], dtype: DTypeLike = jnp.float32
+        self,
+        views: tuple[int, ...],
+        dtype: DTypeLike = jnp.float32,
+        *,
+        steps: tuple[Float[Array, " u"], Float[Array, " v"]] | None = None,
     ) -> tuple[FilterBank, FilterBank]:
         """The Prewitt filters: the default, and where learning them starts.
 
         Args:
             views: rows and columns of the grid of views, perhaps with more after them.
             dtype: of the filters.
+            steps: from the centre view to the views of the horizontal arm and of the vertical one,
+                for a light field that comes with `positions`, at most `farthest` long.
 
         Returns:
             The bank of the horizontal arm and that of the vertical one.
@@ -118,14 +129,26 @@ class OrientedEdges(eqx.Module):
         index = self.first + jnp.arange(self.filters, dtype=jnp.int32)
         disparity = index.astype(dtype) * self.spacing
         reach = max(map(abs, self.ends))
-        radius = max(bank_radius(reach, count) for count in views[:2])
-        across, down = (prewitt_bank(disparity, count, radius) for count in views[1::-1])
+        if steps is None:
+            radius = max(bank_radius(reach, count) for count in views[:2])
+            across, down = (prewitt_bank(disparity, count, radius) for count in views[1::-1])
+            return across, down
+        radius = bank_radius(reach, 2 * _longest(self, max(views[:2])) + 1)
+        across, down = (
+            prewitt_bank(disparity, count, radius, steps=own.astype(dtype))
+            for count, own in zip(views[1::-1], steps, strict=True)
+        )
         return across, down
 
     def __call__(self, evidence: Evidence, *, key: PRNGKeyArray | None = None) -> Edges:
         """See `EdgeDetector`; the evidence needs a measurement."""
         del key
         return _measured_edges(evidence, self)
+
+
+def _longest(params: OrientedEdges, views: int) -> int:
+    """View steps from the centre view to the outermost one of an arm of so many views."""
+    return views // 2 if params.farthest is None else params.farthest
 
 
 def _frontmost(
@@ -164,7 +187,10 @@ def _measured_edges(evidence: Evidence, params: OrientedEdges) -> Edges:
     params = cast(params, view.dtype)
     banks = params.banks
     if banks is None:
-        banks = params.prewitt((down.shape[0], across.shape[0]), view.dtype)
+        steps = None
+        if params.farthest is not None:
+            steps = scene.arms[0].steps, scene.arms[1].steps
+        banks = params.prewitt((down.shape[0], across.shape[0]), view.dtype, steps=steps)
     strength = jnp.stack(
         [strongest_response(across, banks[0]), strongest_response(down, banks[1]).T]
     )
@@ -177,7 +203,8 @@ def _measured_edges(evidence: Evidence, params: OrientedEdges) -> Edges:
     row, column = candidates.row, candidates.column
 
     limit = params.error_limit * jnp.sqrt(1 + noise.alpha * (_OF_GRAY * grain) ** 2)
-    label, variance = _frontmost(measured, limit**2, 2 / max(across.shape[0] // 2, 1))
+    step = 2 / max(_longest(params, across.shape[0]), 1)
+    label, variance = _frontmost(measured, limit**2, step)
     disparity = label[row, column]
     error = jnp.sqrt(variance[row, column])
     # Where a lens gives no light at all, only the sensor's own pattern agrees between the views.

@@ -77,7 +77,12 @@ def exponential_disparities(count: int, reach: float) -> Float[np.ndarray, " k"]
     return np.concatenate([-half, half[-2::-1]])
 
 
-def line_taps(disparity: Float[Array, " k"], views: int, radius: int) -> Float[Array, "k u w"]:
+def line_taps(
+    disparity: Float[Array, " k"],
+    views: int,
+    radius: int,
+    steps: Float[Array, " u"] | None = None,
+) -> Float[Array, "k u w"]:
     """Taps that average the views along lines, split between the two nearest pixels of each row.
 
     Splitting along x in every row whatever the slope keeps the gain equal for all disparities;
@@ -87,11 +92,13 @@ def line_taps(disparity: Float[Array, " k"], views: int, radius: int) -> Float[A
         disparity: px per view step.
         views: number of views of the arm.
         radius: reach of the taps, see `bank_radius`.
+        steps: from the centre view to each view, `Arm.steps`; None for evenly spaced views.
 
     Returns:
-        Non-negative taps with unit sum. Differentiable in `disparity`, piecewise.
+        Non-negative taps with unit sum. Differentiable in `disparity` and `steps`, piecewise.
     """
-    steps = view_steps(views, disparity.dtype)
+    if steps is None:
+        steps = view_steps(views, disparity.dtype)
     position = disparity[:, None] * steps[None]
     offsets = jnp.asarray(np.arange(-radius, radius + 1), disparity.dtype)
     hat = 1 - jnp.abs(offsets[None, None] - position[..., None])
@@ -99,16 +106,25 @@ def line_taps(disparity: Float[Array, " k"], views: int, radius: int) -> Float[A
 
 
 @accepts_numpy
-def prewitt_bank(disparity: Float[Array, " k"], views: int, radius: int) -> FilterBank:
+def prewitt_bank(
+    disparity: Float[Array, " k"],
+    views: int,
+    radius: int,
+    *,
+    steps: Float[Array, " u"] | None = None,
+) -> FilterBank:
     """The bank of oriented Prewitt filters: the average along the line at `x + 1` minus at `x - 1`.
 
     Args:
         disparity: px per view step of each filter.
         views: number of views of the arm, odd.
         radius: reach of the taps in px; `bank_radius` gives what the disparities need.
+        steps: from the centre view to each view, which disparity is multiplied by, for views that
+            are not evenly spaced; taps beyond the radius are cut off.
 
     Returns:
-        The bank; a unit step of intensity answers with 1. Differentiable in `disparity`.
+        The bank; a unit step of intensity answers with 1. Differentiable in `disparity` and
+        `steps`.
 
     Source: Thesis 4.1.1 and Alg. 1.
 
@@ -118,7 +134,7 @@ def prewitt_bank(disparity: Float[Array, " k"], views: int, radius: int) -> Filt
         >>> bank.taps.shape
         (3, 5, 7)
     """
-    line = line_taps(disparity, views, radius)
+    line = line_taps(disparity, views, radius, steps)
     ahead = jnp.pad(line[..., :-1], ((0, 0), (0, 0), (1, 0)))
     behind = jnp.pad(line[..., 1:], ((0, 0), (0, 0), (0, 1)))
     return FilterBank(disparity, ahead - behind)

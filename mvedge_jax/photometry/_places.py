@@ -16,7 +16,7 @@ class Shift(NamedTuple):
     """A view of a grid: a pixel moves there by its disparity times the step of the view.
 
     Attributes:
-        step: `(u_c - u, v_c - v)`.
+        step: `(u_c - u, v_c - v)`, or minus the view's position.
     """
 
     step: Float[Array, "*s 2"]
@@ -47,7 +47,7 @@ class Shift(NamedTuple):
         disparity, step = lax.stop_gradient(disparity), self.step
         height, width = disparity.shape
         length = jnp.max(jnp.abs(step))
-        direction = step / jnp.maximum(length, 1)
+        direction = step / jnp.where(length > 0, length, 1)
         padded = jnp.pad(disparity, radius, constant_values=-jnp.inf)
 
         def nearer(hidden: Array, distance: Array) -> tuple[Array, None]:

@@ -239,15 +239,18 @@ def recentred(
     v, u = view.astype(jnp.int32)
     factor = exposure.scale / exposure.gain
 
-    def arm(views: Array, gains: Array, there: Array, own: Array) -> Arm:
+    def arm(views: Array, gains: Array, there: Array, own: Array, at: Array | None) -> Arm:
         count = views.shape[0]
         # An arm has its centre in the middle; the order of the other views does not matter.
         order = (jnp.arange(count, dtype=jnp.int32) - count // 2 + own) % count
         planes = jnp.moveaxis(views[order] * gains[order][:, None, None, None], -1, 1)
-        return Arm(planes, (own - order).astype(views.dtype), there[order])
+        steps = own - order if at is None else at[own] - at[order]
+        return Arm(planes, steps.astype(views.dtype), there[order])
 
-    across = arm(light_field.views[v], factor[v], light_field.available[v], u)
-    down = arm(light_field.views[:, u], factor[:, u], light_field.available[:, u], v)
+    places, there = light_field.positions, light_field.available
+    columns, rows = (None, None) if places is None else (places[v, :, 0], places[:, u, 1])
+    across = arm(light_field.views[v], factor[v], there[v], u, columns)
+    down = arm(light_field.views[:, u], factor[:, u], there[:, u], v, rows)
     down = down._replace(planes=jnp.swapaxes(down.planes, -1, -2))
     return _guided((across, down), exposure, noise)
 

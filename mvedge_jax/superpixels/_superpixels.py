@@ -9,6 +9,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from mvedge_jax._checks import checked_jit
 from mvedge_jax._params import cast
+from mvedge_jax._positions import check_regular
 from mvedge_jax.all_views import ViewDepths
 from mvedge_jax.color import srgb_to_lab
 from mvedge_jax.lightfield import LightField
@@ -87,7 +88,8 @@ def superpixels(
         differentiable: `soft_superpixels` is.
 
     Raises:
-        ValueError: if the depths are not those of the views' grid and size; outside `jit`, a
+        ValueError: if the depths are not those of the views' grid and size, or the views are not
+            on a regular grid; outside `jit`, a
             parameter is negative or not finite, or one that divides is 0.
         TypeError: an argument is of another kind, or their order is another.
 
@@ -103,6 +105,7 @@ def superpixels(
         (4, [1, 2])
     """
     check_depths(light_field, depths)
+    check_regular(light_field, "`superpixels`")
     model = cast(model, light_field.views.dtype)
     disparities = depths.disparity.astype(light_field.views.dtype)
     vc, uc = light_field.centre

@@ -71,6 +71,22 @@ def test_uneven_cameras_are_reported(tmp_path, capsys):
     assert re.search(r"at most \d+\.\d % of a step off a regular grid \(irregular\)", spacing)
 
 
+def test_positions_are_told(tmp_path, capsys):
+    folder = write_stanford(tmp_path / "rig", random_views(), pitch=(40.0, 60.0))
+    info(folder, quick=True)
+    told = _lines(capsys.readouterr().out)["positions"]
+    assert (
+        told == "not regular: 3x3 views, columns 1 .. 1 apart, rows 1.5 .. 1.5 apart (view steps)"
+    )
+    file = tmp_path / "positions.txt"
+    file.write_text("1 0 -1 0\n1 1 0 0\n1 2 1.25 0\n")
+    info(folder, positions=file, quick=True)
+    told = _lines(capsys.readouterr().out)["positions"]
+    assert told == "not regular: 1x3 views, columns 1 .. 1.25 apart (view steps)"
+    info(write_grid(tmp_path / "toy", random_views()), quick=True)
+    assert _lines(capsys.readouterr().out)["positions"] == "regular grid"
+
+
 def test_the_right_way_round(tmp_path, capsys):
     info(write_grid(tmp_path / "cards", _cards()))
     captured = capsys.readouterr()

@@ -72,14 +72,19 @@ def write_grid(folder: Path, views: np.ndarray, *, pattern="lf_{:02d}_{:02d}.png
     return folder
 
 
-def write_stanford(folder: Path, views: np.ndarray, *, jitter=0.0) -> Path:
-    """The Stanford archive's layout: cameras every 60 units, to the left and up."""
+def write_stanford(
+    folder: Path, views: np.ndarray, *, jitter=0.0, pitch=(60.0, 60.0), places=None
+) -> Path:
+    """The Stanford archive's layout: cameras `pitch` units apart, to the left and up.
+
+    `places` are `[v, u, (x, y)]` instead.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     draw = np.random.default_rng(1)
     for row, column in np.ndindex(views.shape[:2]):
-        y, x = np.array([-380.5 - 60 * row, 1100.25 - 60 * column]) + jitter * draw.uniform(
-            -1, 1, 2
-        )
+        start = np.array([-380.5 - pitch[1] * row, 1100.25 - pitch[0] * column])
+        y, x = start if places is None else places[row, column][::-1]
+        y, x = np.array([y, x]) + jitter * draw.uniform(-1, 1, 2)
         save_image(folder / f"out_{row:02d}_{column:02d}_{y:.6f}_{x:.6f}.png", views[row, column])
     return folder
 

@@ -111,3 +111,31 @@ def test_mistakes_are_named():
         exponential_disparities(3, 2.0)
     with pytest.raises(ValueError, match=r"`reach` must be positive"):
         exponential_disparities(60, 0.0)
+
+
+def test_taps_follow_the_steps_of_the_views():
+    disparity, radius = jnp.asarray(_DISPARITY), bank_radius(2.0, 7)
+    even = jnp.arange(2, -3, -1, dtype=disparity.dtype)
+    regular = prewitt_bank(disparity, 5, radius).taps
+    np.testing.assert_array_equal(prewitt_bank(disparity, 5, radius, steps=even).taps, regular)
+    # Half the disparity over twice the steps is the same line.
+    wide = prewitt_bank(disparity / 2, 5, radius, steps=2 * even).taps
+    np.testing.assert_allclose(wide, regular, atol=1e-12)
+    uneven = even.at[0].set(2.5).at[3].set(-1.3)
+    taps = prewitt_bank(disparity, 5, radius, steps=uneven).taps
+    jitted = jax.jit(lambda s: prewitt_bank(disparity, 5, radius, steps=s).taps)
+    np.testing.assert_allclose(jitted(uneven), taps, atol=1e-15)
+    # A line of disparity 2 is at 5 px in the first view: the average is ahead by 1 px, 6.
+    assert int(jnp.argmax(taps[-1, 0])) - radius == 6
+
+
+def test_the_gradient_in_the_steps():
+    disparity = jnp.asarray([-0.63, 0.31, 1.17])
+    shown = jax.random.normal(jax.random.key(1), (3, 5, 21))
+    steps = jnp.asarray([2.1, 0.9, -1.2, -2.3])
+
+    def loss(others):
+        every = jnp.insert(others, 2, 0.0)
+        return jnp.sum(shown * prewitt_bank(disparity, 5, 10, steps=every).taps)
+
+    check_gradient(loss, steps, rtol=1e-6, step=1e-6, key=jax.random.key(2))

@@ -10,6 +10,7 @@ from datasets.layouts import (
     CONFIGURATION,
     random_views,
     write_hci,
+    write_stanford,
 )
 from hostile.case import Case, refuses, survives
 from hostile.scenes import TRUTH, hci
@@ -28,6 +29,7 @@ NAMES = [
 def cases() -> Iterator[Case]:
     """All of them."""
     yield from _configurations()
+    yield from _positions()
     yield from _maps()
     yield from _names()
 
@@ -110,6 +112,55 @@ def _configurations() -> Iterator[Case]:
             refuses(lambda: load_light_field(scene), "parameters.cfg")
 
         yield Case(f"parameters.cfg is {target}", linked)
+
+
+def _positions() -> Iterator[Case]:
+    for key in ("positions_x", "positions_y"):
+        for bad in ("nan", "inf", "1e999", "x", "", "1,5", "0", "9" * 400):
+            text = CONFIGURATION.format(width=8, height=6, columns=3, rows=3)
+            others = {"positions_x": "-1 0 1 " * 3, "positions_y": "-1 -1 -1 0 0 0 1 1 1"}
+            others[key] = others[key].replace("1", bad, 1)
+            lines = "".join(f"{name} = {value}\n" for name, value in others.items())
+
+            text = text.replace("[meta]", f"{lines}\n[meta]")
+
+            def told(folder: Path, text=text) -> None:
+                scene = write_hci(folder / "scene", random_views(), settings=False)
+                (scene / "parameters.cfg").write_text(text)
+                refuses(lambda: load_light_field(scene), "scene")
+
+            yield Case(f"{key} with {bad[:9]!r}", told)
+    whole = "".join(f"{v} {u} {u - 1} {v - 1}\n" for v in range(3) for u in range(3))
+    for bad in (
+        b"", b"\xff\xfe", b"0 0", b"0 0 nan 0", b"0 0 1e999 0", b"-1 0 0 0", b"1e300 0 0 0",
+        b"0 0 0 0\n0 0 0 0", b"0 0 0 0\n0 1 0 0\n0 2 0 0", b"0 0 0 0 " * 200_000,
+        whole.replace("-1", "5").encode(), whole.replace("0 0 -1", "0 0 -1e9").encode(),
+    ):  # fmt: skip
+
+        def filed(folder: Path, bad=bad) -> None:
+            scene = write_hci(folder / "scene", random_views())
+            (folder / "positions.txt").write_bytes(bad)
+            refuses(
+                lambda: load_light_field(scene, positions=folder / "positions.txt"),
+                "",
+            )
+
+        yield Case(f"positions {bad[:24]!r}", filed)
+    for special in ("/dev/zero", "/dev/null", "."):
+
+        def device(folder: Path, special=special) -> None:
+            scene = write_hci(folder / "scene", random_views())
+            refuses(lambda: load_light_field(scene, positions=special), special)
+
+        yield Case(f"positions in {special}", device)
+    for place in ("1e999_0", "0_1e999", "5_5"):
+
+        def rig(folder: Path, place=place) -> None:
+            scene = write_stanford(folder / "scene", random_views())
+            next(scene.glob("out_01_02_*")).rename(scene / f"out_01_02_{place}.png")
+            refuses(lambda: load_light_field(scene), "scene")
+
+        yield Case(f"a camera named {place}", rig)
 
 
 def _maps() -> Iterator[Case]:

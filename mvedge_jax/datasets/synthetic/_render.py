@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
+from mvedge_jax._positions import check_positions
 from mvedge_jax.lightfield import GroundTruth, LightField
 
 from ._trace import Mode, Pinhole, mode_of, sees, trace_view
@@ -79,13 +80,15 @@ def _check_samples(samples: int) -> None:
         raise ValueError(f"`samples` must be between 1 and 16 per side of a pixel, got {samples}.")
 
 
-def _grid_pinhole(scene: Scene, shape: tuple[int, int, int, int], v: int, u: int) -> Pinhole:
+def _grid_pinhole(
+    scene: Scene, shape: tuple[int, int, int, int], position: tuple[float, float]
+) -> Pinhole:
     """The camera of one view: parallel to the centre's, its sensor shifted."""
-    rows, columns, height, width = shape
+    _, _, height, width = shape
     dtype = np.dtype(scene.world.solids.centre.dtype)
     focal, gain, focus = (float(x) for x in (scene.rig.focal, scene.rig.gain, scene.rig.focus))
     focal_px = focal * max(height, width)
-    du, dv = u - columns // 2, v - rows // 2
+    du, dv = position
     baseline = gain / focal_px
     return Pinhole(
         origin=np.asarray([du * baseline, dv * baseline, 0.0], dtype),
@@ -97,10 +100,16 @@ def _grid_pinhole(scene: Scene, shape: tuple[int, int, int, int], v: int, u: int
     )
 
 
+def _regular(shape: tuple[int, int, int, int], v: int, u: int) -> tuple[float, float]:
+    """The position of a view of a regular grid."""
+    return float(u - shape[1] // 2), float(v - shape[0] // 2)
+
+
 def render(
     scene: Scene,
     *,
     shape: tuple[int, int, int, int],
+    positions: Float[Array, "v u 2"] | np.ndarray | None = None,
     samples: int = 3,
     progress: Callable[[int, int], None] | None = None,
     key: PRNGKeyArray,
@@ -113,6 +122,7 @@ def render(
     Args:
         scene: see `scene` for those with a name and `make_world` for your own.
         shape: view rows, view columns (both odd), height and width in px.
+        positions: of the views, see `LightField`; None for a regular grid.
         samples: the image averages `samples**2` rays per pixel, spread like a tent of half width
             1 px; the ground truth is that of the pixel's centre.
         progress: called with the number of views that are done and that there are.
@@ -125,7 +135,7 @@ def render(
 
     Raises:
         ValueError: if a size is not a positive integer, the number of view rows or columns is
-            even, or `samples` is not in 1..16.
+            even, positions are none of rows and columns of views, or `samples` is not in 1..16.
 
     Example:
         >>> import jax
@@ -144,7 +154,16 @@ def render(
             f"`shape` must have odd numbers of view rows and columns, got {rows}x{columns}."
         )
     shape = (rows, columns, height, width)
-    pinholes = [_grid_pinhole(scene, shape, v, u) for v in range(rows) for u in range(columns)]
+    places = [_regular(shape, v, u) for v in range(rows) for u in range(columns)]
+    if positions is not None:
+        given = np.asarray(positions, float)
+        if given.shape != (rows, columns, 2):
+            raise ValueError(
+                f"`positions` must have the shape {(rows, columns, 2)}, got {given.shape}."
+            )
+        check_positions(given)
+        places = [(x, y) for x, y in given.reshape(-1, 2).tolist()]
+    pinholes = [_grid_pinhole(scene, shape, place) for place in places]
     mode = mode_of(scene, (height, width), samples)
     images, depth, ids = _trace_views(scene, pinholes, mode, progress, key)
     # Moved into JAX one by one: what is held twice is one array at a time.
@@ -159,6 +178,7 @@ def render(
     vc, uc = rows // 2, columns // 2
     return LightField(
         views,
+        positions=positions,
         disparity_range=scene.disparity_range,
         truth=GroundTruth(
             disparity=disparity[vc, uc],
@@ -246,7 +266,7 @@ def visibility(
     Args:
         scene: what was rendered.
         shape: as for `render`.
-        source: `(v, u)` of the view whose pixels are asked about.
+        source: `(v, u)` of the view of a regular grid whose pixels are asked about.
         target: `(v, u)` of the view that may see them.
 
     Returns:
@@ -261,5 +281,5 @@ def visibility(
             raise ValueError(
                 f"`{name}` must be a view of the {shape[0]}x{shape[1]} grid, got ({v}, {u})."
             )
-    first, second = _grid_pinhole(scene, shape, *source), _grid_pinhole(scene, shape, *target)
+    first, second = (_grid_pinhole(scene, shape, _regular(shape, *v)) for v in (source, target))
     return sees(scene.world, first, second, size=(int(shape[2]), int(shape[3])))

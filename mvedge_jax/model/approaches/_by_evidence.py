@@ -75,8 +75,7 @@ class ByEvidence(Approach):
         start = fit_to_map(start._replace(disparity=base), self.fit, renderer)
         rendered = compiled_render(start.model, renderer, start=base).disparity
         height, width = base.shape
-        steps = round(float(jnp.max(jnp.abs(views.steps))))
-        reach = occluder_radius(float(jnp.ptp(base)), steps, (height, width))
+        reach = occluder_radius(float(jnp.ptp(base)), light_field.farthest, (height, width))
         correction = agreed_correction(views, base, self.evidence, radius=reach)
         trust = trust_labels(start, weight=0.0, label=self.evidence.largest)
         known = jnp.ones(base.shape, bool)
