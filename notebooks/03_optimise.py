@@ -29,16 +29,15 @@ import numpy as np
 from mvedge_jax.lightfield import GroundTruth
 from mvedge_jax.model import (
     DepthModel,
-    FitParams,
-    ModelParams,
-    ModelSizes,
+    Renderer,
     Start,
+    SupervisedFit,
     fit_edges,
     render_model,
 )
 from mvedge_jax.model.codec import decode, encode
 from mvedge_jax.model.optimisation import FixedPoints, Growth
-from mvedge_jax.splatting import SplatParams, SplatSizes, splat
+from mvedge_jax.splatting import SplatRaster, SplatWidths, splat
 
 # %% [markdown]
 # ## A splat
@@ -49,7 +48,13 @@ from mvedge_jax.splatting import SplatParams, SplatSizes, splat
 # %%
 xy = jnp.array([[12.0, 12.0], [15.0, 12.0]])
 maps = splat(
-    xy, jnp.array([1.0, 2.0]), jnp.ones(2), jnp.ones(2, bool), SplatParams(), (24, 28), SplatSizes()
+    xy,
+    jnp.array([1.0, 2.0]),
+    jnp.ones(2),
+    jnp.ones(2, bool),
+    SplatWidths(),
+    (24, 28),
+    SplatRaster(),
 )
 figure, axes = plt.subplots(1, 3, figsize=(9, 2.5), layout="constrained")
 for axis, name in zip(axes, ("label_sum", "label", "weight"), strict=True):
@@ -75,12 +80,12 @@ model = DepthModel(
     jnp.zeros((height, width), jnp.float32),
     jnp.ones(260, bool),
 )
-sizes = ModelSizes.on_raster(1)  # raster pixels per pixel and axis; the thesis has 2
-params = FitParams()
-before = jax.jit(lambda m: render_model(m, ModelParams.narrow(1), sizes).disparity)(model)
+renderer = Renderer.on_raster(1)  # raster pixels per pixel and axis; the thesis has 2
+fit = SupervisedFit()
+before = jax.jit(lambda m: render_model(m, renderer).disparity)(model)
 start = Start(model, error=jnp.full(260, 0.1, jnp.float32), disparity=before)
 known = GroundTruth(jnp.asarray(truth), jnp.ones(truth.shape, bool))
-found = fit_edges(known, start, params, sizes, strategy=FixedPoints())
+found = fit_edges(known, start, fit, renderer, strategy=FixedPoints())
 figure, axes = plt.subplots(1, 4, figsize=(12, 2.6), layout="constrained")
 images = {"truth": truth, "before": before, "after": found.disparity, "Q": found.model.roughness}
 for axis, (name, image) in zip(axes, images.items(), strict=True):
@@ -109,14 +114,14 @@ def tell(now):
     print(f"{now.iteration:3d} of {now.iterations}: loss {now.loss:.5f}, {moved} points moved")
 
 
-grown = fit_edges(known, start, params, sizes, strategy=Growth(rounds=3), progress=tell)
+grown = fit_edges(known, start, fit, renderer, strategy=Growth(rounds=3), progress=tell)
 error = float(jnp.mean((grown.disparity - truth) ** 2))
 assert error < mse[1]
 print(f"mean squared error {error:.5f}")
 
 # %% [markdown]
 # `optimize_edges` does the same against the other views of a light field, without a known map:
-# from `start_from_depth(light_field, edge_to_depth(...))`.
+# from `start_from_depth(light_field, depth(light_field))`.
 #
 # ## How little is enough?
 #

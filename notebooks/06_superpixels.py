@@ -28,13 +28,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from mvedge_jax import plotting
-from mvedge_jax.angular import ViewDepths
+from mvedge_jax.all_views import ViewDepths
 from mvedge_jax.datasets import synthetic
 from mvedge_jax.edit import paint
 from mvedge_jax.metrics.superpixels import superpixel_scores
 from mvedge_jax.superpixels import (
-    SuperpixelParams,
-    SuperpixelSizes,
+    SuperpixelClustering,
     soft_superpixels,
     superpixels,
     through_superpixels,
@@ -47,8 +46,8 @@ light_field = synthetic.render(
 truth, blind = light_field.truth, light_field.without_truth()
 exact = truth.view_disparity
 depths = ViewDepths(exact, 0 * exact, jnp.zeros(exact.shape, jnp.int8), jnp.asarray(0))
-sizes = SuperpixelSizes.for_depths(depths)
-found = superpixels(blind, depths, SuperpixelParams(size=10.0), sizes)
+model = SuperpixelClustering.for_depths(depths, choices={"size": 10.0})
+found = superpixels(blind, depths, model)
 print(f"{int(found.number)} superpixels, {80 * 80 / 10**2:.0f} aimed at")
 
 # %% [markdown]
@@ -105,12 +104,10 @@ plotting.plot_views(paint(blind, exact, mask, jnp.array([0.9, 0.1, 0.1])))
 # gradients in the views and in the disparity. What is lost by describing the picture with one
 # colour per superpixel, and what would reduce it?
 
+
 # %%
-params = SuperpixelParams(size=10.0)
-
-
 def loss(disparity):
-    soft = soft_superpixels(blind, depths._replace(disparity=disparity), params, sizes)
+    soft = soft_superpixels(blind, depths._replace(disparity=disparity), model)
     return jnp.mean((through_superpixels(soft, blind.centre_view) - blind.centre_view) ** 2)
 
 
