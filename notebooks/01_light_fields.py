@@ -26,11 +26,11 @@ import tempfile
 import jax
 import jax.numpy as jnp
 import numpy as np
-from mvedge_jax.baselines import SweepSizes, plane_sweep
 
 from mvedge_jax import metrics, plotting
 from mvedge_jax.datasets import load_light_field, synthetic, write_hci
 from mvedge_jax.metrics.depth import mae, mse
+from mvedge_jax.photometry.matching import plane_sweep
 from mvedge_jax.warping import backward_warp
 
 # %% [markdown]
@@ -87,7 +87,7 @@ plotting.plot_epi(light_field, row=row, positions=columns + 0.5, disparities=dis
 # does not say which is which.
 
 # %%
-result = plane_sweep(light_field.without_truth(), sizes=SweepSizes(planes=48))
+result = plane_sweep(light_field.without_truth(), planes=48)
 scores = metrics.depth_scores(result.disparity, truth)
 caption = f"MSE*100 {float(scores.mse):.2f}   BadPix(0.07) {float(scores.bad_07):.1f} %"
 plotting.plot_comparison(

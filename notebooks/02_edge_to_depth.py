@@ -21,18 +21,16 @@
 
 # %%
 # %matplotlib inline
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
 
-import mvedge_jax
+import mvedge_jax as mv
 from mvedge_jax import plotting
 from mvedge_jax.color import srgb_to_gray
 from mvedge_jax.datasets import synthetic
-from mvedge_jax.depth import Parameters, Sizes, edge_to_depth
-from mvedge_jax.edges.sides import BidirectionalParams, bidirectional
+from mvedge_jax.edges.sides import DirectionalDiffusion, bidirectional
 from mvedge_jax.metrics import depth_scores
 
 # %%
@@ -41,25 +39,35 @@ light_field = synthetic.render(
 )
 truth = light_field.truth.disparity
 blind = light_field.without_truth()
-sizes = Sizes.for_light_field(blind, levels=24, median_radius=4)
+small = {"refine.sharpen.levels": 24, "refine.sharpen.radius": 4}  # for a small image
+model = mv.EdgeDepth.for_light_field(blind, choices=small)
 
 # %% [markdown]
 # A result, and a loss with it: the program is compiled together with its gradient, which the end of
-# this page needs. `edge_to_depth(blind, Parameters(), sizes)` is all that the first half asks for.
+# this page needs. `model(blind)` is all that the first half asks for. The model is made of parts;
+# its numbers have paths, by which `model.replace` sets them.
 
 
 # %%
 def loss(logs):
-    names = list(logs)
-    chosen = [jax.tree.map(jnp.exp, logs[name]) for name in names]
-    params = eqx.tree_at(lambda p: [getattr(p, name) for name in names], Parameters(), chosen)
-    result = edge_to_depth(blind, params, sizes)
+    result = model.replace({path: jnp.exp(log) for path, log in logs.items()})(blind)
     return jnp.mean(jnp.log1p(((result.disparity - truth) / 0.03) ** 2)), result
 
 
-step = mvedge_jax.lean_jit(jax.value_and_grad(loss, has_aux=True))
-diffusion = {name: getattr(Parameters(), name) for name in ("smoothness", "centre", "median")}
-logs = jax.tree.map(jnp.log, diffusion)
+step = mv.lean_jit(jax.value_and_grad(loss, has_aux=True))
+numbers = {row.path: row.value for row in mv.describe(model)}
+diffusion = (
+    "smoothness.color",
+    "smoothness.depth",
+    "labels.weight",
+    "dense.trust",
+    "refine.precision",
+    "refine.stiffness",
+    "refine.slopes.stiffness",
+    "refine.sharpen.epsilon",
+    "refine.sharpen.slack",
+)
+logs = {path: jnp.log(numbers[path]) for path in diffusion}
 (_, result), gradient = step(logs)
 
 # %% [markdown]
@@ -82,7 +90,7 @@ print(f"{keep.sum()} points, median standard error {error:.4f} px")
 # time gives two maps. Where the label was pushed onto its own surface, the step stays clean.
 
 # %%
-passes = bidirectional(points, srgb_to_gray(blind.centre_view), BidirectionalParams())
+passes = bidirectional(points, srgb_to_gray(blind.centre_view), DirectionalDiffusion())
 plotting.plot_disparity(
     [truth, passes.forward, passes.backward], names=["truth", "+ normal", "- normal"]
 )
@@ -104,28 +112,39 @@ scores = depth_scores(result.disparity, truth)
 print(f"MSE*100 {float(scores.mse):.3g}, BadPix(0.07) {float(scores.bad_07):.3g} %")
 
 # %% [markdown]
+# ## The edges alone
+#
+# This map has a label at every pixel, measured in the views. The preset `"edges"` has none of
+# these: the labels of the edge points are splatted, nearest first, and diffused.
+
+# %%
+of_edges = mv.EdgeDepth.for_light_field(blind, preset="edges", choices=small)(blind)
+plotting.plot_disparity(
+    [truth, result.disparity, of_edges.disparity], names=["truth", "full", "edges"]
+)
+
+# %% [markdown]
 # ## A gradient through the chain
 #
 # Points, hypotheses and sides are chosen; everything computed from the choice is differentiable.
-# `jax.grad` reaches every parameter and every pixel of the views that are read: by default those of
+# `jax.grad` reaches every number and every pixel of the views that are read: by default those of
 # the centre row and column, with `views="all"` all of them. In views that are not read, it is
-# exactly 0. There are twenty parameters:
+# exactly 0. These are the numbers, by part:
 
 # %%
-print(Parameters())
+print(model)
 
 # %% [markdown]
-# These are the derivatives in the nine of the diffusion. In all twenty and in the views, the
-# program takes longer to compile: `jax.grad` of the same loss, with more in `logs`. Forward
-# mode, one number in and a map out, is in notebook 05.
+# These are the derivatives in nine of the diffusion. In all of them and in the views, the program
+# takes longer to compile: `eqx.filter_grad` of a function of the model. Forward mode, one number in
+# and a map out, is in notebook 05.
 
 # %%
-for group, leaves in gradient.items():
-    for name, leaf in vars(leaves).items():
-        print(f"d loss / d log {group}.{name} = {float(leaf):+.2e}")
+for path, slope in gradient.items():
+    print(f"d loss / d log {path} = {float(slope):+.2e}")
 
 # %% [markdown]
-# ## Parameters learned by gradient
+# ## Numbers learned by gradient
 #
 # A few steps of Adam on the logarithms of these, on this scene alone. A lower loss here
 # says nothing about other scenes: `experiments/learn_parameters.py` learns from two and shows what

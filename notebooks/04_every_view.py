@@ -26,15 +26,15 @@ import jax
 import jax.numpy as jnp
 import matplotlib.pyplot as plt
 import numpy as np
-from mvedge_jax.baselines import reproject_views
 
 from mvedge_jax import plotting
 from mvedge_jax.all_views import ViewDepth, depth_of_views
 from mvedge_jax.datasets import synthetic
-from mvedge_jax.depth import EdgeDepth
+from mvedge_jax.depth import depth
 from mvedge_jax.edit import insert_picture, paint, remove
 from mvedge_jax.metrics import view_consistency
 from mvedge_jax.metrics.depth import bad_pixels, mse
+from mvedge_jax.warping import forward_warp, holes
 
 # %%
 light_field = synthetic.render(
@@ -42,9 +42,17 @@ light_field = synthetic.render(
 )
 truth = light_field.truth.view_disparity
 blind = light_field.without_truth()
-result = EdgeDepth.for_light_field(blind)(blind)
+result = depth(blind)
 found = depth_of_views(blind, result, ViewDepth.for_light_field(blind))
-naive = reproject_views(result.disparity, blind.steps)
+
+
+def moved(step):
+    """The centre view's map in another view; holes go on with the surface behind."""
+    warped = forward_warp(result.disparity[..., None], result.disparity, step)
+    return warped.disparity.ravel()[holes(warped.disparity, warped.hit).behind]
+
+
+naive = jax.vmap(jax.vmap(moved))(blind.steps)
 
 # %% [markdown]
 # ## What the centre view does not show

@@ -14,11 +14,12 @@
 # ---
 
 # %% [markdown]
-# # A sweep and a learned parameter
+# # A sweep, a learned number, a learned part
 #
-# Every number of `Parameters` is traced: settings run in batches through one program, and have
-# derivatives. Two ways to choose one, on rows of views so small that this page runs in a minute,
-# most of which the compiler takes: what is found here is not what larger scenes want.
+# Every number of an `EdgeDepth` is traced: settings run in batches through one program, and have
+# derivatives. Two ways to choose one, and a network in place of a part, on rows of views so small
+# that this page runs in a minute or two, most of which the compiler takes: what is found here is
+# not what larger scenes want.
 
 # %%
 # %matplotlib inline
@@ -33,8 +34,9 @@ import optuna
 import mvedge_jax
 from mvedge_jax import plotting
 from mvedge_jax.datasets import synthetic
-from mvedge_jax.depth import Parameters, Sizes, edge_to_depth
+from mvedge_jax.depth import EdgeDepth
 from mvedge_jax.lightfield import LightField
+from mvedge_jax.smoothness import ColorAndDepth
 from mvedge_jax.sweep import Interval, Space, plot_sweep, sweep
 
 mvedge_jax.compilation_cache()
@@ -58,8 +60,8 @@ def small(name):
 
 chosen_by = {name: small(name) for name in ("edges", "demo")}
 judge = small("slanted")
-choices = {"solves": 1, "levels": 8}
-sizes = Sizes.for_light_field(judge.without_truth(), **choices)
+choices = {"refine.solves": 1, "refine.sharpen.levels": 8}
+model = EdgeDepth.for_light_field(judge, choices=choices)
 
 
 # %% [markdown]
@@ -75,13 +77,11 @@ def loss(disparity, light_field):
     return jnp.mean(jnp.log1p((error / 0.03) ** 2))
 
 
-space = Space(
-    {"smoothness.depth": Interval(0.01, 0.5), "centre.precision": Interval(0.001, 0.05)},
-    {name: (value,) for name, value in choices.items()},
-)
+space = Space({"smoothness.depth": Interval(0.01, 0.5), "refine.precision": Interval(0.001, 0.05)})
 found = sweep(
     list(chosen_by.values()),
     space,
+    start=choices,
     trials=32,
     batch=4,
     objective=lambda result, light_field: loss(result.disparity, light_field),
@@ -91,26 +91,26 @@ plot_sweep(found)
 
 
 # %% [markdown]
-# ## A learned parameter
+# ## A learned number
 #
 # The derivative in one number is a pass forwards beside the value: `jax.jvp`, here of the loss and
 # of the map at once. (All numbers at once: `jax.grad`, see notebook 02 and the page on gradients.)
 
 
 # %%
-def with_depth(params, log):
-    return eqx.tree_at(lambda p: p.smoothness.depth, params, jnp.exp(log))
+def with_depth(model, log):
+    return model.replace({"smoothness.depth": jnp.exp(log)})
 
 
 @mvedge_jax.lean_jit
-def value_and_slope(params, light_field):
+def value_and_slope(model, light_field):
     """Loss and map; the derivatives of both in the logarithm of `smoothness.depth`."""
 
     def of(log):
-        found = edge_to_depth(light_field.without_truth(), with_depth(params, log), sizes)
+        found = with_depth(model, log)(light_field)
         return loss(found.disparity, light_field), found.disparity
 
-    log = jnp.log(params.smoothness.depth)
+    log = jnp.log(model.smoothness.depth)
     return jax.jvp(of, (log,), (jnp.ones_like(log),))
 
 
@@ -119,7 +119,7 @@ def value_and_slope(params, light_field):
 
 # %%
 demo = chosen_by["demo"]
-(_, disparity), (_, moved) = value_and_slope(Parameters(), demo)
+(_, disparity), (_, moved) = value_and_slope(model, demo)
 plotting.plot_disparity([demo.truth.disparity, disparity], names=["truth", "estimate"])
 
 # %%
@@ -129,18 +129,18 @@ plotting.plot_disparity([moved], names=["d disparity / d log(smoothness.depth)"]
 # Adam steps along the logarithm.
 
 # %%
-log = jnp.log(Parameters().smoothness.depth)
+log = jnp.log(model.smoothness.depth)
 adam = optax.adam(0.2)
 state, path = adam.init(log), []
 for _ in range(16):
-    params = with_depth(Parameters(), log)
-    pairs = [value_and_slope(params, field) for field in chosen_by.values()]
+    moved = with_depth(model, log)
+    pairs = [value_and_slope(moved, field) for field in chosen_by.values()]
     value, slope = (sum(x for x, _ in part) / len(pairs) for part in zip(*pairs, strict=True))
     path.append((float(jnp.exp(log)), float(value)))
     step, state = adam.update(slope, state)
     log = optax.apply_updates(log, step)
 path = np.array(path)
-learned = with_depth(Parameters(), jnp.log(jnp.asarray(path[path[:, 1].argmin(), 0], jnp.float32)))
+learned = model.replace({"smoothness.depth": path[path[:, 1].argmin(), 0]})
 
 fig, ax = plt.subplots(figsize=(5, 3))
 tried = [row for row in found.rows if row["mean"] is not None]
@@ -161,6 +161,56 @@ ax.legend()
 # A lower loss on two scenes says nothing about a third, so look.
 
 # %%
-for name, params in (("defaults", Parameters()), ("sweep", found.params), ("learned", learned)):
-    scores = [float(value_and_slope(params, field)[0][0]) for field in (*chosen_by.values(), judge)]
+swept = model.replace(found.choices)
+for name, chosen in (("defaults", model), ("sweep", swept), ("learned", learned)):
+    scores = [float(value_and_slope(chosen, field)[0][0]) for field in (*chosen_by.values(), judge)]
     print(f"{name:9} chosen by {np.mean(scores[:2]):.4f}   unseen {scores[2]:.4f}")
+
+
+# %% [markdown]
+# ## A part of one's own
+#
+# A smoothness is any `equinox.Module` that is called with the centre view, the map of the previous
+# diffusion and the depth-edge confidence, and returns weights of the edges between neighbouring
+# pixels.
+# This one scales those of the default by what a convolution sees. It is trained through the chain
+# of preset `"edges"`, in which the labels of edge points are all there is.
+
+
+# %%
+class Corrected(eqx.Module):
+    network: eqx.nn.Conv2d
+
+    def __init__(self, key):
+        network = eqx.nn.Conv2d(4, 2, 3, padding=1, key=key)
+        self.network = jax.tree.map(jnp.zeros_like, network)  # the default itself at first
+
+    def __call__(self, guide, disparity, depth_edge):
+        tx, ty = ColorAndDepth()(guide, disparity, depth_edge)
+        right, down = jnp.exp(self.network(jnp.concatenate([guide / 50, disparity[None]])))
+        return jnp.minimum(tx * right[:, :-1], 1), jnp.minimum(ty * down[:-1], 1)
+
+
+small_image = {"refine.sharpen.levels": 8}
+edges = EdgeDepth.for_light_field(judge, preset="edges", choices=small_image)
+
+
+@mvedge_jax.lean_jit
+@eqx.filter_value_and_grad
+def network_loss(smoothness, light_field):
+    found = edges.replace(smoothness=smoothness)(light_field)
+    return loss(found.disparity, light_field)
+
+
+smoothness = Corrected(jax.random.key(0))
+adam = optax.adam(0.03)
+state = adam.init(smoothness)
+for number in range(21):
+    pairs = [network_loss(smoothness, field) for field in chosen_by.values()]
+    value = np.mean([value for value, _ in pairs])
+    if number in (0, 20):
+        unseen = float(network_loss(smoothness, judge)[0])
+        print(f"after {number:2d} steps: learned from {value:.4f}   unseen {unseen:.4f}")
+    slope = jax.tree.map(lambda *parts: sum(parts) / len(parts), *(slope for _, slope in pairs))
+    step, state = adam.update(slope, state)
+    smoothness = optax.apply_updates(smoothness, step)

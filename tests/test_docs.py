@@ -37,11 +37,26 @@ def test_a_row_of_the_equations_names_what_is_there(row):
         assert any(f"def {step}(" in source for source in sources.values()), step
 
 
-def test_the_loss_of_ones_own_runs():
-    page = (_PAGE.parent / "objectives.md").read_text(encoding="utf-8")
-    (code,) = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
+def _run(name, blocks):
+    """What the Python blocks of a page leave behind, run one after the other."""
+    page = (_PAGE.parent / name).read_text(encoding="utf-8")
     names: dict = {"__name__": "page"}
-    exec(compile(code.replace("print(", "("), "objectives.md", "exec"), names)  # noqa: S102
+    for code in re.findall(r"```python\n(.*?)```", page, re.DOTALL)[blocks]:
+        exec(compile(code.replace("print(", "("), name, "exec"), names)  # noqa: S102
+    return names
+
+
+def test_the_loss_of_ones_own_runs():
+    names = _run("objectives.md", slice(None))
     history, found = names["history"], names["state"].best.disparity
     assert float(history.loss[-1]) < 0.5 * float(history.loss[0])
     np.testing.assert_allclose(found, 0.2, atol=0.05)
+
+
+@pytest.mark.slow
+def test_parts_of_ones_own_run():
+    """A network for the smoothness learns, other filters find points, another solver converges."""
+    names = _run("parts.md", slice(2, None))  # the first ones read a light field of the benchmark
+    assert names["losses"][-1] < 0.9 * names["losses"][0]
+    assert int(names["points"].valid.sum()) > 100
+    assert bool(names["result"].stats.converged)
