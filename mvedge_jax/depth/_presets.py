@@ -1,7 +1,7 @@
 """The parts that each preset of `EdgeDepth` is made of."""
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from jax.core import Tracer
@@ -15,7 +15,7 @@ from mvedge_jax.edges.thesis import LineSearch, ThesisEdges
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.photometry import AsIs, Calibrate, hypothesis_count, occluder_radius
 from mvedge_jax.photometry.matching import Matching
-from mvedge_jax.photometry.measuring import LabelViews, Measurement
+from mvedge_jax.photometry.measuring import Measurement
 from mvedge_jax.smoothness import ColorAndDepth
 
 from ._dense import MeasuredLabels
@@ -35,7 +35,9 @@ _FILL = 0.65
 _ROUNDED = 0.02
 
 
-def parts_for(light_field: LightField, preset: str, views: LabelViews) -> dict[str, Any]:
+def parts_for(
+    light_field: LightField, preset: str, views: Literal["crosshair", "all"]
+) -> dict[str, Any]:
     """The fields of `EdgeDepth` for a light field; see `EdgeDepth.for_light_field`."""
     if preset not in PRESETS:
         raise ValueError(f"`preset` must be one of {PRESETS}, got {preset!r}.")

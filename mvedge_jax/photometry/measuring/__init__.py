@@ -14,7 +14,6 @@ from ._measure import (
     photometric_labels as photometric_labels,
 )
 from ._measuring import (
-    LabelViews as LabelViews,
     Measurement as Measurement,
     Measuring as Measuring,
 )
