@@ -34,7 +34,7 @@ from mvedge_jax.model.optimisation import (
     optimise,
 )
 
-# What is typical of changes of Q, Z, R and xy: labels of `edge_to_depth` are near their place.
+# What is typical of changes of Q, Z, R and xy: labels of `EdgeDepth` are near their place.
 SCALES = {
     "supervised": (1.0, 0.1, 1.0, 0.2),
     "evidence": (1.0, 0.01, 1.0, 0.2),

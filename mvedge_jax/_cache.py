@@ -9,7 +9,7 @@ import jax
 def compilation_cache(*, folder: str | os.PathLike | None = None) -> Path | None:
     """Switches on JAX's persistent compilation cache, for a notebook or a script.
 
-    The first call of `edge_to_depth` then takes seconds instead of half a minute from the second
+    The first call of `depth` then takes seconds instead of half a minute from the second
     process on. `mvedge` does this by itself. A cache that was configured through JAX's own
     variables is left alone.
 

@@ -29,7 +29,7 @@ _WISHES = {
 def compiler_options() -> dict[str, bool | int | float | str]:
     """What `lean_jit`, and so every program of this package, asks of XLA, for a `jax.jit` of yours.
 
-    `edge_to_depth` and its like ask for it by themselves where they are called as they are. Within
+    `EdgeDepth` and its like ask for it by themselves where they are called as they are. Within
     your own `jit`, and under `grad` without one, only what that `jit` asks for counts: JAX takes
     options of the outermost `jit` alone. What it changes is how fast and in how much memory a
     program is compiled and runs on the CPU, not what it computes, but for rounding.

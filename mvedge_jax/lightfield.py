@@ -243,7 +243,7 @@ class LightField(eqx.Module):
     def bare(self) -> "LightField":
         """The views, their positions, and which of them are there: all that depth comes from.
 
-        `edge_to_depth` and its like are compiled for it, so that what else is known about a scene,
+        `EdgeDepth` and its like are compiled for it, so that what else is known about a scene,
         or whether it is, compiles nothing anew.
         """
         plain = eqx.tree_at(

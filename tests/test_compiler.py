@@ -185,10 +185,11 @@ import mvedge_jax as mv
 here, there = jax.devices()
 views = jax.device_put(jnp.zeros((3, 3, 8, 8, 3)), here)
 light_field = mv.LightField(views, disparity_range=(-1.0, 1.0))
-params, sizes = mv.Parameters(), mv.Sizes.for_light_field(light_field)
-for call in (mv.edge_to_depth, mv.edge_to_depth.lower):
+from mvedge_jax.depth import estimate_depth
+model = mv.EdgeDepth.for_light_field(light_field)
+for call in (estimate_depth, estimate_depth.lower):
     try:
-        call(light_field, jax.device_put(params, there), sizes)
+        call(light_field, jax.device_put(model, there))
     except ValueError as error:
         print(error)
 total = mv.lean_jit(lambda a, b: a + b)
@@ -205,7 +206,7 @@ def test_arguments_on_different_devices_are_named():
     )
     *refused, alone, together = run.stdout.splitlines()
     assert refused == 2 * [
-        "Arguments of `edge_to_depth` are on different devices: `light_field` on cpu:0, "
-        "`params` on cpu:1. Put all of them on one, as by `jax.device_put(params, device)`."
+        "Arguments of `estimate_depth` are on different devices: `light_field` on cpu:0, "
+        "`model` on cpu:1. Put all of them on one, as by `jax.device_put(model, device)`."
     ]
     assert (alone, together) == ("3.0", "[2. 2.]")

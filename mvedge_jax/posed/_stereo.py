@@ -94,7 +94,7 @@ class StereoResult(NamedTuple):
 def stereo(photographs: Photographs, reference: Reference, model: StereoDepth) -> StereoResult:
     """Estimates the depth of every pixel of one of a few posed photographs.
 
-    As `edge_to_depth` without edge points, and with another way for a pixel to move into a view, a
+    As `EdgeDepth` without edge points, and with another way for a pixel to move into a view, a
     homography and an epipole:
 
     1. Gains of the photographs are measured and taken out, noise is measured.
