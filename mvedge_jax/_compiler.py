@@ -118,7 +118,7 @@ def _check_devices(function: Callable[..., Any], arguments: Any, options: Any) -
     places = ", ".join(f"`{name}` on {' and '.join(devices)}" for name, devices in found if devices)
     raise ValueError(
         f"Arguments of `{function.__name__}` are on different devices: {places}. Put all of them "
-        "on one, as by `jax.device_put(params, device)`."
+        "on one, as by `jax.device_put(model, device)`."
     )
 
 
