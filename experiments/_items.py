@@ -104,7 +104,7 @@ ITEMS = (
         "irregular_views.py",
         None,
         "",
-        "A row of views at uneven positions",
+        "Rows of views at uneven positions, arrays of oblong cells",
     ),
     Item("figure_c_1", "figure_c_1.py", None, "--scene hci/cotton", "Figure C.1: noise on points"),
     Item("figure_c_9", "figure_c_9.py", None, "--scene hci/cotton", "Figure C.9: fewer points"),

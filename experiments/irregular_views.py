@@ -15,6 +15,7 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import cv2
 import equinox as eqx
@@ -50,7 +51,7 @@ class Arguments:
     views: int = 17
     side: int = 5
     size: int = 96
-    preset: str = "full"
+    preset: Literal["full", "edges"] = "full"
     out: Path = Path("results/irregular_views")
 
 

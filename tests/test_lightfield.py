@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jax import export
 
 from mvedge_jax import Camera, GroundTruth, LightField
 from mvedge_jax._crosshair import crosshair
@@ -210,7 +211,8 @@ def test_positions_survive_what_is_done_to_a_light_field():
         jax.jit(lambda s: s)(field),
     ):
         np.testing.assert_array_equal(same.positions, field.positions)
-    np.testing.assert_array_equal(field.crop_views(3, 1).positions, field.positions[:, 2:3])
+    cropped = field.crop_views(3, 1).positions
+    np.testing.assert_array_equal(cropped, np.asarray(field.positions)[:, 2:3])
     assert _random().bare().positions is None
 
 
@@ -239,6 +241,15 @@ def test_positions_survive_what_is_done_to_a_light_field():
 def test_positions_are_those_of_rows_and_columns(positions, message):
     with pytest.raises(ValueError, match=message):
         _random(positions=positions)
+
+
+def test_positions_are_written_with_a_program():
+    pytest.importorskip("flatbuffers", reason="jax.export writes files by it")
+    field = _random(positions=_places())
+    data = export.export(jax.jit(lambda s: (s, s.steps)))(field).serialize()
+    same, steps = export.deserialize(data).call(field)
+    np.testing.assert_array_equal(same.positions, field.positions)
+    np.testing.assert_array_equal(steps, field.steps)
 
 
 def test_sizes_are_not_chosen_from_traced_positions():

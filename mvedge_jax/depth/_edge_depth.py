@@ -210,7 +210,8 @@ def estimate_depth(
     Raises:
         ValueError: the light field has a single view per arm; or, outside `jit`, a number of the
             model is not finite or is negative, or the model was made for a narrower range than the
-            light field's. Under `jit` such numbers give a map of NaN, and `stats.sound` is False.
+            light field's or for other positions of the views. Under `jit` such numbers give a map
+            of NaN, and `stats.sound` is False.
         TypeError: an argument is of another kind, or their order is another.
 
     Source: Thesis 6.1, 4.2.2 and 4.3; what differs, and why, is a page of the documentation.

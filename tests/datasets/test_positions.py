@@ -153,6 +153,7 @@ def test_rendered_views_are_where_they_are_asked_for():
     same = synthetic.render(scene, shape=shape, positions=places, samples=1, key=key)
     np.testing.assert_array_equal(same.views, regular.views)
     half = synthetic.render(scene, shape=shape, positions=places / 2, samples=1, key=key)
-    np.testing.assert_array_equal(half.truth.view_disparity[0, 4], same.truth.view_disparity[0, 3])
+    ends, inner = (known(known(field.truth).view_disparity) for field in (half, same))
+    np.testing.assert_array_equal(ends[0, 4], inner[0, 3])
     with pytest.raises(ValueError, match=r"`positions` must have the shape \(1, 5, 2\), got"):
         synthetic.render(scene, shape=shape, positions=places[:, :3], samples=1, key=key)

@@ -5,7 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from datasets.layouts import write_stanford
+from datasets.layouts import known, write_stanford
 from edges.scenes import waves
 from helpers import lean
 
@@ -15,9 +15,11 @@ from mvedge_jax._params import cast
 from mvedge_jax.color import srgb_to_lab
 from mvedge_jax.datasets import load_light_field, synthetic
 from mvedge_jax.depth import estimate_depth
+from mvedge_jax.edges import OrientedEdges
 from mvedge_jax.edges.thesis import ThesisEdges
 from mvedge_jax.metrics import depth_scores
-from mvedge_jax.photometry import gather_evidence
+from mvedge_jax.photometry import Noise, gather_evidence, recentred
+from mvedge_jax.photometry.brightness import Exposure
 from mvedge_jax.photometry.measuring import Measuring, photometric_labels
 from mvedge_jax.photometry.measuring._look import arm_splines
 
@@ -111,8 +113,9 @@ def test_positions_of_one_shape_share_a_program(model):
 
 
 def test_filters_follow_the_positions(model):
+    assert isinstance(model.edges, OrientedEdges)
     assert model.edges.farthest == 2
-    steps = tuple(jnp.asarray(-s) for s in (_UNEVEN[0, :, 0], _UNEVEN[:, 0, 1]))
+    steps = jnp.asarray(-_UNEVEN[0, :, 0]), jnp.asarray(-_UNEVEN[:, 0, 1])
     across, down = model.edges.prewitt((3, 5), jnp.float64, steps=steps)
     assert across.taps.shape[1:] == (5, across.taps.shape[2])
     # The centre of the taps' positive half is ahead of the line by half a pixel or so.
@@ -123,9 +126,25 @@ def test_filters_follow_the_positions(model):
         np.testing.assert_allclose(line, wanted, atol=1e-6)
 
 
+def test_another_view_sees_the_others_from_its_own_place():
+    light_field = plane(_UNEVEN)
+    exposure = Exposure(jnp.ones((), jnp.float32), jnp.ones((3, 5), jnp.float32))
+    noise = Noise.of(jnp.zeros((), jnp.float32))
+    scene = recentred(light_field, jnp.asarray([0, 3]), exposure, noise)
+    (across, down), (rows, columns) = scene.arms, (_UNEVEN[:, 3, 1], _UNEVEN[0, :, 0])
+    np.testing.assert_allclose(np.sort(across.steps), np.sort(0.8 - columns), atol=1e-6)
+    np.testing.assert_allclose(np.sort(down.steps), np.sort(-1.5 - rows), atol=1e-6)
+    assert float(across.steps[across.centre]) == float(down.steps[down.centre]) == 0
+    regular = recentred(plane(_EVEN, given=False), jnp.asarray([0, 3]), exposure, noise)
+    given = recentred(plane(_EVEN), jnp.asarray([0, 3]), exposure, noise)
+    for one, other in zip(regular.arms, given.arms, strict=True):
+        np.testing.assert_array_equal(one.steps, other.steps)
+
+
 def test_a_model_of_other_positions_is_refused(model):
     regular, uneven = plane(_EVEN, given=False), plane(_UNEVEN)
     for_regular = EdgeDepth.for_light_field(regular)
+    assert isinstance(for_regular.edges, OrientedEdges)
     assert for_regular.edges.farthest is None
     with pytest.raises(ValueError, match="`model` is for views with `positions`, but those"):
         model(regular)
@@ -193,6 +212,6 @@ def test_oblong_cells_are_as_good_as_squares(tmp_path):
     square, read = rendered(tmp_path / "square", grid(side, side))
     wide, oblong = rendered(tmp_path / "oblong", grid(1.5 * side, side))
     assert read.positions is None
-    np.testing.assert_allclose(oblong.positions, grid(1.5 * side, side), atol=1e-4)
+    np.testing.assert_allclose(known(oblong.positions), grid(1.5 * side, side), atol=1e-4)
     wanted, found = _scores(read, square, 1.0), _scores(oblong, wide, 1.0)
     assert (found < 1.05 * wanted).all(), (found, wanted)
