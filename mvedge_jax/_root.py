@@ -1,7 +1,10 @@
-"""A square root that has a derivative everywhere."""
+"""A square root that has a derivative everywhere, and the least that is divided by."""
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
+
+# Guards divisions: derivatives hold the inverse squared, which is still a number in float32.
+LEAST_DIVISOR = 1e-9
 
 
 def root(square: Float[Array, "*s"]) -> Float[Array, "*s"]:

@@ -253,6 +253,33 @@ def test_private_modules_stay_in_their_package():
     assert not offenders
 
 
+_CHAIN = ["depth", "edges", "smoothness", "splatting", "diffusion", "warping", "epi", "photometry"]
+_ARITHMETIC = ast.Constant, ast.BinOp, ast.UnaryOp, ast.operator, ast.unaryop
+
+
+def _float_constants(path: Path) -> Iterator[str]:
+    """Names at the top of a module that hold floats, alone or in a tuple."""
+    for statement in ast.parse(path.read_text()).body:
+        if not isinstance(statement, ast.Assign | ast.AnnAssign) or statement.value is None:
+            continue
+        numbers = statement.value.elts if isinstance(statement.value, ast.Tuple) else []
+        for number in numbers or [statement.value]:
+            parts = list(ast.walk(number))
+            plain = all(isinstance(p, _ARITHMETIC) for p in parts)
+            if plain and any(
+                isinstance(p, ast.Div) or isinstance(getattr(p, "value", None), float)
+                for p in parts
+            ):
+                yield f"{path.relative_to(_PACKAGE)}: {ast.unparse(statement)}"
+
+
+def test_what_is_tuned_in_the_chain_is_a_number_of_a_part():
+    """Constants are formats and guards: nothing that a user may want to set, or to learn."""
+    paths = (path for folder in _CHAIN for path in (_PACKAGE / folder).rglob("*.py"))
+    found = [constant for path in paths for constant in _float_constants(path)]
+    assert len(found) <= 12, found
+
+
 # Names that a package, or a room in it, gives away. What needs more is two rooms.
 _MOST = 14
 _MORE = {"plotting": 17, "depth": 15, "edges/sides": 15}

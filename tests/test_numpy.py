@@ -131,7 +131,7 @@ CALLS = {
         warping.warp_planes(PLANES, MAP, STEP),
     ),
     "forward": lambda: (warping.forward_warp(RGB, MAP, STEP), warping.holes(MAP, MASK)),
-    "outline": lambda: warping.outline(MAP, PLANES, 0.01 * ONE, prior=8.0),
+    "outline": lambda: warping.outline(MAP, PLANES, 0.01 * ONE, warping.Outline()),
     "visible": lambda: (warping.visible(MAP, STEP), warping.visible_binned(MAP, STEP)),
 }
 

@@ -6,15 +6,12 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
-from mvedge_jax.warping import holes, outline
+from mvedge_jax.warping import Outline, holes, outline
 
 from ._samples import Samples, landed
 
 # Differences of disparity beyond this, px, are steps between two surfaces.
 STEP = 0.1
-# Log odds that a pixel beside a step was drawn on the right side of it: samples are put into whole
-# pixels. From demo, crossing and thin.
-_PRIOR = 0.25
 
 
 class Drawing(NamedTuple):
@@ -63,6 +60,7 @@ def decided(
     samples: Samples,
     view: Float[Array, "c y x"],
     noise: Float[Array, ""],
+    params: Outline,
 ) -> Drawing:
     """Decides by colour which side of a depth step the pixels beside it are on; see `outline`.
 
@@ -71,10 +69,11 @@ def decided(
         samples: that it shows.
         view: its picture, sRGB.
         noise: standard deviation of the picture's noise, sRGB.
+        params: see `Outline`.
 
     Returns:
         The drawing, in which pixels beside steps show the front or the back surface. A selection.
     """
     disparity = samples.disparity[drawing.sample]
-    shown = outline(disparity, view, noise, prior=_PRIOR)
+    shown = outline(disparity, view, noise, params)
     return drawing._replace(sample=drawing.sample.ravel()[shown])

@@ -6,14 +6,21 @@ from typing import Any
 import equinox as eqx
 from jaxtyping import Array, Float
 
-from mvedge_jax._params import at_least, number, positive
+from mvedge_jax._params import as_number, at_least, number, positive
 from mvedge_jax._paths import described, replaced
 from mvedge_jax.edges import scene_range
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.photometry import hypothesis_count, occluder_radius
+from mvedge_jax.photometry.brightness import Brightness
 from mvedge_jax.photometry.matching import Matching
 from mvedge_jax.photometry.measuring import Measurement
 from mvedge_jax.smoothness import ColorAndDepth
+from mvedge_jax.warping import Outline
+
+
+def _outline() -> Outline:
+    """Drawn maps are believed less than solved ones."""
+    return Outline(odds=as_number(0.25))
 
 
 class ViewDepth(eqx.Module):
@@ -24,6 +31,9 @@ class ViewDepth(eqx.Module):
         measurement: of their pixels; its `radius` is how far occluders are looked for from one end
             of the grid to the other, its `views` is not read.
         smoothness: between neighboring pixels.
+        brightness: how gains of all views are found, and noise is taken out of their guides.
+        outline: which surface a pixel beside a step shows. Its odds are those that the pixel was
+            drawn on the right side: samples are put into whole pixels. From demo, crossing, thin.
         precision: standard error at which a label counts half as much as a perfect one.
         stiffness: weight of an uncut edge between pixels against a perfect label.
         trust: residual of a label that halves its weight.
@@ -39,6 +49,8 @@ class ViewDepth(eqx.Module):
     measurement: Measurement
     matching: Matching = eqx.field(default_factory=Matching)
     smoothness: ColorAndDepth = eqx.field(default_factory=ColorAndDepth)
+    brightness: Brightness = eqx.field(default_factory=Brightness)
+    outline: Outline = eqx.field(default_factory=_outline)
     precision: Float[Array, ""] = number(0.005, "px")
     stiffness: Float[Array, ""] = number(1.5, "perfect labels")
     trust: Float[Array, ""] = number(1.4, "noise variances")

@@ -123,11 +123,11 @@ def _measured_in(
 ) -> tuple[Float[Array, "y x"], Float[Array, "y x"], Bool[Array, "y x"]]:
     """Disparity and standard error of a view, and which pixels the samples do not explain."""
     shape = (light_field.views.shape[2], light_field.views.shape[3])
-    scene = recentred(light_field, view, exposure, noise)
+    scene = recentred(light_field, view, exposure, noise, params=model.brightness.noise)
     reference = _Reference(scene, prepare_views(scene, model.measurement))
     picture = jnp.moveaxis(light_field.views[view[0], view[1]], -1, 0)
     first = drawn(samples, light_field.steps[view[0], view[1]], shape)
-    drawing = decided(first, samples, picture, noise.deviation)
+    drawing = decided(first, samples, picture, noise.deviation, model.outline)
     known = samples.disparity[drawing.sample]
     # Pixels that the front covers only because samples fill whole pixels are new, too.
     new = drawing.hole | (samples.disparity[first.sample] - known > STEP)

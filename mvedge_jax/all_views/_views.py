@@ -96,14 +96,16 @@ def depth_of_views(light_field: LightField, result: DepthResult, model: ViewDept
     # Where nothing is known, infinities would make derivatives that are no numbers.
     error = jnp.where(jnp.isfinite(result.error), result.error, root(jnp.var(result.disparity)))
     samples = samples_of(result.disparity, error, capacity=model.capacity)
-    exposure = result.stats.exposure.everywhere(light_field, result.disparity)
+    exposure = result.stats.exposure.everywhere(
+        light_field, result.disparity, params=model.brightness
+    )
     samples, count = uncovered(samples, light_field, exposure, result.stats.noise, model)
 
     def view(item: tuple[Array, ...]) -> tuple[Array, Array, Array]:
         picture, there, step = item
         first = drawn(samples, step, (height, width))
         planes = jnp.moveaxis(picture, -1, 0)
-        drawing = decided(first, samples, planes, result.stats.noise.deviation)
+        drawing = decided(first, samples, planes, result.stats.noise.deviation, model.outline)
         index = jnp.where(there, drawing.sample, first.sample)
         source = jnp.where(samples.uncovered[index], UNCOVERED, SEEN)
         source = jnp.where(drawing.hole, FILLED, source).astype(jnp.int8)

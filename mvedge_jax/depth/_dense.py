@@ -11,9 +11,6 @@ from mvedge_jax.photometry.measuring import Measuring, PhotometricLabels
 
 from ._labels import Labels
 
-# Weight of the previous map itself, so that no region is without any label.
-_ANCHOR = 1e-6
-
 
 @runtime_checkable
 class DenseLabels(Protocol):
@@ -50,10 +47,12 @@ class MeasuredLabels(eqx.Module):
     Attributes:
         trust: residual of a dense label that halves its weight.
         agreement: distance of a point's label from the map that leaves it a quarter of its weight.
+        anchor: weight of the previous map itself, so that no region is without any label.
     """
 
     trust: Float[Array, ""] = number(1.4, "noise variances")
     agreement: Float[Array, ""] = number(0.15, "px")
+    anchor: Float[Array, ""] = number(1e-6, "perfect labels")
 
     def __call__(
         self,
@@ -70,6 +69,6 @@ class MeasuredLabels(eqx.Module):
         sparse = from_points.weight / (1 + distance**2) ** 2
         if lit is not None:
             weight, sparse = lit * weight, lit * sparse
-        total = weight + sparse + _ANCHOR
-        sums = weight * measured.disparity + sparse * from_points.value + _ANCHOR * disparity
+        total = weight + sparse + self.anchor
+        sums = weight * measured.disparity + sparse * from_points.value + self.anchor * disparity
         return Labels(total, sums / jnp.maximum(total, jnp.finfo(total.dtype).tiny))

@@ -19,8 +19,6 @@ _Solver = TypeVar("_Solver", bound=lx.AbstractLinearSolver)
 
 # Which of the four diffusions is which; those of the slopes come first.
 _MAP, _ERROR = 2, 3
-# Solves for slopes and errors stop at this many times the tolerance of the map.
-_COARSER = 10
 
 
 class _Solve(NamedTuple):
@@ -57,7 +55,8 @@ def diffused(
         start: the map before.
         span: width of the range that was searched, px.
         params: see `Refine`.
-        solver: of the map; slopes and errors stop at ten times its tolerance, if it is of ours.
+        solver: of the map; slopes and errors stop at `Refine.coarser` times its tolerance, if it is
+            of ours.
         sloped: whether the map is diffused along the slopes of `start`.
         last: whether the error of the map is asked for.
 
@@ -76,6 +75,7 @@ def diffused(
     doubted = labels.weight + forgotten
     spread = params.error.spread(start, labels.weight, span)
     doubt = (labels.weight * uncertain + forgotten * spread) / doubted
+    coarser, alike = params.coarser.astype(start.dtype), jnp.ones((), start.dtype)
     solves = _Solve(
         which=jnp.arange(4),
         wanted=jnp.stack([sloped, sloped, jnp.asarray(True), last]),
@@ -83,7 +83,7 @@ def diffused(
         label=jnp.concatenate([slopes, jnp.stack([labels.value, doubt])]),
         start=jnp.stack([nothing, nothing, start, nothing]),
         stiffness=jnp.stack([slope, slope, whole, whole]),
-        coarser=jnp.asarray([_COARSER, _COARSER, 1, _COARSER], start.dtype),
+        coarser=jnp.stack([coarser, coarser, alike, coarser]),
     )
 
     def solve(found: Array, of: _Solve) -> tuple[Array, tuple[Array, Array]]:

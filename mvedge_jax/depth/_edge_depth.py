@@ -305,7 +305,7 @@ def _outlined(
     views = evidence.calibrated
     disparity, error = found.disparity, found.error
     if refine.outlines:
-        shown = outline(disparity, views.guide, views.noise.deviation, prior=refine.outline_odds)
+        shown = outline(disparity, views.guide, views.noise.deviation, refine.outline)
         disparity, error = (jnp.ravel(a)[shown] for a in (disparity, error))
     # Selections drop NaN on the way: a number that is none would leave a plausible map.
     unknown = jnp.asarray(jnp.nan, disparity.dtype)

@@ -13,9 +13,6 @@ from mvedge_jax.edges.sides import Sides
 from mvedge_jax.photometry import Evidence
 from mvedge_jax.splatting import SplatLabels
 
-# Coverage at which a splatted label has half of its weight; below, single precision spoils it.
-_UNCOVERED = 1e-3
-
 
 def _splat() -> SplatLabels:
     """As narrow as labels may be: wider points hide, at depth steps, what is behind them."""
@@ -129,6 +126,8 @@ class SplattedLabels(eqx.Module):
             known of hides nothing.
         gain: see `NearestLabels`.
         limit: see `NearestLabels`.
+        uncovered: coverage at which a label has half of its weight; below, single precision spoils
+            it.
 
     Source: Thesis 7.1.2-7.1.3.
     """
@@ -137,6 +136,7 @@ class SplattedLabels(eqx.Module):
     clearing: Float[Array, ""] = number(1.0)
     gain: Float[Array, ""] = number(3.0, "1/px")
     limit: Float[Array, ""] = number(4.0)
+    uncovered: Float[Array, ""] = number(1e-3, "coverage")
 
     def __call__(
         self, points: EdgePoints, sides: Sides, evidence: Evidence, precision: Float[Array, ""]
@@ -154,7 +154,7 @@ class SplattedLabels(eqx.Module):
         )
         # A label has no digits left where hardly anything covers its pixel.
         coverage = 1 - maps.transmittance
-        return Labels(maps.weight * coverage / (coverage + _UNCOVERED), maps.label)
+        return Labels(maps.weight * coverage / (coverage + params.uncovered), maps.label)
 
 
 def precision_weight(variance: Array, precision: Float[Array, ""]) -> Array:

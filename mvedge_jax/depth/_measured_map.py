@@ -28,10 +28,6 @@ from ._standard_error import steepest
 # What a turn does: a solve, measured around the last map in the crosshair or in all views; a look
 # at a map that will be sharpened; sharpening and a solve.
 _PLAIN, _AROUND, _BLURRED, _SHARPENED = range(4)
-# Solves whose labels are measured in all views, where these are asked for.
-_AROUND_SOLVES = 2
-# How far from a step labels of all views are doubted, px.
-_BESIDE = 2
 
 
 def measured_map(given: Given, first: Float[Array, "y x"], parts: Parts) -> Map:
@@ -119,7 +115,7 @@ def _kinds(refine: Refine, *, every: bool) -> np.ndarray:
         kinds = [_PLAIN] * refine.solves
     else:
         kinds = [_BLURRED, _SHARPENED, *[_PLAIN] * (refine.solves - 1)] * 2
-    return np.asarray(kinds + [_AROUND] * (_AROUND_SOLVES if every else 0))
+    return np.asarray(kinds + [_AROUND] * (refine.around if every else 0))
 
 
 def _turns(kinds: np.ndarray, refine: Refine, dtype: DTypeLike) -> _Turn:
@@ -159,7 +155,7 @@ def _around(given: Given, found: Look, disparity: Array, *, parts: Parts) -> Loo
     """What all views show around a map; beside its steps, what the crosshair does."""
     params = _views(given).params
     whole = look_around(_every(given), disparity, params, radius=params.radius)
-    share = _share_of_all(disparity, parts.refine.parted)
+    share = _share_of_all(disparity, parts.refine)
     return jax.tree.map(lambda a, c: share * a + (1 - share) * c, whole.per_pixel(), found)
 
 
@@ -202,7 +198,7 @@ def _solve(given: Given, found: Look, disparity: Array, turn: _Turn, parts: Part
 
     if _every(given) is not None:
         # Points were measured in the crosshair, and have no say against all views.
-        alone = 1 - _share_of_all(disparity, refine.parted)
+        alone = 1 - _share_of_all(disparity, refine)
         share = jnp.where(turn.kind == _AROUND, alone, 1)
         sparse = sparse._replace(weight=share * sparse.weight)
     dense = kept(measured(found, disparity))
@@ -217,11 +213,11 @@ def _solve(given: Given, found: Look, disparity: Array, turn: _Turn, parts: Part
         sloped=turn.sloped,
         last=turn.last,
     )
-    return solved, (iterations, converged, labeled_share(both))
+    return solved, (iterations, converged, labeled_share(both, refine))
 
 
-def _share_of_all(disparity: Array, parted: Array) -> Array:
+def _share_of_all(disparity: Array, refine: Refine) -> Array:
     """Share of all views against the crosshair in the label of a pixel: 1 far from steps."""
-    window = (2 * _BESIDE + 1,) * 2
+    window = (2 * refine.beside + 1,) * 2
     step = lax.reduce_window(steepest(disparity), -jnp.inf, lax.max, window, (1, 1), "SAME")
-    return 1 / (1 + (step / parted) ** 4)
+    return 1 / (1 + (step / refine.parted) ** 4)

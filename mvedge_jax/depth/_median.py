@@ -11,11 +11,9 @@ from jaxtyping import Array, Float
 from mvedge_jax._fence import fenced, kept
 from mvedge_jax._linear_map import linear_map
 from mvedge_jax._params import accepts_numpy
+from mvedge_jax._root import LEAST_DIVISOR
 from mvedge_jax.color import Factored, factored, solved
 from mvedge_jax.image import window_sum
-
-# Levels of a flat map are this far apart: derivatives hold its inverse squared.
-_CLOSEST = 1e-9
 
 
 @accepts_numpy
@@ -46,7 +44,7 @@ def weighted_median(
         The median, `[y, x]`. Differentiable, in both modes, at the levels chosen.
     """
     low, high = jnp.min(values), jnp.max(values)
-    spacing = jnp.maximum((high - low) / (levels - 1), _CLOSEST)
+    spacing = jnp.maximum((high - low) / (levels - 1), LEAST_DIVISOR)
     sliced, still = _prepared(values, low, spacing, guide, epsilon, radius)
     slices = _Slices(radius, levels, quantised)
     if quantised:

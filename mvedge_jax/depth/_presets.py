@@ -27,11 +27,9 @@ if TYPE_CHECKING:
     from ._edge_depth import EdgeDepth
 
 PRESETS = ("full", "edges", "thesis")
-# Spacing of the filters, px per view step: ranges of nearly equal length share a program.
-_SPACING = 0.1
-# Points per pixel to reserve.
+# Points per pixel to reserve, which sets shapes: memory; what finds no slot is counted.
 _FILL = 0.65
-# Ranges of files are rounded; beyond so much, px per view step, they are other ranges.
+# Ranges of files are rounded, a number format: beyond so much, px per view step, they are others.
 _ROUNDED = 0.02
 
 
@@ -67,8 +65,10 @@ def parts_for(
             "refine": Refine(slopes=None, sharpen=Sharpen(), outlines=False),
             "searched": (-reach, reach),
         }
-    first = math.floor(round(low / _SPACING, 6)) - 1
-    last = math.ceil(round(high / _SPACING, 6)) + 1
+    # In whole filters, so that ranges of nearly equal length share a program.
+    spacing = OrientedEdges.spacing
+    first = math.floor(round(low / spacing, 6)) - 1
+    last = math.ceil(round(high / spacing, 6)) + 1
     edges = OrientedEdges(
         first=first,
         filters=last - first + 1,

@@ -7,13 +7,6 @@ import numpy as np
 if TYPE_CHECKING:
     from ._result import DepthResult
 
-# Share of the pixels at or beyond the ends of the range, from which the range is doubted.
-_AT_THE_ENDS = 0.02
-# How near an end is at it, px per view step.
-_NEAR = 0.005
-# Half of the pixels known to no better than this share of the range are not known.
-_VAGUE = 0.25
-
 
 def problems(result: "DepthResult") -> tuple[str, ...]:
     """See `DepthResult.problems`."""
@@ -34,7 +27,16 @@ def problems(result: "DepthResult") -> tuple[str, ...]:
     return tuple(found)
 
 
-def map_problems(disparity: Any, error: Any, converged: Any, searched: Any) -> tuple[str, ...]:
+def map_problems(
+    disparity: Any,
+    error: Any,
+    converged: Any,
+    searched: Any,
+    *,
+    vague: float = 0.25,
+    beyond: float = 0.02,
+    near: float = 0.005,
+) -> tuple[str, ...]:
     """What a disparity map and its statistics say against it, on the host.
 
     Args:
@@ -42,6 +44,9 @@ def map_problems(disparity: Any, error: Any, converged: Any, searched: Any) -> t
         error: its standard error, px, `[y, x]`.
         converged: whether every diffusion reached its tolerance.
         searched: lowest and highest disparity that was tried, px.
+        vague: half of the pixels known to no better than this share of the range are not known.
+        beyond: share of the pixels beyond an end of the range from which the range is doubted.
+        near: what is no farther beyond an end, px, is at it.
 
     Returns:
         Sentences for people, none if there is nothing to say.
@@ -57,26 +62,28 @@ def map_problems(disparity: Any, error: Any, converged: Any, searched: Any) -> t
     found, span = [], float(searched[1] - searched[0])
     if not np.isfinite(error).any():
         found.append("no pixel was measured at all: the views show nothing to compare.")
-    elif np.median(error) > _VAGUE * span:
+    elif np.median(error) > vague * span:
         found.append(
             f"half of the pixels have a standard error above {np.median(error):.3g} px, of a range "
             f"of {span:.3g} px: the views tell little about them."
         )
     if not bool(converged):
         found.append("a diffusion stopped before its tolerance.")
-    return (*found, *_range_doubts(disparity, searched))
+    return (*found, *_range_doubts(disparity, searched, beyond, near))
 
 
-def _range_doubts(disparity: np.ndarray, searched: np.ndarray) -> list[str]:
+def _range_doubts(
+    disparity: np.ndarray, searched: np.ndarray, most: float, near: float
+) -> list[str]:
     """Where the range was too narrow, pixels gather beyond its ends."""
     doubts = []
-    for end, word, beyond in (
-        (searched[0], "lowest", disparity < searched[0] - _NEAR),
-        (searched[1], "highest", disparity > searched[1] + _NEAR),
+    for end, word, outside in (
+        (searched[0], "lowest", disparity < searched[0] - near),
+        (searched[1], "highest", disparity > searched[1] + near),
     ):
-        if beyond.mean() > _AT_THE_ENDS:
+        if outside.mean() > most:
             doubts.append(
-                f"{100 * beyond.mean():.0f} % of the pixels lie beyond the {word} disparity that "
+                f"{100 * outside.mean():.0f} % of the pixels lie beyond the {word} disparity that "
                 f"was tried, {end:.4g} px: the range is likely to be wider."
             )
     return doubts

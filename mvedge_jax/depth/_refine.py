@@ -11,6 +11,7 @@ from mvedge_jax._params import at_least, number
 from mvedge_jax.photometry import PreparedViews
 from mvedge_jax.photometry.photographs import PreparedPhotographs
 from mvedge_jax.smoothness import Smoothness
+from mvedge_jax.warping import Outline
 
 from ._dense import DenseLabels
 from ._labels import Labels
@@ -18,16 +19,12 @@ from ._sharpen import Sharpen
 from ._slopes import Slopes
 from ._standard_error import StandardError
 
-# A label of less weight than this, against a perfect one, is not accepted: its standard error is
-# ten times `Refine.precision`, or the views disagree about its pixel.
-_ACCEPTED = 0.01
-
 
 class Refine(eqx.Module):
     """How labels become a map: weights of the diffusion, and when to sharpen and solve again.
 
     With dense labels: sharpening, `solves` diffusions, sharpening, `solves` diffusions, and, where
-    they are measured in all views, two more. Without: `solves` diffusions and one sharpening.
+    they are measured in all views, `around` more. Without: `solves` diffusions and one sharpening.
 
     Attributes:
         precision: standard error at which a label counts half as much as a perfect one.
@@ -42,10 +39,15 @@ class Refine(eqx.Module):
         worse: the same factor for the second sharpening.
         parted: step beside a pixel that halves the share of all views in its label: the views of
             the corners look past an edge on two sides, and smear it.
-        outline_odds: log odds that the map has a pixel beside a step on the right side.
+        coarser: solves for slopes and errors stop at this many times the tolerance of the map.
+        accepted: a label of less weight is not accepted: its standard error is ten times
+            `precision`, or the views disagree about its pixel. Accepted ones are counted, no more.
+        outline: which of two surfaces a pixel beside a step shows.
         solves: diffusions between two sharpenings.
+        around: solves at the end whose labels are measured in all views, where these are asked for.
+        beside: how far from a step labels of all views are doubted, px.
         outlines: whether pixels beside depth steps go to the surface that covers most of them, see
-            `warping.outline`.
+            `outline`.
     """
 
     precision: Float[Array, ""] = number(0.005, "px")
@@ -56,12 +58,16 @@ class Refine(eqx.Module):
     worse_at_first: Float[Array, ""] = number(1.2, threshold=True)
     worse: Float[Array, ""] = number(2.0, threshold=True)
     parted: Float[Array, ""] = number(0.1, "px")
-    outline_odds: Float[Array, ""] = number(8.0, "log odds", threshold=True)
+    coarser: Float[Array, ""] = number(10.0, "tolerances", threshold=True)
+    accepted: Float[Array, ""] = number(0.01, "perfect labels", threshold=True)
+    outline: Outline = eqx.field(default_factory=Outline)
     solves: int = eqx.field(static=True, default=2)
+    around: int = eqx.field(static=True, default=2)
+    beside: int = eqx.field(static=True, default=2)
     outlines: bool = eqx.field(static=True, default=True)
 
     def __check_init__(self) -> None:
-        at_least(self, solves=1)
+        at_least(self, solves=1, around=1, beside=0)
 
 
 class Map(NamedTuple):
@@ -83,9 +89,9 @@ class Map(NamedTuple):
     labeled: Array
 
 
-def labeled_share(labels: Labels) -> Array:
+def labeled_share(labels: Labels, refine: Refine) -> Array:
     """Share of the pixels with an accepted label."""
-    return jnp.mean((labels.weight >= _ACCEPTED).astype(labels.weight.dtype))
+    return jnp.mean((labels.weight >= refine.accepted).astype(labels.weight.dtype))
 
 
 class Given(NamedTuple):

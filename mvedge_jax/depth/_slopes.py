@@ -6,9 +6,7 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from mvedge_jax._params import number
-
-# Sums of weights are divided by; the square of the least one is still a number in float32.
-_LEAST = 1e-9
+from mvedge_jax._root import LEAST_DIVISOR
 
 
 class Slopes(eqx.Module):
@@ -77,7 +75,7 @@ def _known(
     size = disparity.shape[axis]
     start, end = (lax.slice_in_dim(weight, i, i + size - 1, axis=axis) for i in (0, 1))
     rise = jnp.diff(disparity, axis=axis)
-    both = start * end / jnp.maximum(start + end, _LEAST)
+    both = start * end / jnp.maximum(start + end, LEAST_DIVISOR)
     # A cut edge tells nothing about the slope of either surface.
     share = edges[1 - axis] ** 2 * both / (1 + (rise / steepest) ** 4)
     return _ends(share, axis), _ends(share * rise, axis)

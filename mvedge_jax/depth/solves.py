@@ -50,7 +50,7 @@ def _map_of_points(given: Given, first: Array, parts: Parts) -> Map:
         )
 
     start = (first, jnp.zeros_like(first))
-    labeled = labeled_share(given.from_points)
+    labeled = labeled_share(given.from_points, parts.refine)
     (disparity, error), (iterations, converged) = lax.scan(
         recomputed(step), start, jnp.arange(count)
     )

@@ -14,6 +14,8 @@ from mvedge_jax._fence import fenced
 from ._coarsen import Interpolation, Stencil, coarsen, degree, fill, interpolate, restrict, ties
 from ._stencil import Coefficients
 
+# Steps of a smoother, and the least eigenvalue that they damp, of at most 2. The preconditioner's
+# alone: they cost or save steps, and the solution is the same.
 _DEGREE = 3
 _LOWEST = 0.3
 # Levels that fit into this many pixels a side are padded to one shape and handled by a loop: they

@@ -22,6 +22,8 @@ from jaxtyping import Array
 
 from ._stencil import Coefficients, inner, largest, product, spread
 
+# The numbers of the stopping rule follow from arithmetic and many systems, not from scenes: they
+# decide when to stop, not what is solved.
 # Steps that prepare the companion, and the share of its error to that of the solve.
 _PROBES, _SAFETY = 4, 3.0
 # The number format's precision times the norm of the inverse bounds what rounding does to the

@@ -18,9 +18,6 @@ from mvedge_jax.photometry.measuring import PhotometricLabels, view_weights
 from ._candidates import contrast, find_candidates, subpixel
 from ._points import EdgePoints, Edges, EdgeStats
 
-# Standard deviation of a grey value over that of its three channels.
-_OF_GRAY = 0.65
-
 
 @runtime_checkable
 class EdgeDetector(Protocol):
@@ -64,6 +61,8 @@ class OrientedEdges(eqx.Module):
         error_limit: largest standard error of an accepted point in a scene without noise. Wide,
             because each point carries its own error and weighs by it, and borders of plain surfaces
             have no better ones; with noise in proportion wider.
+        error_noise: how fast the limit grows with noise: the standard deviation of a gray value
+            over that of its three channels.
         darkest: lightness that some pixel of the 5x5 around a point must exceed: two of 255 steps,
             as in the vignetted corners of a lenslet camera.
         half_confidence: strength at which the confidence is one half.
@@ -80,6 +79,7 @@ class OrientedEdges(eqx.Module):
     strength_floor: Float[Array, ""] = number(0.1, "CIELAB/px", threshold=True)
     above_noise: Float[Array, ""] = number(3.0, "noise deviations", threshold=True)
     error_limit: Float[Array, ""] = number(0.1, "px", threshold=True)
+    error_noise: Float[Array, ""] = number(0.65, "1/gray levels of 100", threshold=True)
     darkest: Float[Array, ""] = number(0.8, "L* of 100", threshold=True)
     half_confidence: Float[Array, ""] = number(2.0, "CIELAB/px")
     deviation: Float[Array, ""] = number(2.5, "variances", threshold=True)
@@ -202,7 +202,7 @@ def _measured_edges(evidence: Evidence, params: OrientedEdges) -> Edges:
     candidates = find_candidates(strength, centre, floor, centre_floor, capacity=params.capacity)
     row, column = candidates.row, candidates.column
 
-    limit = params.error_limit * jnp.sqrt(1 + noise.alpha * (_OF_GRAY * grain) ** 2)
+    limit = params.error_limit * jnp.sqrt(1 + noise.alpha * (params.error_noise * grain) ** 2)
     step = 2 / max(_longest(params, across.shape[0]), 1)
     label, variance = _frontmost(measured, limit**2, step)
     disparity = label[row, column]

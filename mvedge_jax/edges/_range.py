@@ -1,5 +1,7 @@
 """The disparity range of a scene, measured where it is not given."""
 
+from dataclasses import dataclass
+
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
@@ -16,31 +18,49 @@ from mvedge_jax.photometry.matching import Matching, best_match
 
 from ._candidates import contrast
 
-_STEP = 0.1
-_WINDOW = 2
-# Of 2: the better halves of both arms agree half-way at least.
-_SURE = 1.0
-# Beyond this a scene point leaves most views; nothing in the literature is wider.
-_WIDEST = 12.0
-# Noise in the shrunk views, grey levels of 100, from which single pixels are not believed.
-_GRAINY = 0.4
-# Share of the pixels beyond either end, and what noise beyond that adds to it: false matches.
-_TAIL, _FALSE = 0.002, 0.016
+
+@dataclass(frozen=True)
+class RangeSearch:
+    """How the disparity range of a scene is looked for; numbers of the host.
+
+    Attributes:
+        step: spacing of the disparities tried, px per view step of the shrunk views.
+        window: half the width of the windows in which they are compared, px.
+        sure: largest cost, of 2, that is believed: the better halves of both arms agree half-way.
+        widest: magnitude up to which the range is doubled, px per view step: beyond this a scene
+            point leaves most views; nothing in the literature is wider.
+        grainy: noise in the shrunk views, gray levels of 100, from which single pixels are not
+            believed.
+        tail: share of the pixels beyond either end.
+        false: what noise beyond `grainy` adds to that share per gray level: false matches.
+    """
+
+    step: float = 0.1
+    window: int = 2
+    sure: float = 1.0
+    widest: float = 12.0
+    grainy: float = 0.4
+    tail: float = 0.002
+    false: float = 0.016
 
 
 @lean_jit
-def _coarse(light_field: LightField, disparities: Array, noise: Noise) -> tuple[Array, ...]:
+def _coarse(
+    light_field: LightField, disparities: Array, noise: Noise, *, window: int
+) -> tuple[Array, ...]:
     """Best disparity, its cost, and the contrast of the centre view, per pixel."""
     lab = srgb_to_lab(light_field.centre_view)
     params = cast(Matching(), lab.dtype)
     planes = jnp.moveaxis(lab, -1, 0)
     found = best_match(
-        *crosshair(light_field), planes, disparities, params, window=_WINDOW, noise=noise
+        *crosshair(light_field), planes, disparities, params, window=window, noise=noise
     )
     return *found, contrast(lab).max(0)
 
 
-def disparity_range(light_field: LightField, *, start: float = 4.0) -> tuple[float, float]:
+def disparity_range(
+    light_field: LightField, *, start: float = 4.0, search: RangeSearch | None = None
+) -> tuple[float, float]:
     """Measures the disparity range of a scene from the crosshair of views, on the host.
 
     The cost of `hypotheses` is looked up in shrunk views, their brightness made alike, over a wide
@@ -50,6 +70,7 @@ def disparity_range(light_field: LightField, *, start: float = 4.0) -> tuple[flo
     Args:
         light_field: a `disparity_range` it may have is not looked at.
         start: first magnitude tried, px per view step.
+        search: how; None for the defaults.
 
     Returns:
         Lowest and highest disparity, px per view step, with a margin.
@@ -66,6 +87,7 @@ def disparity_range(light_field: LightField, *, start: float = 4.0) -> tuple[flo
         True
     """
     untraced("light_field", light_field.views)
+    search = RangeSearch() if search is None else search
     side = min(light_field.views.shape[2:4])
     # 128 px keep fine structure measurable; smaller views are searched as they are.
     factor = max(1, side // 128)
@@ -77,30 +99,32 @@ def disparity_range(light_field: LightField, *, start: float = 4.0) -> tuple[flo
     noise = Noise.of(noise.deviation / factor)
     reach = start
     while True:
-        count = int(np.ceil(reach / factor / _STEP))
-        tried = _STEP * jnp.arange(-count, count + 1, dtype=coarse.views.dtype)
-        disparities, cost, slope = map(np.asarray, _coarse(coarse, tried, noise))
+        count = int(np.ceil(reach / factor / search.step))
+        tried = search.step * jnp.arange(-count, count + 1, dtype=coarse.views.dtype)
+        disparities, cost, slope = map(
+            np.asarray, _coarse(coarse, tried, noise, window=search.window)
+        )
         edge = slope > 1 + 6 * grain
         if not edge.any():
             edge = slope > 1
         # The outermost disparities win by accident where there is no contrast: leave those out.
-        sure = edge & (cost < _SURE)
+        sure = edge & (cost < search.sure)
         if not edge.any():
             raise ValueError(
                 "`light_field` shows no edges from which to measure the disparity range; give "
                 "`disparity_range`."
             )
-        if grain > _GRAINY:
+        if grain > search.grainy:
             # What noise adds to single pixels would make the tails.
             around = np.pad(disparities, 2, mode="edge")
             windows = np.lib.stride_tricks.sliding_window_view(around, (5, 5))
             disparities = np.median(windows, axis=(2, 3))
         values = factor * disparities[sure if sure.sum() > 0.05 * edge.sum() else edge]
-        tail = _TAIL + _FALSE * max(grain - _GRAINY, 0)
+        tail = search.tail + search.false * max(grain - search.grainy, 0)
         low, high = np.quantile(values, [tail, 1 - tail])
-        wide = factor * _STEP * count
+        wide = factor * search.step * count
         outermost = (np.abs(values) > 0.95 * wide).mean()
-        if outermost < 0.01 or 2 * reach > _WIDEST:
+        if outermost < 0.01 or 2 * reach > search.widest:
             break
         reach *= 2
     margin = 0.1 + 0.05 * (high - low)

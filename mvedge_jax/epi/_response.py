@@ -14,6 +14,7 @@ from mvedge_jax._root import root
 
 from ._bank import FilterBank
 
+# Rows that are filtered together: memory against speed, no choice of results.
 _ROWS = 16
 _LAYOUT = ("NWC", "WIO", "NWC")
 

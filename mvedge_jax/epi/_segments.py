@@ -1,5 +1,6 @@
 """EPI segments: which edge lines bound the same surface (Thesis 4.2.1, Alg. 2)."""
 
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -9,11 +10,6 @@ from jaxtyping import Array, Bool, Float, Int
 from scipy.optimize import linear_sum_assignment
 
 from mvedge_jax._params import accepts_numpy
-
-# Edge pixels this far from a crossing, in rows and columns, tell which side is hidden.
-_REACH = 10
-# Shares of slope and place in the affinity (4.7), and what keeps equal lines apart from infinity.
-_SLOPE, _PLACE, _SAME = 0.15, 0.85, 1e-6
 
 
 class EpiSegments(NamedTuple):
@@ -42,7 +38,9 @@ class _Relations(NamedTuple):
     affinity: Float[Array, "m m"]
 
 
-def _relations(position: Array, disparity: Array, valid: Array, views: int) -> _Relations:
+def _relations(
+    position: Array, disparity: Array, valid: Array, share: Array | float, views: int
+) -> _Relations:
     middle = views // 2
     # At the first and at the last view.
     first, last = position + middle * disparity, position - (views - 1 - middle) * disparity
@@ -51,19 +49,24 @@ def _relations(position: Array, disparity: Array, valid: Array, views: int) -> _
     own = jnp.eye(position.size, dtype=bool)
     slope = jnp.abs(disparity[:, None] - disparity[None])
     place = jnp.abs(position[:, None] - position[None])
+    apart = share * (views - 1) * slope + (1 - share) * place
     return _Relations(
         (over * under <= 0) & both,
         both & ~own & ~((over < 0) & (under < 0)),
-        1 / (_SLOPE * (views - 1) * slope + _PLACE * place + _SAME),
+        # Equal lines are no reason to divide by 0.
+        1 / (apart + 1e-6),
     )
 
 
-@jax.jit
+@partial(jax.jit, static_argnames="reach")
 def opening_sides(
     position: Float[Array, " m"],
     disparity: Float[Array, " m"],
     edges: Float[Array, "u x"],
     valid: Bool[Array, " m"],
+    *,
+    slope_share: Float[Array, ""] | float = 0.15,
+    reach: int = 10,
 ) -> Int[Array, " m"]:
     """Tells to which side of an occluding line its surface is.
 
@@ -76,6 +79,8 @@ def opening_sides(
         disparity: of the lines, px per view step.
         edges: confidence of edges in the EPI, 0 where there is none.
         valid: lines to use.
+        slope_share: of the slope in the affinity (4.7), against the place.
+        reach: edge pixels this far from a crossing, in rows and columns, tell which side is hidden.
 
     Returns:
         Per line 1, it opens to the right; -1, to the left; 0, it occludes no other line.
@@ -92,7 +97,7 @@ def opening_sides(
     """
     views, width = edges.shape
     dtype = position.dtype
-    related = _relations(position, disparity, valid, views)
+    related = _relations(position, disparity, valid, slope_share, views)
     nearer = disparity[:, None] - disparity[None]
     front = related.crosses & (nearer > 0)
     # Views from the centre to the crossing of lines f and g.
@@ -105,8 +110,8 @@ def opening_sides(
     # Line g (second axis) at every view (third axis), beside line f (first axis).
     beside = column[None] - column[:, None]
     crossing = position[:, None] + at * disparity[:, None]
-    near = (jnp.abs(step[None, None] - at[..., None]) <= _REACH) & (
-        jnp.abs(column[None] - crossing[..., None]) <= _REACH
+    near = (jnp.abs(step[None, None] - at[..., None]) <= reach) & (
+        jnp.abs(column[None] - crossing[..., None]) <= reach
     )
     counted = front[..., None] & near & marked[None]
     left = jnp.sum(counted & (beside < 0), axis=2, dtype=jnp.int32)
@@ -132,6 +137,7 @@ def match_segments(
     valid: Bool[Array, " m"],
     *,
     views: int,
+    slope_share: Float[Array, ""] | float = 0.15,
 ) -> EpiSegments:
     """Pairs the lines of an EPI into segments, those in front first.
 
@@ -145,6 +151,7 @@ def match_segments(
         opens: from `opening_sides`.
         valid: lines to use.
         views: of the EPI, odd.
+        slope_share: see `opening_sides`.
 
     Returns:
         The segments; every line begins one at most and ends one at most. Runs on the host, as the
@@ -165,7 +172,7 @@ def match_segments(
     if views % 2 == 0 or views < 3:
         raise ValueError(f"`views` must be odd and at least 3, got {views}.")
     crosses, follows, affinity = (
-        np.asarray(a) for a in _jitted(position, disparity, valid, views=views)
+        np.asarray(a) for a in _jitted(position, disparity, valid, slope_share, views=views)
     )
     sides = np.asarray(opens)
     right, left = sides > 0, sides < 0

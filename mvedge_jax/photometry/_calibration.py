@@ -12,7 +12,7 @@ from mvedge_jax.color import srgb_to_lab
 from mvedge_jax.lightfield import LightField
 
 from ._scene import CalibratedViews, PreparedViews, first_labels, prepare, prepare_views
-from .brightness import Exposure, Noise
+from .brightness import Brightness, Exposure, Noise
 from .matching import Matching
 from .measuring import Measurement, PhotometricLabels
 
@@ -47,11 +47,13 @@ class Calibrate(eqx.Module):
         matching: costs of the hypotheses of the first map.
         hypotheses: disparities tried per pixel.
         window: half the width of the windows in which hypotheses are compared, px.
+        brightness: how exposure, gains and noise are found.
     """
 
     matching: Matching
     hypotheses: int = eqx.field(static=True)
     window: int = eqx.field(static=True, default=2)
+    brightness: Brightness = eqx.field(default_factory=Brightness)
 
     def __check_init__(self) -> None:
         at_least(self, hypotheses=2, window=0)
@@ -62,7 +64,14 @@ class Calibrate(eqx.Module):
         """See `Calibration`."""
         dtype = light_field.views.dtype
         tried = jnp.linspace(*searched, self.hypotheses, dtype=dtype)
-        return prepare(light_field, tried, self.matching, window=self.window, every=every)
+        return prepare(
+            light_field,
+            tried,
+            self.matching,
+            window=self.window,
+            every=every,
+            brightness=self.brightness,
+        )
 
 
 class AsIs(eqx.Module):

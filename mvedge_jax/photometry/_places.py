@@ -6,10 +6,8 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float
 
-# Views that look almost across the line of sight: what they show is not worth a division.
+# Guards divisions: what views show that look almost across the line of sight is not worth one.
 _BEHIND = 1e-3
-# Differences of disparity below this, px, are slant, not occlusion.
-_SLANT = 0.05
 
 
 class Shift(NamedTuple):
@@ -38,12 +36,16 @@ class Shift(NamedTuple):
         """Derivatives along the view's axes as such along the reference view's."""
         return slopes
 
-    def seen(self, disparity: Float[Array, "y x"], radius: int) -> Bool[Array, "y x"]:
+    def seen(
+        self, disparity: Float[Array, "y x"], radius: int, *, slant: Float[Array, ""] | float = 0.05
+    ) -> Bool[Array, "y x"]:
         """Pixels that the view shows: within its frame, and not behind anything nearer.
 
         What lies `j` px away against the direction of the view's step hides a pixel if it is nearer
         by `j` over the length of the step; half a pixel and half a step are the pixels' own size.
+        `slant` is not needed: that size is more.
         """
+        del slant
         disparity, step = lax.stop_gradient(disparity), self.step
         height, width = disparity.shape
         length = jnp.max(jnp.abs(step))
@@ -112,12 +114,15 @@ class Projection(NamedTuple):
         x, y = slopes
         return xx[None] * x + yx[None] * y, xy[None] * x + yy[None] * y
 
-    def seen(self, disparity: Float[Array, "y x"], radius: int) -> Bool[Array, "y x"]:
+    def seen(
+        self, disparity: Float[Array, "y x"], radius: int, *, slant: Float[Array, ""] | float = 0.05
+    ) -> Bool[Array, "y x"]:
         """Pixels that the view shows: ahead of it, within its frame, nothing nearer before them.
 
         Nearer is what is nearer to the view's own camera: seen from elsewhere, larger disparities
         may be farther away. All pixels are drawn into the view, which keeps the nearest; gaps of a
-        pixel are closed from both sides. `radius` is not needed: any pixel may hide any other.
+        pixel are closed from both sides. Differences below `slant`, px, are no occlusion. `radius`
+        is not needed: any pixel may hide any other.
         """
         disparity = lax.stop_gradient(disparity)
         height, width = disparity.shape
@@ -133,7 +138,7 @@ class Projection(NamedTuple):
         shown = front.reshape(-1)[jnp.minimum(place, height * width - 1)].reshape(height, width)
         _, (along_x, along_y) = self._jacobian(disparity)
         length = jnp.maximum(jnp.abs(along_x), jnp.abs(along_y))
-        slack = 0.5 / (length + 0.5) + _SLANT
+        slack = 0.5 / (length + 0.5) + slant
         # From the same place, everything is seen.
         return inside & ~(((shown - near) * depth > slack) & (length > 0))
 

@@ -1,7 +1,8 @@
 """What is found out about a scene before anything is measured in it."""
 
+import dataclasses
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
@@ -12,6 +13,7 @@ from mvedge_jax._params import cast
 from mvedge_jax.color import srgb_to_lab
 from mvedge_jax.lightfield import LightField
 
+from .brightness._brightness import Brightness, NoiseModel
 from .brightness._denoise import denoised, low_pass, soften
 from .brightness._exposure import Exposure, exposed_arms, exposure_along, rough_exposure
 from .brightness._noise import Noise, measure_noise
@@ -105,6 +107,7 @@ def prepare(
     *,
     window: int,
     every: bool = False,
+    brightness: Brightness | None = None,
 ) -> CalibratedViews:
     """Measures exposure, gains and noise, and finds the first map.
 
@@ -117,16 +120,20 @@ def prepare(
         params: of the hypotheses.
         window: half the width of their windows, px.
         every: measure the gains of all views along it, not of the crosshair alone.
+        brightness: how exposure, gains and noise are found; None for the defaults.
 
     Returns:
         The scene. Differentiable in views and parameters at the hypotheses chosen.
     """
     own = crosshair(light_field)
-    exposure = rough_exposure(light_field)
+    brightness = Brightness() if brightness is None else brightness
+    exposure = rough_exposure(light_field, params=brightness)
     arms = exposed_arms(own, exposure)
     centre = arms[0].planes[arms[0].centre]
-    noise = measure_noise(centre, exposure.scale, arms=arms, disparities=disparities)
-    scene = _guided(arms, exposure, noise)
+    noise = measure_noise(
+        centre, exposure.scale, arms=arms, disparities=disparities, params=brightness.noise
+    )
+    scene = _guided(arms, exposure, noise, brightness.noise)
 
     @staged
     def searched(
@@ -137,9 +144,9 @@ def prepare(
         return hypotheses(*soft, lab, disparities, params, noise=noise, window=window)
 
     first = searched(arms, scene.lab, noise, params)
-    exposure = exposure_along(light_field, exposure.scale, first, every=every)
+    exposure = exposure_along(light_field, exposure.scale, first, every=every, params=brightness)
     return scene._replace(
-        arms=exposed_arms(own, exposure), exposure=exposure, first=first, lit=lit(own)
+        arms=exposed_arms(own, exposure), exposure=exposure, first=first, lit=lit(own, brightness)
     )
 
 
@@ -184,23 +191,20 @@ def measuring_in(
         Parameters for `look` and `labels`. Differentiable.
     """
     plain, clear = cast(Measuring(), scale.dtype), 1 - noise.alpha
-    return Measuring(
+    own: dict[str, Any] = {
+        field.name: getattr(params, field.name) for field in dataclasses.fields(Measurement)
+    }
+    changed: dict[str, Any] = {
         # Drift cannot be told from noise, nor surfaces by their colours.
-        drift=params.drift,
-        stiffness=plain.stiffness / clear**2,
-        same_surface=params.same_surface,
-        same_colour=params.same_colour / clear,
-        outlier=params.outlier,
-        error_floor=params.error_floor,
-        noise=jnp.maximum(jnp.sqrt(kept) * noise.deviation, plain.noise),
-        rounding=scale * noise.rounding,
+        "stiffness": plain.stiffness / clear**2,
+        "same_colour": params.same_colour / clear,
+        "noise": jnp.maximum(jnp.sqrt(kept) * noise.deviation, plain.noise),
+        "rounding": scale * noise.rounding,
         # What noise is left in the mean gradients of all views is less than the residual says.
-        gradient_noise=plain.gradient_noise * grain * (1 - 0.6 * noise.alpha**4),
-        largest_step=plain.largest_step,
-        radius=params.radius,
-        passes=params.passes,
-        views=params.views,
-    )
+        "gradient_noise": plain.gradient_noise * grain * (1 - 0.6 * noise.alpha**4),
+        "largest_step": plain.largest_step,
+    }
+    return Measuring(**(own | changed))
 
 
 def _whole_grid(scene: CalibratedViews, every: LightField, sigma: Float[Array, ""]) -> Grid:
@@ -217,6 +221,8 @@ def recentred(
     view: Int[Array, "2"],
     exposure: Exposure,
     noise: Noise,
+    *,
+    params: NoiseModel | None = None,
 ) -> CalibratedViews:
     """The row and the column of views through any view, as the crosshair of a scene of its own.
 
@@ -225,6 +231,7 @@ def recentred(
         view: index `(v, u)` of what becomes the centre view, traced.
         exposure: of the light field.
         noise: of its views, exposure taken out.
+        params: how noise is taken out of the guide; None for the defaults.
 
     Returns:
         The scene, without a first map; steps are those from the view. Differentiable.
@@ -252,12 +259,14 @@ def recentred(
     across = arm(light_field.views[v], factor[v], there[v], u, columns)
     down = arm(light_field.views[:, u], factor[:, u], there[:, u], v, rows)
     down = down._replace(planes=jnp.swapaxes(down.planes, -1, -2))
-    return _guided((across, down), exposure, noise)
+    return _guided((across, down), exposure, noise, params)
 
 
-def _guided(arms: tuple[Arm, Arm], exposure: Exposure, noise: Noise) -> CalibratedViews:
+def _guided(
+    arms: tuple[Arm, Arm], exposure: Exposure, noise: Noise, params: NoiseModel | None
+) -> CalibratedViews:
     """A scene without a first map, whose guide is the centre view without its noise."""
-    guide = denoised(arms[0].planes[arms[0].centre], noise)
+    guide = denoised(arms[0].planes[arms[0].centre], noise, params=params)
     lab = jnp.moveaxis(srgb_to_lab(jnp.moveaxis(guide, 0, -1)), -1, 0)
     return CalibratedViews(arms, exposure, noise, guide, lab, None)
 

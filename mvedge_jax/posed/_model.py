@@ -13,6 +13,7 @@ from mvedge_jax._params import as_number, at_least
 from mvedge_jax._paths import described, replaced
 from mvedge_jax.depth import DenseLabels, MeasuredLabels, Refine
 from mvedge_jax.diffusion import AutoSolver
+from mvedge_jax.photometry.brightness import Brightness
 from mvedge_jax.photometry.matching import Matching
 from mvedge_jax.photometry.measuring import Measurement
 from mvedge_jax.smoothness import ColorAndDepth, Smoothness
@@ -52,17 +53,20 @@ class StereoDepth(eqx.Module):
     Attributes:
         hypotheses: disparities tried per pixel.
         window: half the width of the windows in which hypotheses are compared, px.
+        brightness: how gains and noise are found.
         matching: costs of the hypotheses that the first map starts from.
         measurement: of every pixel; occluders are found wherever they are, its `radius` is not
             read.
         dense: weights of the measured labels.
         smoothness: between neighboring pixels.
         solver: of the diffusions.
-        refine: when to sharpen and solve again; its `outlines` is not read.
+        refine: when to sharpen and solve again; its `outline` and `outlines` are not
+            read.
     """
 
     hypotheses: int = eqx.field(static=True)
     window: int = eqx.field(static=True, default=2)
+    brightness: Brightness = eqx.field(default_factory=Brightness)
     matching: Matching = eqx.field(default_factory=_matching)
     measurement: Measurement = eqx.field(default_factory=_measurement)
     dense: DenseLabels = eqx.field(default_factory=MeasuredLabels)

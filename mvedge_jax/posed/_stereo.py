@@ -45,8 +45,8 @@ class StereoStats(NamedTuple):
         gain: brightness of each photograph relative to the reference, which was taken out; in the
             order of `Photographs`.
         searched: lowest and highest disparity that was tried, px per baseline.
-        labeled: share of the pixels with an accepted label: at least a hundredth of the weight of
-            a perfect one, in the last solve. The other pixels are diffused from these.
+        labeled: share of the pixels with an accepted label, see `Refine.accepted`, in the last
+            solve. The other pixels are diffused from these.
     """
 
     iterations: Int[Array, " solves"]
@@ -146,7 +146,13 @@ def _stereo(
     model = cast(model, photographs.images.dtype)
     setup = _set_up(photographs, reference, model)
     shown = setup.shown
-    scene = prepare_photographs(*setup[:4], model.matching, window=model.window, shown=shown)
+    scene = prepare_photographs(
+        *setup[:4],
+        model.matching,
+        brightness=model.brightness,
+        window=model.window,
+        shown=shown,
+    )
     views = staged(posed_sight)(scene, model.measurement)
     nothing = jnp.zeros_like(scene.first)
     span = setup.disparities[-1] - setup.disparities[0]

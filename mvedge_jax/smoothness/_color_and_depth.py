@@ -4,13 +4,8 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from mvedge_jax._params import accepts_numpy, cast, number
+from mvedge_jax._params import accepts_numpy, at_least, cast, number
 from mvedge_jax.image import gaussian
-
-# The least smoothness, so that every pixel keeps a tie to its neighbors.
-_FLOOR = 1e-6
-# Reach of the Gaussian that a map passes before its steps cut edges, px.
-_BLUR_REACH = 2
 
 
 class ColorAndDepth(eqx.Module):
@@ -22,6 +17,8 @@ class ColorAndDepth(eqx.Module):
         color_power: how fast the smoothness falls with the step of color.
         depth_power: how fast the smoothness falls with the step of disparity.
         blur: standard deviation of the Gaussian that the map passes before its steps count.
+        floor: least smoothness, so that every pixel keeps a tie to its neighbors.
+        reach: of that Gaussian, px.
     """
 
     color: Float[Array, ""] = number(0.3, "CIELAB")
@@ -29,6 +26,11 @@ class ColorAndDepth(eqx.Module):
     color_power: Float[Array, ""] = number(1.5)
     depth_power: Float[Array, ""] = number(2.0)
     blur: Float[Array, ""] = number(0.5, "px")
+    floor: Float[Array, ""] = number(1e-6)
+    reach: int = eqx.field(static=True, default=2)
+
+    def __check_init__(self) -> None:
+        at_least(self, reach=1)
 
     def __call__(
         self,
@@ -38,7 +40,7 @@ class ColorAndDepth(eqx.Module):
     ) -> tuple[Float[Array, "y x-1"], Float[Array, "y-1 x"]]:
         """See `Smoothness`; depth edges are those of the map itself."""
         del depth_edge
-        smooth = gaussian(disparity, self.blur.astype(disparity.dtype), _BLUR_REACH)
+        smooth = gaussian(disparity, self.blur.astype(disparity.dtype), self.reach)
         return edge_smoothness(guide, smooth, self)
 
 
@@ -58,7 +60,7 @@ def edge_smoothness(
     Args:
         lab: centre view in CIELAB, L in 0..100, `[c, y, x]`.
         disparity: a map from an earlier pass, px per view step, `[y, x]`.
-        params: c, s, a and b.
+        params: c, s, a and b, and `floor`, t0.
 
     Returns:
         `tx` `[y, x - 1]` and `ty` `[y - 1, x]`, in (0, 1]. Differentiable.
@@ -75,7 +77,7 @@ def edge_smoothness(
         edge = _power(color / params.color**2, 0.5 * params.color_power) * _power(
             depth / params.depth**2, 0.5 * params.depth_power
         )
-        return jnp.maximum(1 / (1 + edge), _FLOOR)
+        return jnp.maximum(1 / (1 + edge), params.floor)
 
     return along(1), along(0)
 

@@ -14,7 +14,7 @@ from mvedge_jax._product import product
 from ._profile import absorption
 from ._raster import SplatRaster
 
-# The exponential of minus this is 0 in float64, too.
+# A number format: the exponential of minus this is 0 in float64, too.
 _GONE = 800.0
 
 

@@ -9,17 +9,15 @@ from mvedge_jax._params import cast
 from ._raster import SplatRaster, SplatWidths
 from ._splat import Splat, splat
 
-# Widths of narrow points, image pixels: wider ones hide the pixels beside them, so that no other
-# point can speak there.
-_LABEL, _WEIGHT = 0.35, 0.45
+
+def _narrow(scale: int = 1) -> SplatWidths:
+    """Wider points hide the pixels beside them, so that no other point can speak there."""
+    label, weight = jnp.asarray(0.35 * scale), jnp.asarray(0.45 * scale)
+    return SplatWidths(sigma_label=label, sigma_weight=weight)
 
 
-def _narrow() -> SplatWidths:
-    return SplatWidths(sigma_label=jnp.asarray(_LABEL), sigma_weight=jnp.asarray(_WEIGHT))
-
-
-def _one_pixel() -> SplatRaster:
-    return SplatRaster(scale=1, radius=2, tile=4, lanes=512)
+def _fine(scale: int = 1) -> SplatRaster:
+    return SplatRaster(scale, radius=2 * scale, tile=4 * scale, lanes=512)
 
 
 class SplatLabels(eqx.Module):
@@ -37,7 +35,7 @@ class SplatLabels(eqx.Module):
     """
 
     widths: SplatWidths = eqx.field(default_factory=_narrow)
-    raster: SplatRaster = eqx.field(static=True, default_factory=_one_pixel)
+    raster: SplatRaster = eqx.field(static=True, default_factory=_fine)
 
     def __check_init__(self) -> None:
         self.raster.check(self.widths)
@@ -65,9 +63,7 @@ class SplatLabels(eqx.Module):
             >>> narrow.raster.radius, round(float(narrow.widths.sigma_label), 2)
             (4, 0.7)
         """
-        label, weight = jnp.asarray(_LABEL * scale), jnp.asarray(_WEIGHT * scale)
-        widths = SplatWidths(sigma_label=label, sigma_weight=weight)
-        return SplatLabels(widths, SplatRaster(scale, radius=2 * scale, tile=4 * scale, lanes=512))
+        return SplatLabels(_narrow(scale), _fine(scale))
 
     @staticmethod
     def thesis() -> "SplatLabels":

@@ -12,8 +12,8 @@ from jaxtyping import Array, Float
 
 from mvedge_jax._params import number
 
-# Optical thickness, or share of the weight, that may be left where a point is cut off; the thesis'
-# widths leave 4e-4.
+# Of input checks alone, no value depends on it: optical thickness, or share of the weight, that may
+# be left where a point is cut off; the thesis' widths leave 4e-4.
 MOST_LOST = 1e-3
 
 

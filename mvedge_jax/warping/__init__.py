@@ -8,6 +8,6 @@ from ._forward import (
     z_buffer as z_buffer,
 )
 from ._holes import Holes as Holes, holes as holes
-from ._outline import outline as outline
+from ._outline import Outline as Outline, outline as outline
 from ._planes import warp_planes as warp_planes
 from ._visibility import visible as visible, visible_binned as visible_binned

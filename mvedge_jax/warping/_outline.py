@@ -2,33 +2,46 @@
 
 from functools import partial
 
+import equinox as eqx
 import jax.numpy as jnp
-import numpy as np
 from jax import lax
 from jaxtyping import Array, Float, Int
 
-from mvedge_jax._params import accepts_numpy
+from mvedge_jax._params import accepts_numpy, at_least, cast, number
 from mvedge_jax.color import factored, solved, srgb_to_linear
 
 from ._blocks import in_blocks
 
-# Differences of disparity beyond this, px, are steps, if they are that many times as large as what
-# either surface rises by from pixel to pixel.
-_STEP, _STEEPER = 0.1, 4.0
-# Reach of what tells colours apart, px, and the width of its Gaussian.
-_REACH, _WIDTH = 3, 1.8
-# A pixel beside a step is not sure of its own surface, and counts this much.
-_DOUBT = 0.05
-# Variance of colours, linear light, that tells nothing.
-_FAINT = 1e-5
-_OFFSETS = tuple(
-    (dy, dx)
-    for dy in range(-_REACH, _REACH + 1)
-    for dx in range(-_REACH, _REACH + 1)
-    if dy * dy + dx * dx <= _REACH**2 + 1
-)
 # Pairs of colour channels, in the order of `factored`.
 _PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
+
+
+class Outline(eqx.Module):
+    """What is beside a depth step, and how far color is believed there.
+
+    All of it selects: no gradient passes through an outline.
+
+    Attributes:
+        odds: that the map has a pixel beside a step on the right side.
+        step: differences of disparity beyond this are steps.
+        steeper: if they are this many times as large as what either surface rises by from pixel to
+            pixel.
+        width: standard deviation of the Gaussian of what tells colors apart.
+        doubt: a pixel beside a step is not sure of its own surface, and counts this much.
+        faint: variance of colors that tells nothing.
+        reach: of what tells colors apart, px.
+    """
+
+    odds: Float[Array, ""] = number(8.0, "log odds", threshold=True)
+    step: Float[Array, ""] = number(0.1, "px", threshold=True)
+    steeper: Float[Array, ""] = number(4.0, "rises", threshold=True)
+    width: Float[Array, ""] = number(1.8, "px", threshold=True)
+    doubt: Float[Array, ""] = number(0.05, "sure pixels", threshold=True)
+    faint: Float[Array, ""] = number(1e-5, "squared linear light", threshold=True)
+    reach: int = eqx.field(static=True, default=3)
+
+    def __check_init__(self) -> None:
+        at_least(self, reach=1)
 
 
 @accepts_numpy
@@ -36,8 +49,7 @@ def outline(
     disparity: Float[Array, "y x"],
     view: Float[Array, "c y x"],
     noise: Float[Array, ""],
-    *,
-    prior: float | Float[Array, ""],
+    params: Outline,
 ) -> Int[Array, "y x"]:
     r"""Decides by colour which surface the pixels beside a depth step show.
 
@@ -53,7 +65,7 @@ def outline(
         disparity: px per view step, larger is nearer, `[y, x]`.
         view: the picture that it belongs to, sRGB, three channels `[c, y, x]`.
         noise: standard deviation of the picture's noise, sRGB.
-        prior: log odds that the map is right as it is.
+        params: see `Outline`.
 
     Returns:
         Flat index of the pixel whose disparity every pixel should have, its own or one of its eight
@@ -68,27 +80,27 @@ def outline(
         >>> step = jnp.broadcast_to(jnp.where(jnp.arange(16) < 8, 1.0, 0.0), (16, 16))
         >>> light = jnp.where(jnp.arange(16) == 7, 0.1, step)  # mostly background
         >>> view = jnp.broadcast_to(light, (3, 16, 16))
-        >>> step.ravel()[outline(step, view, jnp.asarray(0.0), prior=1.0)][8, 5:10].tolist()
+        >>> step.ravel()[outline(step, view, jnp.asarray(0.0), Outline(odds=1.0))][8, 5:10].tolist()
         [1.0, 1.0, 0.0, 0.0, 0.0]
     """
     disparity, view = lax.stop_gradient(disparity), lax.stop_gradient(view)
-    noise = lax.stop_gradient(noise)
+    noise, params = lax.stop_gradient((noise, cast(params, disparity.dtype)))
     own = jnp.arange(disparity.size, dtype=jnp.int32).reshape(disparity.shape)
     (front, nearer), (back, farther) = (_extreme(disparity, own, sign) for sign in (1, -1))
     rise = _rise(disparity).ravel()
-    steep = _STEEPER * jnp.maximum(rise[nearer], rise[farther])
-    step = front - back > _STEP
+    steep = params.steeper * jnp.maximum(rise[nearer], rise[farther])
+    step = front - back > params.step
     beside = step & (front - back > steep)
     middle = 0.5 * (front + back)
-    sure = jnp.where(step, _DOUBT, 1).astype(disparity.dtype)
+    sure = jnp.where(step, params.doubt, 1).astype(disparity.dtype)
     images = jnp.stack([disparity, middle, sure, *srgb_to_linear(view)])
-    stencil = partial(_share, faint=_FAINT + noise**2)
-    share, unexplained = in_blocks(stencil, beside, images, reach=_REACH)
+    stencil = partial(_share, params=params, faint=params.faint + noise**2)
+    share, unexplained = in_blocks(stencil, beside, images, reach=params.reach)
     ahead = disparity > middle
-    believed = jnp.where(ahead, prior, -prior) * unexplained
+    believed = jnp.where(ahead, params.odds, -params.odds) * unexplained
     chosen = share - 0.5 + believed > 0
     value, index = jnp.where(chosen, front, back), jnp.where(chosen, nearer, farther)
-    astray = jnp.abs(disparity - value) > _STEP
+    astray = jnp.abs(disparity - value) > params.step
     return jnp.where(beside & astray, index, own)
 
 
@@ -125,29 +137,33 @@ def _part(padded: Array, offset: int, axis: int) -> Array:
     return lax.slice_in_dim(padded, offset, offset + padded.shape[axis] - 2, axis=axis)
 
 
-def _share(images: Array, *, faint: Array) -> Array:
+def _share(images: Array, *, params: Outline, faint: Array) -> Array:
     """The share of a pixel that the front covers, by its colour, and the variance of the fit.
 
     Args:
         images: disparity, that of the middle between front and back, certainty, linear colours,
-            with a margin of `_REACH`, `[b, 6, y, x]`.
+            with a margin of `Outline.reach`, `[b, 6, y, x]`.
+        params: see `Outline`.
         faint: variance of colours that tells nothing.
 
     Returns:
         Both, without the margin, `[b, 2, y, x]`.
     """
-    height, width = (size - 2 * _REACH for size in images.shape[-2:])
+    reach = params.reach
+    height, width = (size - 2 * reach for size in images.shape[-2:])
+    side = range(-reach, reach + 1)
+    offsets = [(dy, dx) for dy in side for dx in side if dy * dy + dx * dx <= reach**2 + 1]
 
     def around(dy: int, dx: int) -> list[Array]:
-        y, x = _REACH + dy, _REACH + dx
+        y, x = reach + dy, reach + dx
         return [images[:, i, y : y + height, x : x + width] for i in range(6)]
 
     _, middle, _, *own = around(0, 0)
     # Sums of 1, colours, products of colours; of the front, and of its colours.
     sums = [jnp.zeros_like(middle)] * 14
-    for dy, dx in _OFFSETS:
+    for dy, dx in offsets:
         value, _, known, *colours = around(dy, dx)
-        weight = float(np.exp(-0.5 * (dx * dx + dy * dy) / _WIDTH**2)) * known
+        weight = jnp.exp(-0.5 * (dx * dx + dy * dy) / params.width**2) * known
         # From the pixel's own colour, as differences of large sums would be inexact.
         colours = [a - b for a, b in zip(colours, own, strict=True)]
         front = jnp.where(value > middle, weight, 0)

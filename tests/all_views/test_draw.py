@@ -6,6 +6,7 @@ import pytest
 
 from mvedge_jax.all_views._draw import decided, drawn
 from mvedge_jax.all_views._samples import samples_of
+from mvedge_jax.warping import Outline
 
 
 def _encoded(linear):
@@ -22,7 +23,7 @@ def test_a_pixel_belongs_to_what_covers_most_of_it_in_linear_light(front, back, 
     disparity = jnp.asarray(np.tile(np.where(np.arange(24) < 13, 1.0, 0.0), (16, 1)))
     samples = samples_of(disparity, jnp.full_like(disparity, 0.01), capacity=1)
     drawing = drawn(samples, jnp.zeros(2), (16, 24))
-    found = decided(drawing, samples, view, jnp.asarray(0.0))
+    found = decided(drawing, samples, view, jnp.asarray(0.0), Outline(odds=jnp.asarray(0.25)))
     expected = np.where(np.arange(24) < (13 if share > 0.5 else 12), 1.0, 0.0)
     np.testing.assert_array_equal(samples.disparity[found.sample], np.tile(expected, (16, 1)))
 
@@ -32,5 +33,5 @@ def test_where_nothing_tells_the_drawing_stays():
     disparity = jnp.asarray(np.tile(np.where(np.arange(24) < 13, 1.0, 0.0), (16, 1)))
     samples = samples_of(disparity, jnp.full_like(disparity, 0.01), capacity=1)
     drawing = drawn(samples, jnp.zeros(2), (16, 24))
-    found = decided(drawing, samples, view, jnp.asarray(0.0))
+    found = decided(drawing, samples, view, jnp.asarray(0.0), Outline(odds=jnp.asarray(0.25)))
     np.testing.assert_array_equal(found.sample, drawing.sample)

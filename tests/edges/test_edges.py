@@ -14,7 +14,7 @@ from experiments.edge_accuracy import depth_edges
 from mvedge_jax.datasets import synthetic
 from mvedge_jax.depth import EdgeDepth, multiview_edges
 from mvedge_jax.edges import OrientedEdges
-from mvedge_jax.edges._range import disparity_range
+from mvedge_jax.edges._range import RangeSearch, disparity_range
 from mvedge_jax.lightfield import LightField
 
 
@@ -252,6 +252,8 @@ def test_the_range_is_found_from_the_data():
 def test_filters_that_respond_beside_an_edge_do_not_widen_the_range():
     low, high = disparity_range(flat_rectangle(0.5))
     assert 0.0 < low < 0.5 < high < 1.0
+    narrower = disparity_range(flat_rectangle(0.5), search=RangeSearch(tail=0.2))
+    assert narrower[1] - narrower[0] <= high - low
 
 
 def test_noise_makes_points_less_precise_but_does_not_remove_them(flat_plane, found):

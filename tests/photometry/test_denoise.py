@@ -12,7 +12,7 @@ from mvedge_jax._crosshair import crosshair
 from mvedge_jax.image import box_mean, gaussian, highest
 from mvedge_jax.photometry import Noise
 from mvedge_jax.photometry.brightness._denoise import denoised, low_pass
-from mvedge_jax.photometry.matching._pooling import pooled
+from mvedge_jax.photometry.matching._pooling import Pooling, pooled
 
 NONE = Noise.of(jnp.zeros(()))
 STRONG = Noise.of(jnp.asarray(0.05))
@@ -56,7 +56,7 @@ def test_without_noise_nothing_changes():
     np.testing.assert_array_equal(same[0].planes, arms[0].planes)
     assert float(kept) == float(grain) == 1
     cost = jax.random.uniform(jax.random.key(0), (4, 20, 24), jnp.float64)
-    np.testing.assert_array_equal(pooled(cost, image, NONE, jnp.asarray(20.0)), cost)
+    np.testing.assert_array_equal(pooled(cost, image, NONE, Pooling()), cost)
 
 
 @pytest.mark.parametrize("sigma", [0.3, 0.6, 1.0])
@@ -86,10 +86,10 @@ def test_pooling_stays_on_a_surface_and_away_from_outlines():
     cost[..., 40:44] = 1.0
     cost += np.random.default_rng(2).normal(0, 0.5, cost.shape)
     lab = jnp.asarray(np.where(np.arange(80) < 40, 20.0, 70.0) * np.ones((3, 60, 1)))
-    found = np.asarray(pooled(jnp.asarray(cost), lab, STRONG, jnp.asarray(20.0)))[0]
+    found = np.asarray(pooled(jnp.asarray(cost), lab, STRONG, Pooling()))[0]
     assert np.abs(found[:, 5:35] - 1).max() < 0.3
     assert np.abs(found[:, 44:75] - 3).max() < 0.3
-    constant = pooled(jnp.full((2, 60, 80), 0.7), lab, STRONG, jnp.asarray(20.0))
+    constant = pooled(jnp.full((2, 60, 80), 0.7), lab, STRONG, Pooling())
     np.testing.assert_allclose(constant, 0.7, rtol=1e-9)
 
 
@@ -104,7 +104,7 @@ def test_gradients_in_both_modes_jit_and_vmap():
         noise = Noise.of(deviation)
         guide = denoised(image, noise)
         (soft, _), kept, grain = low_pass(crosshair(field), noise, 10 * deviation)
-        total = jnp.sum(weights * pooled(cost, 100 * guide, noise, length))
+        total = jnp.sum(weights * pooled(cost, 100 * guide, noise, Pooling(length=length)))
         return total + jnp.sum(guide[0] * weights[0]) + kept * grain * jnp.sum(soft.planes[1] ** 3)
 
     tree = (image, cost, jnp.asarray(0.03), jnp.asarray(6.0))

@@ -8,7 +8,7 @@ from helpers import check_gradient
 from photometry.scenes import changed, cross_gains, textured
 
 from mvedge_jax.lightfield import LightField
-from mvedge_jax.photometry.brightness import Exposure, expose, rough_exposure
+from mvedge_jax.photometry.brightness import Brightness, Exposure, expose, rough_exposure
 from mvedge_jax.photometry.brightness._exposure import exposure_along
 
 FLAT = jnp.full((96, 112), 0.5, jnp.float32)
@@ -57,6 +57,9 @@ def test_taking_out_gains_and_exposure_gives_the_bright_views_back():
     found = expose(dark, exposure_along(dark, scale, FLAT))
     level = np.quantile(np.asarray(bright.centre_view), 0.99)
     assert float(scale) == pytest.approx(0.56 / (0.25 * level), rel=0.02)
+    # The level is a number of the part.
+    half = Brightness(bright=jnp.asarray(0.28))
+    assert float(rough_exposure(dark, params=half).scale) == pytest.approx(0.5 * float(scale))
     ratio = np.asarray(found.views)[CROSS] / np.asarray(bright.views)[CROSS]
     assert np.abs(ratio / ratio.mean() - 1).max() < 0.004
 

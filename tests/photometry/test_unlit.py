@@ -8,6 +8,7 @@ import pytest
 
 from mvedge_jax import EdgeDepth, LightField
 from mvedge_jax._crosshair import crosshair
+from mvedge_jax.photometry.brightness import Brightness
 from mvedge_jax.photometry.brightness._unlit import lit
 
 
@@ -29,12 +30,15 @@ def _corner(shape, size):
 def test_a_fixed_corner_is_unlit_and_little_around_it():
     views, corner = _slant(), _corner((40, 48), 12)
     views[:, :, corner] = 0
-    found = np.asarray(lit(crosshair(LightField(jnp.asarray(views, jnp.float32)))))
+    found = np.asarray(lit(crosshair(LightField(jnp.asarray(views, jnp.float32))), Brightness()))
     assert found.dtype == np.float32
     assert set(np.unique(found)) == {0.0, 1.0}
     assert (found[corner] == 0).all()
     y, x = np.nonzero(found == 0)
     assert ((39 - y) + x).max() <= 12 + 6
+    arms = crosshair(LightField(jnp.asarray(views, jnp.float32)))
+    assert (np.asarray(lit(arms, Brightness(dark_reach=0)) == 0) == corner).all()
+    assert bool((lit(arms, Brightness(black=jnp.asarray(0.0))) == 1).all())
 
 
 @pytest.mark.parametrize(
@@ -53,13 +57,13 @@ def test_a_fixed_corner_is_unlit_and_little_around_it():
 def test_all_else_is_lit(blacken):
     views = _slant()
     blacken(views)
-    assert bool((lit(crosshair(LightField(jnp.asarray(views)))) == 1).all())
+    assert bool((lit(crosshair(LightField(jnp.asarray(views))), Brightness()) == 1).all())
 
 
 def test_a_single_row():
     views = _slant((1, 5))
     views[:, :, _corner((40, 48), 12)] = 0
-    found = np.asarray(lit(crosshair(LightField(jnp.asarray(views)))))
+    found = np.asarray(lit(crosshair(LightField(jnp.asarray(views))), Brightness()))
     assert (found[_corner((40, 48), 12)] == 0).all()
     assert found.mean() > 0.9
 

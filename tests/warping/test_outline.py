@@ -5,8 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from mvedge_jax.warping import outline
-from mvedge_jax.warping._outline import _DOUBT, _FAINT, _REACH, _WIDTH, _share
+from mvedge_jax.warping import Outline, outline
+from mvedge_jax.warping._outline import _share
 
 
 def _encoded(linear):
@@ -15,7 +15,9 @@ def _encoded(linear):
 
 def _outlined(disparity, light, *, prior=1.0, noise=0.0):
     view = jnp.asarray(_encoded(np.broadcast_to(light, (3, *disparity.shape))))
-    shown = outline(jnp.asarray(disparity), view, jnp.asarray(noise), prior=prior)
+    shown = outline(
+        jnp.asarray(disparity), view, jnp.asarray(noise), Outline(odds=jnp.asarray(prior))
+    )
     return disparity.ravel()[np.asarray(shown)]
 
 
@@ -70,27 +72,31 @@ def test_noise_takes_the_colours_word_away():
 
 
 def test_the_share_is_a_weighted_ridge_regression():
-    rng = np.random.default_rng(2)
+    rng, params = np.random.default_rng(2), Outline()
+    reach, width, faint = params.reach, float(params.width), float(params.faint)
     disparity = _steps(7, (12, 14)) + 0.01 * rng.random((12, 14))
-    light, sure = rng.random((3, 12, 14)), np.where(rng.random((12, 14)) > 0.8, _DOUBT, 1.0)
+    light, sure = (
+        rng.random((3, 12, 14)),
+        np.where(rng.random((12, 14)) > 0.8, float(params.doubt), 1.0),
+    )
     middle = np.full((12, 14), 0.5)
-    images = np.pad(np.stack([disparity, middle, sure, *light]), ((0, 0), *[(_REACH, _REACH)] * 2))
-    share, unexplained = _share(jnp.asarray(images)[None], faint=jnp.asarray(_FAINT))[0]
+    images = np.pad(np.stack([disparity, middle, sure, *light]), ((0, 0), *[(reach, reach)] * 2))
+    share, unexplained = _share(jnp.asarray(images)[None], params=params, faint=params.faint)[0]
     for y, x in ((0, 0), (5, 6), (11, 9)):
         # The border repeats values and has no weight.
         around = [
             (v, u)
-            for v in range(max(y - _REACH, 0), min(y + _REACH + 1, 12))
-            for u in range(max(x - _REACH, 0), min(x + _REACH + 1, 14))
-            if (v - y) ** 2 + (u - x) ** 2 <= _REACH**2 + 1
+            for v in range(max(y - reach, 0), min(y + reach + 1, 12))
+            for u in range(max(x - reach, 0), min(x + reach + 1, 14))
+            if (v - y) ** 2 + (u - x) ** 2 <= reach**2 + 1
         ]
         v, u = np.array(around).T
-        weight = sure[v, u] * np.exp(-0.5 * ((v - y) ** 2 + (u - x) ** 2) / _WIDTH**2)
+        weight = sure[v, u] * np.exp(-0.5 * ((v - y) ** 2 + (u - x) ** 2) / width**2)
         weight /= weight.sum()
         front, colours = (disparity[v, u] > 0.5) * 1.0, light[:, v, u].T
         mean, ahead = weight @ colours, weight @ front
         centred = colours - mean
-        covariance = centred.T @ (weight[:, None] * centred) + _FAINT * np.eye(3)
+        covariance = centred.T @ (weight[:, None] * centred) + faint * np.eye(3)
         along = centred.T @ (weight * (front - ahead))
         slope = np.linalg.solve(covariance, along)
         np.testing.assert_allclose(share[y, x], ahead + slope @ (light[:, y, x] - mean), rtol=1e-9)
@@ -107,8 +113,10 @@ def test_single_precision_tells_the_same():
     )
     disparity = _steps(17, (32, 32))
     view = _encoded(light)
-    double = outline(jnp.asarray(disparity), jnp.asarray(view), jnp.asarray(0.001), prior=1.0)
-    single = outline(*(jnp.asarray(a, jnp.float32) for a in (disparity, view, 0.001)), prior=1.0)
+    even = Outline(odds=jnp.asarray(1.0))
+    double = outline(jnp.asarray(disparity), jnp.asarray(view), jnp.asarray(0.001), even)
+    lower = (jnp.asarray(a, jnp.float32) for a in (disparity, view, 0.001))
+    single = outline(*lower, params=even)
     np.testing.assert_array_equal(single, double)
     assert (disparity.ravel()[np.asarray(double)] != disparity).sum() > 16
 
@@ -118,8 +126,10 @@ def test_it_is_a_selection_without_gradient():
         _encoded(np.broadcast_to(np.where(np.arange(24) < 12, 0.6, 0.1), (3, 16, 24)))
     )
 
+    even = Outline(odds=jnp.asarray(1.0))
+
     def total(disparity):
-        return jnp.sum(disparity.ravel()[outline(disparity, view, jnp.asarray(0.0), prior=1.0)])
+        return jnp.sum(disparity.ravel()[outline(disparity, view, jnp.asarray(0.0), even)])
 
     slope = jax.grad(total)(jnp.asarray(_steps(13)))
     assert slope.sum() == 16 * 24

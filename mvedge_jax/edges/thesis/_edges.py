@@ -18,9 +18,6 @@ from .._points import EdgePoints, Edges, EdgeStats
 from ._joint_filter import joint_filter
 from ._lines import ArmLines, LineSearch, arm_lines
 
-# Views in which a point must be seen.
-_FEWEST_VIEWS = 3
-
 
 class ThesisEdges(eqx.Module):
     """Edges by the thesis' own steps (4.1); what it leaves open is taken from the authors' program.
@@ -44,6 +41,7 @@ class ThesisEdges(eqx.Module):
         space_sigma: reach of the joint filter in space.
         disparity_sigma: reach of the joint filter in disparity.
         color_sigma: reach of the joint filter in color, sRGB in [0, 1].
+        fewest_views: in which a point must be seen.
     """
 
     reach: float = eqx.field(static=True)
@@ -56,10 +54,11 @@ class ThesisEdges(eqx.Module):
     space_sigma: Float[Array, ""] = number(5.0, "px")
     disparity_sigma: Float[Array, ""] = number(0.1, "px")
     color_sigma: Float[Array, ""] = number(0.5, "sRGB")
+    fewest_views: int = eqx.field(static=True, default=3)
 
     def __check_init__(self) -> None:
         positive(self, "reach")
-        at_least(self, filters=4, capacity=1)
+        at_least(self, filters=4, capacity=1, fewest_views=1)
 
     def prewitt(
         self, views: tuple[int, ...], dtype: DTypeLike = jnp.float32
@@ -120,7 +119,7 @@ def _thesis_edges(evidence: Evidence, part: ThesisEdges, key: PRNGKeyArray | Non
         arm_lines(srgb_to_lab(arm), bank, part.lines, key=draw)
         for arm, bank, draw in zip((own, down), banks, keys, strict=True)
     ]
-    xy, disparity, strength, visible, keep = _of_both(arms[0], arms[1])
+    xy, disparity, strength, visible, keep = _of_both(arms[0], arms[1], part.fewest_views)
 
     chosen = jnp.nonzero(keep, size=part.capacity, fill_value=0)[0]
     total = keep.sum()
@@ -148,7 +147,7 @@ def _thesis_edges(evidence: Evidence, part: ThesisEdges, key: PRNGKeyArray | Non
     return Edges(jax.tree.map(only, points), EdgeStats(lines, overflow, total, valid.sum()))
 
 
-def _of_both(across: ArmLines, down: ArmLines) -> list[Array]:
+def _of_both(across: ArmLines, down: ArmLines, fewest: int) -> list[Array]:
     """Positions, disparities, strengths, visibilities of all lines, and which are points."""
     parts = []
     for own, other in ((across, down), (down, across)):
@@ -160,7 +159,7 @@ def _of_both(across: ArmLines, down: ArmLines) -> list[Array]:
         others = jnp.broadcast_to(shown, (*own.keep.shape, other.visible.shape[-1]))
         order = [others, own.visible] if own is across else [own.visible, others]
         visible = jnp.concatenate(order, -1)
-        keep = own.keep & (visible.sum(-1) >= _FEWEST_VIEWS)
+        keep = own.keep & (visible.sum(-1) >= fewest)
         fields = (xy, own.lines.disparity, own.lines.confidence, visible, keep)
         parts.append([field.reshape(-1, *field.shape[2:]) for field in fields])
     return [jnp.concatenate(pair) for pair in zip(*parts, strict=True)]

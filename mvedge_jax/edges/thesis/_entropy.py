@@ -6,10 +6,8 @@ from jaxtyping import Array, Float, PRNGKeyArray
 
 from mvedge_jax.epi import EpiLines
 
-_BINS = 256
 
-
-def line_entropy(samples: Float[Array, "m s"], *, bins: int = _BINS) -> Float[Array, " m"]:
+def line_entropy(samples: Float[Array, "m s"], *, bins: int = 256) -> Float[Array, " m"]:
     """Entropy, bits, of the histogram of each row of samples divided by its maximum.
 
     Written per sample, `-mean_s log2 P(I(s))`, which equals the sum over bins.

@@ -16,12 +16,6 @@ from ._alignment import aligned_count, alignment, line_visibility, longest_run
 from ._entropy import entropy_search
 from ._vote import spatial_vote
 
-# Views in a row that a line must be aligned with; the authors'.
-_RUN = 4
-# Where the blur before the filters is cut, px.
-_BLUR_REACH = 2
-
-
 Alignment = Literal["none", "count", "run"]
 
 
@@ -41,9 +35,11 @@ class LineSearch(eqx.Module):
             has the filters'.
         levels: scales of the spatial pyramid (4.1.4), 1 or 2.
         alignment: keep lines aligned with the gradient in a quarter of the views (`"count"`,
-            Eq. 4.3) or in four in a row (`"run"`, the authors'), or all (`"none"`).
+            Eq. 4.3) or in `run` in a row (`"run"`, the authors'), or all (`"none"`).
         vote: keep lines with a spatial vote (4.1.3).
         entropy: search for lines of lower entropy (Eq. 4.5).
+        run: views in a row that a line must be aligned with; the authors'.
+        blur_reach: where the blur before the filters is cut, px.
     """
 
     floor: Float[Array, ""] = number(0.1, "CIELAB/px", threshold=True)
@@ -59,9 +55,11 @@ class LineSearch(eqx.Module):
     alignment: Alignment = eqx.field(static=True, default="run")
     vote: bool = eqx.field(static=True, default=True)
     entropy: bool = eqx.field(static=True, default=True)
+    run: int = eqx.field(static=True, default=4)
+    blur_reach: int = eqx.field(static=True, default=2)
 
     def __check_init__(self) -> None:
-        at_least(self, capacity=1)
+        at_least(self, capacity=1, run=1, blur_reach=1)
         one_of(self, levels=(1, 2), alignment=get_args(Alignment))
 
 
@@ -111,7 +109,7 @@ def arm_lines(
     """
     views, count, width, _ = lab.shape
     radius = params.suppression * views
-    taps = gaussian_taps(params.smoothing, _BLUR_REACH)
+    taps = gaussian_taps(params.smoothing, params.blur_reach)
     lab = convolved(convolved(lab, taps, 1), taps, 2)
 
     def lines_of(epi: Array) -> tuple[EpiLines, Array]:
@@ -139,7 +137,7 @@ def arm_lines(
         if params.alignment == "count":
             keep = keep & (4 * aligned_count(cosine) >= views)
         if params.alignment == "run":
-            keep = keep & (longest_run(cosine) >= _RUN)
+            keep = keep & (longest_run(cosine) >= params.run)
         return found, keep, line_visibility(cosine, found, width=width)
 
     draws = () if key is None else (jax.random.split(key, count),)

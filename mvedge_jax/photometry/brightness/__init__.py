@@ -1,5 +1,6 @@
 """How bright and how noisy the views are, measured once and taken out before they are compared."""
 
+from ._brightness import Brightness as Brightness, NoiseModel as NoiseModel
 from ._denoise import denoised as denoised
 from ._exposure import Exposure as Exposure, expose as expose, rough_exposure as rough_exposure
 from ._noise import (

@@ -9,13 +9,11 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from mvedge_jax._crosshair import Arm
+from mvedge_jax._params import cast
 from mvedge_jax.image import box_mean, gaussian, gaussian_taps
 
+from ._brightness import NoiseModel
 from ._noise import Noise
-
-# A little more than the noise itself: its own local variance scatters, and what is left over
-# looks like texture.
-_EXCESS = 1.15
 
 
 class Smoothed(NamedTuple):
@@ -32,7 +30,9 @@ class Smoothed(NamedTuple):
     grain: Float[Array, ""]
 
 
-def denoised(image: Float[Array, "c y x"], noise: Noise) -> Float[Array, "c y x"]:
+def denoised(
+    image: Float[Array, "c y x"], noise: Noise, *, params: NoiseModel | None = None
+) -> Float[Array, "c y x"]:
     """The centre view with its noise taken out, edges kept, for guiding others.
 
     An adaptive Wiener filter over 7x7 px: where the local variance is that of the noise the pixel
@@ -41,6 +41,7 @@ def denoised(image: Float[Array, "c y x"], noise: Noise) -> Float[Array, "c y x"
     Args:
         image: `[c, y, x]`.
         noise: of the same image.
+        params: its `excess` is read; None for the defaults.
 
     Returns:
         The filtered image, `[c, y, x]`; the image itself where `noise.alpha` is 0. Differentiable.
@@ -54,12 +55,13 @@ def denoised(image: Float[Array, "c y x"], noise: Noise) -> Float[Array, "c y x"
         >>> float(denoised(noisy, Noise.of(jnp.asarray(0.05))).std()) < 0.02
         True
     """
+    params = cast(NoiseModel() if params is None else params, image.dtype)
 
     def filtered(image: Array) -> Array:
         mean = box_mean(image, 3)
         spread = jnp.maximum(box_mean(image * image, 3) - mean * mean, 0)
         variance = sum((spread[c] for c in range(1, spread.shape[0])), spread[0]) / len(spread)
-        own = jnp.maximum(variance - _EXCESS * noise.deviation**2, 0)
+        own = jnp.maximum(variance - params.excess * noise.deviation**2, 0)
         keep = own / jnp.where(variance > 0, variance, 1)
         smooth = box_mean(keep, 3)[None] * image + box_mean((1 - keep)[None] * mean, 3)
         return image + noise.alpha * (smooth - image)

@@ -9,21 +9,13 @@ from jax import lax
 from jaxtyping import Array, Bool, Float
 
 from mvedge_jax._crosshair import Arm
+from mvedge_jax._params import cast
 from mvedge_jax._product import FULL
 from mvedge_jax.image import gaussian_taps
 from mvedge_jax.lightfield import LightField
 
 from .._places import Projection, Shift
-
-# Where the 99th percentile of a bright, matt scene lies; floors are meant for such scenes.
-_BRIGHT = 0.56
-_BRIGHTEST = 16.0
-# A scene whose gains differ by no more than this owes it to the scene, not to the cameras.
-_GAIN_PRIOR = 0.002
-# Parallax errs alike over some 4x4 places: so many of them count as one.
-_ALIKE = 16
-# Standard deviation and reach of the blur that keeps noise from shrinking gains, px.
-_BLUR, _REACH = 2.0, 5
+from ._brightness import Brightness
 
 
 class _Ratio(NamedTuple):
@@ -38,7 +30,7 @@ class Exposure(NamedTuple):
 
     Attributes:
         scale: factor for all views, which makes dark ones as bright as floors and weights expect,
-            1..16.
+            from 1 to `Brightness.brightest`.
         gain: brightness of each view relative to the centre view, `[v, u]`, by which it is divided;
             1 for views that were not asked for.
     """
@@ -46,17 +38,24 @@ class Exposure(NamedTuple):
     scale: Float[Array, ""]
     gain: Float[Array, "v u"]
 
-    def everywhere(self, light_field: LightField, disparity: Float[Array, "y x"]) -> "Exposure":
+    def everywhere(
+        self,
+        light_field: LightField,
+        disparity: Float[Array, "y x"],
+        *,
+        params: Brightness | None = None,
+    ) -> "Exposure":
         """The same with the gains of all views, measured along a map of the centre view.
 
         Args:
             light_field: the views as they came.
             disparity: px per view step, `[y, x]`.
+            params: see `Brightness`; None for the defaults.
 
         Returns:
             Gains to about 0.2 %. Differentiable in the views and the map.
         """
-        return exposure_along(light_field, self.scale, disparity, every=True)
+        return exposure_along(light_field, self.scale, disparity, every=True, params=params)
 
 
 def expose(light_field: LightField, exposure: Exposure) -> LightField:
@@ -99,13 +98,14 @@ def exposed_arms(arms: tuple[Arm, Arm], exposure: Exposure) -> tuple[Arm, Arm]:
     return across, down
 
 
-def rough_exposure(light_field: LightField) -> Exposure:
+def rough_exposure(light_field: LightField, *, params: Brightness | None = None) -> Exposure:
     """Exposure and gains without knowing any disparity.
 
     The gain is the median ratio of the blurred views: what parallax adds to it goes both ways.
 
     Args:
         light_field: the crosshair of views is read.
+        params: see `Brightness`; None for the defaults.
 
     Returns:
         Gains to about 1 %. Differentiable in the views.
@@ -120,27 +120,30 @@ def rough_exposure(light_field: LightField) -> Exposure:
         [1.1, 0.9]
     """
     views = light_field.views
-    scale = _brightening(light_field.centre_view)
+    params = cast(Brightness() if params is None else params, views.dtype)
+    scale = _brightening(light_field.centre_view, params)
     vc, uc = light_field.centre
-    across = _ratios(light_field.horizontal_arm, light_field.available[vc], uc)
-    down = _ratios(light_field.vertical_arm, light_field.available[:, uc], vc)
-    return Exposure(scale, _gains(across, down, views))
+    across = _ratios(light_field.horizontal_arm, light_field.available[vc], uc, params)
+    down = _ratios(light_field.vertical_arm, light_field.available[:, uc], vc, params)
+    return Exposure(scale, _gains(across, down, views, params))
 
 
 def rough_gains(
-    images: Float[Array, "s y x c"], available: Bool[Array, " s"]
+    images: Float[Array, "s y x c"], available: Bool[Array, " s"], params: Brightness
 ) -> tuple[Float[Array, ""], Float[Array, " s"]]:
     """`rough_exposure` for photographs, the first of which is the reference.
 
     Args:
         images: sRGB, as they came.
         available: which of them are to be read.
+        params: see `Brightness`.
 
     Returns:
         What all views are multiplied by, see `Exposure.scale`, and the gain of each. Differentiable
         in the images.
     """
-    return _brightening(images[0]), _earned(_ratios(images, available, 0))
+    params = cast(params, images.dtype)
+    return _brightening(images[0], params), _earned(_ratios(images, available, 0, params), params)
 
 
 def gains_along(
@@ -148,6 +151,7 @@ def gains_along(
     places: Projection,
     available: Bool[Array, " s"],
     disparity: Float[Array, "y x"],
+    params: Brightness,
 ) -> Float[Array, " s"]:
     """`exposure_along` for photographs, the first of which is the reference.
 
@@ -156,21 +160,26 @@ def gains_along(
         places: where each shows the pixels of the first one.
         available: which of them are to be read.
         disparity: of the first one, `[y, x]`.
+        params: see `Brightness`.
 
     Returns:
         The gain of each. Differentiable.
     """
-    return _earned(_regressed(images, places, available, 0, disparity))
+    params = cast(params, images.dtype)
+    return _earned(_regressed(images, places, available, 0, disparity, params), params)
 
 
-def _brightening(centre: Float[Array, "y x c"]) -> Float[Array, ""]:
+def _brightening(centre: Float[Array, "y x c"], params: Brightness) -> Float[Array, ""]:
     """What brings the bright parts of an image to a fixed level."""
     bright = jnp.sort(centre[::4, ::4].reshape(-1))
     level = bright[int(0.99 * (bright.shape[0] - 1))]
-    return jnp.clip(_BRIGHT / jnp.maximum(level, _BRIGHT / _BRIGHTEST), 1, _BRIGHTEST)
+    bright, most = params.bright, params.brightest
+    return jnp.clip(bright / jnp.maximum(level, bright / most), 1, most)
 
 
-def _ratios(images: Float[Array, "s y x c"], there: Bool[Array, " s"], own: int) -> _Ratio:
+def _ratios(
+    images: Float[Array, "s y x c"], there: Bool[Array, " s"], own: int, params: Brightness
+) -> _Ratio:
     """Median ratio of every image to one of them, block by block."""
     block = min(8, max(1, min(images.shape[1:3]) // 16))
     rows, columns = images.shape[1] // block, images.shape[2] // block
@@ -185,7 +194,7 @@ def _ratios(images: Float[Array, "s y x c"], there: Bool[Array, " s"], own: int)
     # Of the median of so many values.
     scatter = 1.25 * 1.48 * _median(jnp.abs(ratio - gain[:, None]), known)
     count = jnp.sum(known, axis=1).astype(gain.dtype)
-    variance = _ALIKE * scatter**2 / jnp.maximum(count, 1)
+    variance = params.alike * scatter**2 / jnp.maximum(count, 1)
     return _Ratio(gain, jnp.where(count > 0, variance, 0))
 
 
@@ -195,10 +204,11 @@ def exposure_along(
     disparity: Float[Array, "y x"],
     *,
     every: bool = False,
+    params: Brightness | None = None,
 ) -> Exposure:
     """Gains by robust regression of every view on the centre one, along a disparity map.
 
-    Of the views blurred by 2 px, every sixteenth pixel either way takes part: blurring keeps noise
+    Of the blurred views, every sixteenth pixel either way takes part: blurring keeps noise
     from shrinking the gains, and what the map or an occlusion gets wrong is an outlier.
 
     Args:
@@ -206,6 +216,7 @@ def exposure_along(
         scale: see `Exposure`.
         disparity: px per view step, `[y, x]`.
         every: measure all views, not those of the crosshair alone.
+        params: see `Brightness`; None for the defaults.
 
     Returns:
         Gains to about 0.2 %. Differentiable in the views and the map.
@@ -220,6 +231,7 @@ def exposure_along(
         [1.1, 0.9]
     """
     views, (rows, columns) = light_field.views, light_field.views.shape[:2]
+    params = cast(Brightness() if params is None else params, views.dtype)
     own = light_field.centre
     places = [
         (v, u) for v in range(rows) for u in range(columns) if every or v == own[0] or u == own[1]
@@ -231,24 +243,25 @@ def exposure_along(
         light_field.available[v, u],
         places.index(own),
         disparity,
+        params,
     )
-    gain = jnp.ones((rows, columns), views.dtype).at[v, u].set(_earned(found))
+    gain = jnp.ones((rows, columns), views.dtype).at[v, u].set(_earned(found, params))
     return Exposure(scale, gain)
 
 
-def _gains(across: _Ratio, down: _Ratio, views: Array) -> Float[Array, "v u"]:
+def _gains(across: _Ratio, down: _Ratio, views: Array, params: Brightness) -> Float[Array, "v u"]:
     """Gains of the crosshair on the grid of views."""
     both = _Ratio(*(jnp.concatenate(pair) for pair in zip(across, down, strict=True)))
-    row, column = jnp.split(_earned(both), [across.gain.shape[0]])
+    row, column = jnp.split(_earned(both, params), [across.gain.shape[0]])
     gain = jnp.ones(views.shape[:2], views.dtype)
     return gain.at[views.shape[0] // 2].set(row).at[:, views.shape[1] // 2].set(column)
 
 
-def _earned(found: _Ratio) -> Float[Array, " s"]:
+def _earned(found: _Ratio, params: Brightness) -> Float[Array, " s"]:
     """Gains, drawn to 1 where they hardly differ or are badly known."""
     logs, error = jnp.log(found.gain), jnp.mean(found.variance)
     excess = jnp.maximum(jnp.mean(logs**2) - 2 * error, 0)
-    return jnp.exp(excess / (excess + _GAIN_PRIOR**2) * logs)
+    return jnp.exp(excess / (excess + params.gain_prior**2) * logs)
 
 
 def _median(values: Float[Array, "s n"], known: Array) -> Float[Array, " s"]:
@@ -266,6 +279,7 @@ def _regressed(
     available: Array,
     centre: int,
     disparity: Float[Array, "y x"],
+    params: Brightness,
 ) -> _Ratio:
     """Gain of every view."""
     height, width = disparity.shape
@@ -275,7 +289,7 @@ def _regressed(
         view, place, there = item
         x, y = (position[::stride, ::stride] for position in place.positions(disparity))
         inside = (x >= 0) & (x <= width - 1) & (y >= 0) & (y <= height - 1)
-        return _blurred_at(view, x, y), inside & there
+        return _blurred_at(view, x, y, params), inside & there
 
     seen, known = lax.map(look, (views, places, available))
     own = seen[centre]
@@ -297,16 +311,19 @@ def _regressed(
     return _Ratio(gain, variance)
 
 
-def _blurred_at(image: Float[Array, "y x c"], x: Array, y: Array) -> Float[Array, "*p c"]:
+def _blurred_at(
+    image: Float[Array, "y x c"], x: Array, y: Array, params: Brightness
+) -> Float[Array, "*p c"]:
     """Gaussian means of an image around positions, borders repeated."""
     height, width, channels = image.shape
-    size = 2 * _REACH + 2
-    margin = (_REACH, _REACH + 1)
+    reach = params.blur_reach
+    size = 2 * reach + 2
+    margin = (reach, reach + 1)
     padded = jnp.pad(image, (margin, margin, (0, 0)), mode="edge")
     x, y = jnp.clip(x, 0, width - 1), jnp.clip(y, 0, height - 1)
     column, row = jnp.floor(x), jnp.floor(y)
 
-    gaussian = gaussian_taps(jnp.asarray(_BLUR, image.dtype), _REACH)
+    gaussian = gaussian_taps(params.blur, reach)
     before, after = jnp.pad(gaussian, (0, 1)), jnp.pad(gaussian, (1, 0))
 
     def taps(part: Array) -> Array:

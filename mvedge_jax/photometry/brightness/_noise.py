@@ -1,6 +1,6 @@
 """The noise of a scene, measured once."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -9,23 +9,16 @@ from jaxtyping import Array, Float
 
 from mvedge_jax._compiler import lean_jit
 from mvedge_jax._crosshair import Arm
-from mvedge_jax._params import accepts_numpy
+from mvedge_jax._params import accepts_numpy, cast
 from mvedge_jax.image import window_sum
 from mvedge_jax.interpolation import keys_taps
 from mvedge_jax.lightfield import LightField
 
+from ._brightness import Brightness, NoiseModel
 from ._exposure import Exposure, rough_exposure
 
-_STEP = 1.0 / 255  # of 8-bit views, the rule
-# Steps, coarsest first, that views are looked at for; what has none is as if rounded to the last,
-# for interpolation and rendering are no finer.
-_STEPS, _FINEST = (1 / 255, 1 / 1023), 0.1 / 255
-# Standard deviation of a rounding error, in steps.
-_UNIFORM = 12**-0.5
-# Second differences in the smoothest fifth of an image, and the least of some thirty hypotheses
-# and two half arms, lie below the noise by these factors; measured on white noise.
-_SINGLE = 1 / 0.85
-_BETWEEN = 1.30
+# Of 8-bit views, the rule: a number format.
+_STEP = 1.0 / 255
 
 
 class Noise(NamedTuple):
@@ -62,16 +55,19 @@ class Noise(NamedTuple):
         """
         excess = jnp.maximum(deviation**2 - (1.2 * _STEP) ** 2, 0)
         if rounding is None:
-            rounding = jnp.asarray(_STEP * _UNIFORM, deviation.dtype)
+            rounding = jnp.asarray(_rounded_to(_STEP), deviation.dtype)
         return Noise(deviation, excess / (excess + 0.004**2), rounding)
 
 
 @lean_jit
-def rough_brightness(light_field: LightField) -> tuple[Exposure, Noise]:
+def rough_brightness(
+    light_field: LightField, *, params: Brightness | None = None
+) -> tuple[Exposure, Noise]:
     """Exposure, gains and noise without knowing any disparity.
 
     Args:
         light_field: the crosshair of views is read.
+        params: see `Brightness`; None for the defaults.
 
     Returns:
         `rough_exposure`, and the noise that the centre view alone shows. Differentiable.
@@ -83,9 +79,11 @@ def rough_brightness(light_field: LightField) -> tuple[Exposure, Noise]:
         >>> float(exposure.scale), 0.017 < float(noise.deviation) < 0.023
         (1.0, True)
     """
-    exposure = rough_exposure(light_field)
+    params = Brightness() if params is None else params
+    exposure = rough_exposure(light_field, params=params)
     centre = jnp.moveaxis(light_field.centre_view, -1, 0)
-    return exposure, measure_noise(exposure.scale * centre, exposure.scale)
+    noise = measure_noise(exposure.scale * centre, exposure.scale, params=params.noise)
+    return exposure, noise
 
 
 @accepts_numpy
@@ -96,13 +94,14 @@ def measure_noise(
     arms: tuple[Arm, Arm] | None = None,
     disparities: Float[Array, " d"] | None = None,
     between: Float[Array, ""] | None = None,
+    params: NoiseModel | None = None,
 ) -> Noise:
     """Measures the noise of a scene.
 
     Two measurements, and the lower one counts: second differences in the smoothest places of the
     centre view, which texture everywhere fools, and what the best disparity leaves unexplained
     between views, which gloss fools. Neither may lie below the rounding of the views: that of 8 or
-    10 bits where all colours lie on such steps, else a tenth of that of 8 bits.
+    10 bits where all colours lie on such steps, else that of `NoiseModel.finest`.
 
     Args:
         centre: the centre view, `[c, y, x]`, multiplied by `exposure`.
@@ -110,6 +109,7 @@ def measure_noise(
         arms: the arms of the crosshair in the same units; None leaves the second measurement out.
         disparities: those to try, px per view step; None likewise.
         between: the second measurement, where it was made already (`posed_variance`).
+        params: see `NoiseModel`; None for the defaults.
 
     Returns:
         The noise. Differentiable; which steps the views have is a choice, and views of 8 bits
@@ -121,25 +121,32 @@ def measure_noise(
         >>> 0.017 < float(measure_noise(noisy, jnp.asarray(1.0)).deviation) < 0.023
         True
     """
-    variance = _SINGLE**2 * single_view_variance(centre, exposure)
+    params = cast(NoiseModel() if params is None else params, centre.dtype)
+    variance = params.single**2 * single_view_variance(centre, exposure)
     if arms is not None and disparities is not None:
         longer = max(arms, key=lambda arm: arm.planes.shape[0])
         between = between_views_variance(longer, disparities)
     if between is not None:
-        variance = jnp.minimum(variance, _BETWEEN**2 * between)
-    rounding = _rounding(centre / exposure)
+        variance = jnp.minimum(variance, params.between**2 * between)
+    rounding = _rounding(centre / exposure, params.finest)
     return Noise.of(jnp.sqrt(jnp.maximum(variance, (exposure * rounding) ** 2)), rounding)
 
 
-def _rounding(image: Array) -> Float[Array, ""]:
+def _rounding(image: Array, finest: Float[Array, ""]) -> Float[Array, ""]:
     """Standard deviation of the rounding error of a stored image."""
-    step = jnp.asarray(_FINEST, image.dtype)
-    for candidate in reversed(_STEPS):
+    step = finest
+    # Of 10 bits and of 8, the coarsest last.
+    for candidate in (1 / 1023, _STEP):
         levels = image / candidate
         # A quarter on average where the values are no levels.
         off = jnp.mean(jnp.abs(levels - jnp.round(levels)))
         step = jnp.where(off < 0.01, candidate, step)
-    return step * _UNIFORM
+    return _rounded_to(step)
+
+
+def _rounded_to(step: Array | float) -> Any:
+    """Standard deviation of the error of rounding to multiples of a step: a uniform one."""
+    return step * 12**-0.5
 
 
 def single_view_variance(

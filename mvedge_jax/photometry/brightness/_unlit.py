@@ -5,14 +5,12 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from mvedge_jax._crosshair import Arm
+from mvedge_jax._params import cast
 
-# Brightness below which a pixel of the centre view is black, and one of the other views dark.
-_BLACK, _DARK = 0.5 / 255, 0.02
-# Pixels around what is unlit whose windows reach into it.
-_REACH = 3
+from ._brightness import Brightness
 
 
-def lit(arms: tuple[Arm, Arm]) -> Float[Array, "y x"]:
+def lit(arms: tuple[Arm, Arm], params: Brightness) -> Float[Array, "y x"]:
     """Where light of the scene arrived: 0 in what is dark from the frame inwards, and around it.
 
     A mask of the lens stays where it is from view to view. So a pixel is unlit if it is black in
@@ -21,21 +19,25 @@ def lit(arms: tuple[Arm, Arm]) -> Float[Array, "y x"]:
 
     Args:
         arms: of the crosshair, as they were taken.
+        params: its `black`, `dark` and `dark_reach` are read.
 
     Returns:
         0 or 1, a constant for derivatives.
     """
     horizontal, _ = arms
+    params = cast(params, horizontal.planes.dtype)
     centre = jnp.max(horizontal.planes[horizontal.centre], axis=0)
-    dark = [jnp.sum(jnp.max(arm.planes, axis=1) < _DARK, axis=0, dtype=jnp.int32) for arm in arms]
+    dark = [
+        jnp.sum(jnp.max(arm.planes, axis=1) < params.dark, axis=0, dtype=jnp.int32) for arm in arms
+    ]
     views = sum(arm.planes.shape[0] for arm in arms)
-    black = (centre < _BLACK) & (2 * (dark[0] + dark[1].T) >= views)
+    black = (centre < params.black) & (2 * (dark[0] + dark[1].T) >= views)
     sides = [
         lax.associative_scan(jnp.logical_and, black, axis=axis, reverse=reverse)
         for axis in (0, 1)
         for reverse in (False, True)
     ]
     unlit = (sides[0] | sides[1] | sides[2] | sides[3]).astype(centre.dtype)
-    window = (2 * _REACH + 1,) * 2
+    window = (2 * params.dark_reach + 1,) * 2
     around = lax.reduce_window(unlit, -jnp.inf, lax.max, window, (1, 1), "SAME")
     return lax.stop_gradient(1 - around)

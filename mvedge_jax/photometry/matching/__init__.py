@@ -2,3 +2,4 @@
 
 from ._cost import Matching as Matching, best_match as best_match, hypotheses as hypotheses
 from ._plane_sweep import PlaneSweep as PlaneSweep, plane_sweep as plane_sweep
+from ._pooling import Pooling as Pooling

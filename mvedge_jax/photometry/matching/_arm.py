@@ -14,10 +14,6 @@ from mvedge_jax.interpolation import keys_taps
 
 from .._window import colour_weights, weighted_sum
 
-# Neighbours whose CIELAB colour differs by much more than this take no part in a window.
-SAME_COLOUR = 4.0
-
-
 # First row and column of a part of an image.
 Corner = tuple[Array | int, Array | int]
 
@@ -69,21 +65,21 @@ class Limits(NamedTuple):
     alpha: Array
 
 
-def swept(arm: Arm, lab: Array, share: Array, window: int) -> Swept:
+def swept(arm: Arm, lab: Array, share: Array, same_color: Array, window: int) -> Swept:
     """Prepares an arm.
 
     Args:
         arm: low-passed.
         lab: the centre view in CIELAB, in the arm's orientation.
         share: how much of the drift is granted, likewise.
+        same_color: see `Matching`.
         window: half the width of the window, px.
     """
-    alike = jnp.asarray(SAME_COLOUR, lab.dtype)
     return Swept(
         arm.planes[arm.centre],
         _halves(arm),
-        colour_weights(lab, alike, reach=window),
-        colour_weights(lab, alike, reach=window, spacing=2),
+        colour_weights(lab, same_color, reach=window),
+        colour_weights(lab, same_color, reach=window, spacing=2),
         share,
     )
 

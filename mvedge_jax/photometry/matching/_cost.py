@@ -9,27 +9,15 @@ from jaxtyping import Array, Float
 
 from mvedge_jax._crosshair import Arm
 from mvedge_jax._fence import kept
-from mvedge_jax._params import cast, number
+from mvedge_jax._params import at_least, cast, number
 from mvedge_jax.interpolation import vertex
 
 from .._window import contrast
 from ..brightness._noise import Noise
 from ._arm import Limits, swept
 from ._paths import aggregate
-from ._pooling import pooled
+from ._pooling import Pooling, pooled
 from ._volume import Sweep, volume
-
-# Gradients are looked for within this distance, px: the reach of a window and of its drift.
-_OUTLINE = 5
-# One, CIELAB per px, near which half of the drift is granted, and soon none: beside an outline, a
-# change of mean colour is what shows the wrong hypothesis.
-_OUTLINED = 2.0
-# Least noise assumed, standard deviation in sRGB.
-_LEAST_NOISE = 1 / 255
-# Step of CIELAB colour that halves the price of a jump.
-COLOUR_OF_JUMPS = 4.0
-# How far costs are averaged along a surface where noise rules, px.
-POOLING = 20.0
 
 
 class Matching(eqx.Module):
@@ -44,12 +32,28 @@ class Matching(eqx.Module):
         slant: price of a change by one hypothesis between neighbouring pixels; of 2, the cost of a
             pixel that no view confirms.
         jump: price of a larger change between pixels of the same colour.
+        jump_color: step of color that halves the price of a jump.
+        same_color: neighbors whose color differs by much more than this take no part in a window.
+        outline: gradient near which half of the drift is granted, and soon none: beside an outline,
+            a change of mean color is what shows the wrong hypothesis.
+        least_noise: least standard deviation of the noise that is assumed.
+        pooling: of the costs along surfaces, where noise rules.
+        outline_reach: how far gradients are looked for, px: the reach of a window and of its drift.
     """
 
     truncation: Float[Array, ""] = number(4.0, "noise variances")
     drift: Float[Array, ""] = number(1.5 / 255, "sRGB")
     slant: Float[Array, ""] = number(0.05, "of a cost of at most 2")
     jump: Float[Array, ""] = number(0.8, "of a cost of at most 2")
+    jump_color: Float[Array, ""] = number(4.0, "CIELAB")
+    same_color: Float[Array, ""] = number(4.0, "CIELAB")
+    outline: Float[Array, ""] = number(2.0, "CIELAB/px")
+    least_noise: Float[Array, ""] = number(1 / 255, "sRGB")
+    pooling: Pooling = eqx.field(default_factory=Pooling)
+    outline_reach: int = eqx.field(static=True, default=5)
+
+    def __check_init__(self) -> None:
+        at_least(self, outline_reach=1)
 
 
 @partial(jax.jit, static_argnames="window")
@@ -94,15 +98,7 @@ def hypotheses(
     params = cast(params, lab.dtype)
     noise = Noise.of(jnp.zeros((), lab.dtype)) if noise is None else noise
     costs = kept(_costs(horizontal, vertical, lab, disparities, params, noise, window))
-    cheaper = 1 - 0.75 * noise.alpha
-    total = aggregate(
-        pooled(costs, lab, noise, jnp.asarray(POOLING, lab.dtype)),
-        lab,
-        slant=cheaper * params.slant,
-        jump=cheaper * params.jump,
-        colour=jnp.asarray(COLOUR_OF_JUMPS, lab.dtype),
-    )
-    return cheapest(total, disparities)
+    return cheapest(along_paths(costs, lab, noise, params), disparities)
 
 
 @partial(jax.jit, static_argnames="window")
@@ -147,24 +143,39 @@ def _costs(
     window: int,
 ) -> Float[Array, "d y x"]:
     """The cost of every disparity at every pixel over both arms."""
-    truncation = params.truncation * horizontal.planes.shape[1] * noise_variance(noise)
-    share = shared_drift(noise, lab)
-    across = swept(horizontal, lab, share, window)
-    down = swept(vertical, jnp.swapaxes(lab, 1, 2), share.T, window)
+    truncation = params.truncation * horizontal.planes.shape[1] * noise_variance(noise, params)
+    share = shared_drift(noise, lab, params)
+    across = swept(horizontal, lab, share, params.same_color, window)
+    down = swept(vertical, jnp.swapaxes(lab, 1, 2), share.T, params.same_color, window)
     limits = Limits(truncation, params.drift, noise.alpha)
     return volume(window, Sweep(across, down, disparities, limits))
 
 
-def noise_variance(noise: Noise) -> Float[Array, ""]:
+def along_paths(
+    costs: Float[Array, "d y x"], lab: Float[Array, "c y x"], noise: Noise, params: Matching
+) -> Float[Array, "d y x"]:
+    """Costs pooled along surfaces and summed along paths; noise makes jumps cheaper."""
+    cheaper = 1 - 0.75 * noise.alpha
+    return aggregate(
+        pooled(costs, lab, noise, params.pooling),
+        lab,
+        slant=cheaper * params.slant,
+        jump=cheaper * params.jump,
+        colour=params.jump_color,
+    )
+
+
+def noise_variance(noise: Noise, params: Matching) -> Float[Array, ""]:
     """What truncated differences are measured by."""
     # Of views without noise, two thirds of what was measured: texture is in it.
     deviation = noise.deviation * (noise.alpha + (1 - noise.alpha) / 1.45)
-    return jnp.maximum(deviation, _LEAST_NOISE) ** 2
+    return jnp.maximum(deviation, params.least_noise) ** 2
 
 
-def shared_drift(noise: Noise, lab: Float[Array, "c y x"]) -> Float[Array, "y x"]:
+def shared_drift(noise: Noise, lab: Float[Array, "c y x"], params: Matching) -> Float[Array, "y x"]:
     """How much of a window's drift is granted at every pixel, 0..1."""
-    return (1 - noise.alpha) / (1 + (contrast(lab, radius=_OUTLINE) / _OUTLINED) ** 4)
+    steepest = contrast(lab, radius=params.outline_reach)
+    return (1 - noise.alpha) / (1 + (steepest / params.outline) ** 4)
 
 
 def cheapest(total: Float[Array, "d y x"], disparities: Float[Array, " d"]) -> Array:

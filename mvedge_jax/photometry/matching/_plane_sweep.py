@@ -47,7 +47,7 @@ def plane_sweep(
 
     Args:
         light_field: the views; only the crosshair is read, never the ground truth.
-        params: of the cost, traced; slant and jump are not read.
+        params: of the cost, traced; what is for paths and pooling is not read.
         planes: number of disparities that are tried, at least 2, static.
         window: half the width of the windows in which colors are compared, px, static.
         disparity_range: lowest and highest plane, px per view step, traced; the light field's own

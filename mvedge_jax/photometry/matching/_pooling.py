@@ -1,40 +1,55 @@
 """Pooling of matching costs: under noise a window of 5x5 px says too little."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
+from mvedge_jax._params import at_least, cast, number
 from mvedge_jax._root import root
 from mvedge_jax.image import gaussian, highest
 
 from ..brightness._noise import Noise
 
-# A step of the guide, in Lab units per unit of noise, that ends pooling like its whole length.
-_STEP = 400.0
-# How far from an outline its costs are those of the nearer surface, px.
-_REACH = 6
-# Disparities that are filtered together.
+# Disparities that are filtered together: memory against speed, no choice of results.
 _SLAB = 8
+
+
+class Pooling(eqx.Module):
+    """How far matching costs are averaged along surfaces where noise rules.
+
+    Attributes:
+        length: standard deviation of the filter within one color.
+        step: step of the guide, per unit of noise, that ends pooling like its whole length.
+        reach: how far from an outline its costs are those of the nearer surface, px.
+    """
+
+    length: Float[Array, ""] = number(20.0, "px")
+    step: Float[Array, ""] = number(400.0, "CIELAB per sRGB of noise")
+    reach: int = eqx.field(static=True, default=6)
+
+    def __check_init__(self) -> None:
+        at_least(self, reach=1)
 
 
 def pooled(
     cost: Float[Array, "d y x"],
     lab: Float[Array, "c y x"],
     noise: Noise,
-    length: Float[Array, ""],
+    params: Pooling,
 ) -> Float[Array, "d y x"]:
     """Averages every slice of a matching cost along the surfaces of an image.
 
     A recursive filter along rows and columns, twice, that ends where the guide's colour changes.
-    Costs within 6 px of a strong edge hardly count: they are those of the nearer surface on both
+    Costs within `reach` of a strong edge hardly count: they are those of the nearer surface on both
     of its sides, and would be carried onto the farther one.
 
     Args:
         cost: per disparity and pixel, `[d, y, x]`.
         lab: the denoised centre view in CIELAB, `[c, y, x]`.
         noise: pooling fades with its `alpha`.
-        length: standard deviation of the filter within one colour, px, where noise rules.
+        params: see `Pooling`.
 
     Returns:
         The averages, `[d, y, x]`; `cost` itself where `noise.alpha` is 0. Differentiable.
@@ -46,15 +61,16 @@ def pooled(
         >>> import jax, jax.numpy as jnp
         >>> cost = jax.random.uniform(jax.random.key(0), (2, 32, 32))
         >>> flat, strong = jnp.zeros((3, 32, 32)), Noise.of(jnp.asarray(0.05))
-        >>> float(pooled(cost, flat, strong, jnp.asarray(10.0)).std()) < 0.1
+        >>> float(pooled(cost, flat, strong, Pooling(length=10.0)).std()) < 0.1
         True
     """
+    params = cast(params, cost.dtype)
 
     def filtered(cost: Array) -> Array:
-        reach = length * noise.alpha
-        unit = reach / (_STEP * noise.deviation)
+        reach = params.length * noise.alpha
+        unit = reach / (params.step * noise.deviation)
         steps = unit * _distance(lab, 0), unit * _distance(lab, 1)
-        trust = 1 / (1 + highest(_gradient(lab), _REACH) ** 4) + 1e-6
+        trust = 1 / (1 + highest(_gradient(lab), params.reach) ** 4) + 1e-6
         total = _smooth(trust[None], steps, reach)
 
         @jax.checkpoint

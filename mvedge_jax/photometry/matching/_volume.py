@@ -20,7 +20,8 @@ from mvedge_jax._linear_map import linear_map
 
 from ._arm import Corner, Half, Limits, Swept, arm_cost, moved_cost, reach_of, shifted, shifted_to
 
-# Side of a part, px. In smaller ones fewer hypotheses count, but more of the work is around them.
+# Side of a part, px; results do not depend on it. In smaller ones fewer hypotheses count, but more
+# of the work is around them.
 _PART = 64
 
 

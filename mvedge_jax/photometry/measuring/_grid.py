@@ -16,7 +16,7 @@ from .._places import Projection, Shift, shown_at
 from ._look import Look
 from ._measuring import Measuring
 
-# What the taps of a spline reach beyond the pixel before a position.
+# What the four taps of a cubic spline reach beyond the pixel before a position.
 _BEFORE, _AFTER = 1, 2
 
 
@@ -162,7 +162,7 @@ def look_around(
     @jax.checkpoint
     def read(total: tuple[Array, ...], view: tuple[Array, Shift | Projection, Array, Any]):
         spline, place, there, both = view
-        seen = place.seen(disparity, radius) & there
+        seen = place.seen(disparity, radius, slant=params.slant) & there
         if both is not None and shown is not None:
             # What is transparent in either is seen in neither; the reference sees all of itself.
             opaque, itself = both

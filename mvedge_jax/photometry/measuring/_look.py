@@ -208,7 +208,7 @@ def _arm_look(arm: ArmSplines, disparity: Array, params: Measuring, radius: int)
 
 
 def _arm_views(arm: ArmSplines, disparity: Array, params: Measuring, radius: int) -> _ArmViews:
-    negative, positive = occlusion_reach(disparity, radius=radius, step=0.05)
+    negative, positive = occlusion_reach(disparity, radius=radius, step=params.slant)
     columns = jnp.arange(disparity.shape[1], dtype=disparity.dtype)[None, :]
     last = disparity.shape[1] - 1
     centre, slopes = _sample_whole(arm.centre)

@@ -21,17 +21,6 @@ from ._measuring import Measuring
 _Tree = TypeVar("_Tree")
 _Pair = tuple[Array, Array]
 
-# Standard errors never take noise for less than this many times that of rounding.
-_LEAST_NOISE = 1.386
-# Where the signal is a smaller share of the information than this, it does not move the map.
-_LEAST_SHARE = 1e-4
-# Where nothing is known of disparities, those of one surface may differ this many times more.
-_PLAIN = 5.0
-# Disparities of one surface, found pixel by pixel, differ by this many times what a map's do.
-_SCATTER = 3.5
-# Evidence below this share of what half of the drift needs counts alike.
-_SUREST = 0.1
-
 
 class PhotometricLabels(NamedTuple):
     """A measurement at every pixel.
@@ -133,7 +122,7 @@ def labels(
     unlike = _unlike(lab, disparity, params, _uncertain(found, params))
     total = _gather(found._replace(views=None), unlike, passes)
     channels = len(total.slope[0])
-    floor = (_LEAST_NOISE * params.rounding) ** 2
+    floor = (params.least_noise * params.rounding) ** 2
     tiny = floor * 1e-6
     freedom = jnp.maximum(channels * total.freedom, 1)
     wider = partial(_gathered, unlike=unlike, spacing=2**passes)
@@ -147,7 +136,7 @@ def labels(
     signal = jnp.maximum(information - gradient * jnp.maximum(noise, params.rounding**2), 0)
     # Without any signal the step is 0. Shares instead of squares: these underflow in float32.
     share = _over(signal, information + tiny)
-    step = _over(right, information + tiny) * share / (share**2 + _LEAST_SHARE**2)
+    step = _over(right, information + tiny) * share / (share**2 + params.least_share**2)
     limit = params.largest_step
     step = limit * jnp.tanh(step / limit)
     # The right-hand side has the variance of the whole information, the step that of the signal.
@@ -173,7 +162,7 @@ def _stiffness(
     noise = jnp.maximum(left / jnp.maximum(channels * total.freedom, 1), floor)
     gain, noise = wider((jnp.maximum(rigid - left, 0), channels * axes * noise))
     evidence = _over(gain, noise + tiny)
-    doubt = params.drift / (evidence + _SUREST * params.drift + tiny)
+    doubt = params.drift / (evidence + params.surest * params.drift + tiny)
     spread = 0.5 * (total.spread[0] + total.spread[1])
     return params.stiffness + spread * doubt**4
 
@@ -245,7 +234,7 @@ def shared(
     params = cast(params, lab.dtype)
     own = measured.disparity
     weight = 1 / measured.variance
-    unlike = _told_apart(lab, own, params, _SCATTER * params.same_surface)
+    unlike = _told_apart(lab, own, params, params.scatter * params.same_surface)
     total, mean = _gather((weight, weight * own), unlike, passes)
     return measured._replace(disparity=mean / total)
 
@@ -300,7 +289,7 @@ def _uncertain(found: Look, params: Measuring) -> Array:
 def _unlike(lab: Array, disparity: Array, params: Measuring, variance: Array) -> _Unlike:
     """What tells surfaces apart: disparities tell less where they are known less well."""
     same = params.same_surface**2
-    most = _PLAIN**2 * same
+    most = params.plain**2 * same
     apart = root(same + most * _over(variance, most + variance))
     return _told_apart(lab, disparity, params, apart)
 

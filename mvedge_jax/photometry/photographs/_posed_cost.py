@@ -14,19 +14,10 @@ from mvedge_jax.image import window_sum
 from .._places import Projection, shown_at
 from .._window import colour_weights, weighted_sum
 from ..brightness._noise import Noise
-from ..matching._arm import SAME_COLOUR, truncated
-from ..matching._cost import (
-    COLOUR_OF_JUMPS,
-    POOLING,
-    Matching,
-    cheapest,
-    noise_variance,
-    shared_drift,
-)
-from ..matching._paths import aggregate
-from ..matching._pooling import pooled
+from ..matching._arm import truncated
+from ..matching._cost import Matching, along_paths, cheapest, noise_variance, shared_drift
 
-# Of so many rows, one is looked at for the noise.
+# Of so many rows, one is looked at for the noise: its sample, for speed.
 _ROWS = 8
 
 
@@ -71,9 +62,9 @@ def posed_hypotheses(
     """
     params = cast(params, lab.dtype)
     (height, width), reference, count = lab.shape[1:], images[0], images.shape[0] - 1
-    truncation = params.truncation * images.shape[1] * noise_variance(noise)
-    share = shared_drift(noise, lab)
-    alike = jnp.asarray(SAME_COLOUR, lab.dtype)
+    truncation = params.truncation * images.shape[1] * noise_variance(noise, params)
+    share = shared_drift(noise, lab, params)
+    alike = params.same_color
     support, wide = (colour_weights(lab, alike, reach=window, spacing=s) for s in (1, 2))
     apart = root(jnp.sum(places.epipole[1:] ** 2, axis=1))
     limits = params.drift * apart / jnp.max(apart)
@@ -107,14 +98,7 @@ def posed_hypotheses(
 
     total = lax.map(cost, disparities)
     if paths:
-        cheaper = 1 - 0.75 * noise.alpha
-        total = aggregate(
-            pooled(total, lab, noise, jnp.asarray(POOLING, lab.dtype)),
-            lab,
-            slant=cheaper * params.slant,
-            jump=cheaper * params.jump,
-            colour=jnp.asarray(COLOUR_OF_JUMPS, lab.dtype),
-        )
+        total = along_paths(total, lab, noise, params)
     return cheapest(total, disparities)
 
 

@@ -10,6 +10,7 @@ from mvedge_jax.color import srgb_to_lab
 
 from .._places import Projection
 from .._scene import measuring_in
+from ..brightness._brightness import Brightness
 from ..brightness._denoise import denoised, passed, soften
 from ..brightness._exposure import gains_along, rough_gains
 from ..brightness._noise import Noise, measure_noise
@@ -71,6 +72,7 @@ def prepare_photographs(
     disparities: Float[Array, " d"],
     params: Matching,
     *,
+    brightness: Brightness,
     window: int,
     shown: Float[Array, "s y x"] | None = None,
 ) -> PosedScene:
@@ -82,13 +84,14 @@ def prepare_photographs(
         available: those that are to be read.
         disparities: what to try, increasing, evenly spaced.
         params: of the hypotheses.
+        brightness: how gains and noise are found.
         window: half the width of their windows, px.
         shown: 1 where a photograph shows the scene, 0 where it is transparent; None for everywhere.
 
     Returns:
         The scene. Differentiable in images, places and parameters at the hypotheses chosen.
     """
-    scale, gain = rough_gains(images, available)
+    scale, gain = rough_gains(images, available, brightness)
     planes = jnp.moveaxis(images, -1, 1)
 
     def exposed(gain: Array) -> Array:
@@ -96,8 +99,8 @@ def prepare_photographs(
 
     own = exposed(gain)
     between = posed_variance(own, places, available, disparities, shown)
-    noise = measure_noise(own[0], scale, between=between)
-    guide = denoised(own[0], noise)
+    noise = measure_noise(own[0], scale, between=between, params=brightness.noise)
+    guide = denoised(own[0], noise, params=brightness.noise)
     lab = jnp.moveaxis(srgb_to_lab(jnp.moveaxis(guide, 0, -1)), -1, 0)
 
     @staged
@@ -111,7 +114,7 @@ def prepare_photographs(
         )  # fmt: skip
 
     first = searched(own, places, lab, noise, params)
-    gain = gains_along(images, places, available, first)
+    gain = gains_along(images, places, available, first, brightness)
     images = exposed(gain)
     return PosedScene(images, places, available, scale, gain, noise, guide, lab, first, shown)
 
