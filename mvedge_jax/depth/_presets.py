@@ -26,6 +26,9 @@ from ._sharpen import Sharpen
 if TYPE_CHECKING:
     from ._edge_depth import EdgeDepth
 
+# Residuals at which diffusions stop, relative to the right-hand side, which labels of the edges
+# alone make so small that single precision gets no further. Maps do not change.
+_DENSE, _SPARSE = 1e-5, 1e-4
 PRESETS = ("full", "edges", "thesis")
 # Points per pixel to reserve, which sets shapes: memory; what finds no slot is counted.
 _FILL = 0.65
@@ -61,7 +64,7 @@ def parts_for(
             "labels": NearestLabels(),
             "dense": None,
             "smoothness": ColorAndDepth(),
-            "solver": _solver(),
+            "solver": _solver(_SPARSE),
             "refine": Refine(slopes=None, sharpen=Sharpen(), outlines=False),
             "searched": (-reach, reach),
         }
@@ -82,7 +85,7 @@ def parts_for(
         "measurement": Measurement(radius=radius, views=views),
         "edges": edges,
         "smoothness": ColorAndDepth(),
-        "solver": _solver(),
+        "solver": _solver(_SPARSE if preset == "edges" else _DENSE),
         "searched": edges.searched,
     }
     if preset == "edges":
@@ -100,10 +103,10 @@ def parts_for(
     }
 
 
-def _solver() -> AutoSolver:
+def _solver(tolerance: float) -> AutoSolver:
     # By the estimated error, solves take up to five times the steps for the same map: most of that
     # error is in pixels without any label to speak of.
-    return AutoSolver(tolerance=1e-5, by_residual=True)
+    return AutoSolver(tolerance=as_number(tolerance), by_residual=True)
 
 
 def check_covers(light_field: LightField, model: "EdgeDepth") -> None:

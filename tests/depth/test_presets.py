@@ -36,8 +36,7 @@ def scene():
 def small(scene, preset, **options):
     choices: dict[str, Any] = dict(SMALL)
     if preset == "thesis":
-        # Labels are few: single precision does not reach a residual of 1e-5 of theirs.
-        choices |= {"edges.lines.capacity": 32, "solver.tolerance": 1e-4}
+        choices |= {"edges.lines.capacity": 32}
     return EdgeDepth.for_light_field(
         scene.without_truth(), preset=preset, choices=choices, **options
     )
