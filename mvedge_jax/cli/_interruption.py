@@ -37,13 +37,17 @@ def clean() -> None:
     """Removes what is unfinished; the process must end after it. Called by the signals' thread."""
     GUARD.acquire(timeout=_HELD)
     for path in list(_unfinished):
-        # The main thread may still be writing into it: until its folder is gone.
+        # The main thread may still be writing into a folder, faster than it can be emptied: by
+        # another name it gets no new files.
+        aside = path.with_name(f"{path.name}.removed")
         for _ in range(100):
-            if path.is_dir():
-                shutil.rmtree(path, ignore_errors=True)
+            with contextlib.suppress(OSError):
+                path.rename(aside)
+            if aside.is_dir():
+                shutil.rmtree(aside, ignore_errors=True)
             else:
-                path.unlink(missing_ok=True)
-            if not os.path.lexists(path):
+                aside.unlink(missing_ok=True)
+            if not (os.path.lexists(path) or os.path.lexists(aside)):
                 break
             time.sleep(0.02)
     _drop_half_written_programs()

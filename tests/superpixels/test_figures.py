@@ -76,20 +76,20 @@ def test_a_sweep_varies_what_its_rows_say(figure, method, program, monkeypatch):
     views, depths = jnp.zeros((3, 3, 4, 4, 3)), jnp.zeros((3, 3, 4, 4))
     measured = figure.ViewDepths(depths, depths, depths, jnp.zeros((), jnp.int32))
     case = figure.Case(figure.LightField(views), measured, depths, depths)
-    rows = figure._swept(f"{method}.colour", ["3", "5"], size=12.0)
+    rows = figure._swept(f"{method}.color", ["3", "5"], size=12.0)
     for label, kind, params in rows:
-        assert label.startswith(f"{method}, colour ")
+        assert label.startswith(f"{method}, color ")
         figure._cut(kind, case, 12.0, params)
-    assert [float(params.colour) for params in given] == [3, 5]
+    assert [float(params.color) for params in given] == [3, 5]
 
 
 @pytest.mark.parametrize(
     ("field", "text"),
     [
-        ("SLIC projected.colour", "a method must be one of .*, got 'SLIC projected'"),
-        ("k-means.size", "k-means has position, disparity, colour, fill; got 'size'"),
-        ("thesis.lines", "thesis has position, disparity, colour; got 'lines'"),
-        ("nosuch", "ours has size, colour, .* got 'nosuch'"),
+        ("SLIC projected.color", "a method must be one of .*, got 'SLIC projected'"),
+        ("k-means.size", "k-means has position, disparity, color, fill; got 'size'"),
+        ("thesis.lines", "thesis has position, disparity, color; got 'lines'"),
+        ("nosuch", "ours has size, color, .* got 'nosuch'"),
     ],
 )
 def test_a_sweep_of_what_is_no_parameter_is_refused(figure, field, text):
