@@ -88,9 +88,15 @@ def _numbers() -> Iterator[Case]:
             for value in (np.nan, np.inf, -np.inf, -1.0) if preset == "full" else (np.nan,):
 
                 def run(_: Path, preset=preset, name=name, value=value) -> None:
+                    # Widths of splats are refused as they are set, other numbers as they are used.
+                    words = f"`{name}`" if ".widths." not in name else name.split(".")[-1]
                     for bad in (value, jnp.float32(value)):
-                        model = _model(preset).replace({name: bad})
-                        refuses(lambda m=model: estimate_depth(_light_field(), m), f"`{name}`")
+
+                        def use(bad=bad) -> Any:
+                            model = _model(preset).replace({name: bad})
+                            return estimate_depth(_light_field(), model)
+
+                        refuses(use, words)
 
                 yield Case(f"{name} = {value} in preset {preset}", run, fast=preset == "full")
     for name in ("edges.strength_floor", "measurement.outlier"):
