@@ -18,6 +18,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import jax
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
@@ -90,6 +91,11 @@ def main() -> None:
         table = {"rows": rows, "summary": summary(rows)}
         write_json(arguments.out / "table_edges.json", table)
         write_csv(arguments.out / "table_edges.csv", [*rows, *table["summary"]])
+        if light_field.disparity_range is not None and not np.allclose(
+            light_field.disparity_range, arguments.range
+        ):
+            # Programs of its own: many of them exceed Linux' limit of memory maps.
+            jax.clear_caches()
     print_table(summary(rows), title=f"over {len(names)} scenes")
 
 
