@@ -4,10 +4,12 @@ from functools import partial
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 from jaxtyping import Array, Float, Int
 
 from mvedge_jax._params import accepts_numpy, at_least, cast, number
+from mvedge_jax._unstack import unstack
 from mvedge_jax.color import factored, solved, srgb_to_linear
 
 from ._blocks import in_blocks
@@ -151,26 +153,32 @@ def _share(images: Array, *, params: Outline, faint: Array) -> Array:
     """
     reach = params.reach
     height, width = (size - 2 * reach for size in images.shape[-2:])
-    side = range(-reach, reach + 1)
-    offsets = [(dy, dx) for dy in side for dx in side if dy * dy + dx * dx <= reach**2 + 1]
+    planes = jnp.moveaxis(images, 1, 0)
+    _, middle, _, *own = unstack(planes[..., reach : reach + height, reach : reach + width])
+    square = np.arange(-reach, reach + 1) ** 2
+    distance = square[:, None] + square
+    gaussian = jnp.exp(-0.5 * jnp.asarray(distance, images.dtype) / params.width**2)
+    gaussian = jnp.where(distance <= reach**2 + 1, gaussian, 0)
 
-    def around(dy: int, dx: int) -> list[Array]:
-        y, x = reach + dy, reach + dx
-        return [images[:, i, y : y + height, x : x + width] for i in range(6)]
+    # Sums of 1, colours, products of colours; of the front, and of its colours. Rows are added by
+    # a loop: written out, they would be a tenth of the instructions of the whole chain.
+    def add(sums: list[Array], row: tuple[Array, Array]) -> tuple[list[Array], None]:
+        place, factors = row
+        around = lax.dynamic_slice_in_dim(planes, place, height, axis=2)
+        for dx in range(2 * reach + 1):
+            value, _, known, *colours = unstack(around[..., dx : dx + width])
+            weight = factors[dx] * known
+            # From the pixel's own colour, as differences of large sums would be inexact.
+            colours = [a - b for a, b in zip(colours, own, strict=True)]
+            front = jnp.where(value > middle, weight, 0)
+            terms = [weight, *(weight * c for c in colours)]
+            terms += [weight * colours[i] * colours[j] for i, j in _PAIRS]
+            terms += [front, *(front * c for c in colours)]
+            sums = [total + term for total, term in zip(sums, terms, strict=True)]
+        return sums, None
 
-    _, middle, _, *own = around(0, 0)
-    # Sums of 1, colours, products of colours; of the front, and of its colours.
-    sums = [jnp.zeros_like(middle)] * 14
-    for dy, dx in offsets:
-        value, _, known, *colours = around(dy, dx)
-        weight = jnp.exp(-0.5 * (dx * dx + dy * dy) / params.width**2) * known
-        # From the pixel's own colour, as differences of large sums would be inexact.
-        colours = [a - b for a, b in zip(colours, own, strict=True)]
-        front = jnp.where(value > middle, weight, 0)
-        terms = [weight, *(weight * c for c in colours)]
-        terms += [weight * colours[i] * colours[j] for i, j in _PAIRS]
-        terms += [front, *(front * c for c in colours)]
-        sums = [total + term for total, term in zip(sums, terms, strict=True)]
+    rows = jnp.arange(2 * reach + 1), gaussian
+    sums, _ = lax.scan(add, [jnp.zeros_like(middle)] * 14, rows)
     total = sums[0]
     mean = [s / total for s in sums[1:4]]
     moments = [s / total - mean[i] * mean[j] for s, (i, j) in zip(sums[4:10], _PAIRS, strict=True)]

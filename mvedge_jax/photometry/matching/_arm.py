@@ -1,5 +1,6 @@
 """The cost of a disparity along one arm: the half of its views that agrees better."""
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -9,7 +10,7 @@ from jaxtyping import Array, Float
 
 from mvedge_jax._crosshair import Arm
 from mvedge_jax._fence import fenced
-from mvedge_jax._unstack import unstack
+from mvedge_jax._unstack import plane_sum, unstack
 from mvedge_jax.interpolation import keys_taps
 
 from .._window import colour_weights, weighted_sum
@@ -94,7 +95,7 @@ def arm_cost(arm: Swept, disparity: Float[Array, ""], limits: Limits) -> Float[A
     """
     size = arm.centre.shape[1], arm.centre.shape[2]
 
-    def moved(half: Half, centre: Array, disparity: Array) -> list[list[Array]]:
+    def moved(half: Half, centre: Array, disparity: Array) -> list[Array]:
         return _changes(shifted(half, disparity, (0, 0), size), half.steps, centre, disparity)
 
     # Stored, because both the drift and the cost read them.
@@ -129,14 +130,13 @@ def reach_of(window: int) -> int:
     return 3 * window
 
 
-def _better_half(arm: Swept, changes: list[list[list[Array]]], limits: Limits) -> Array:
+def _better_half(arm: Swept, changes: list[list[Array]], limits: Limits) -> Array:
     drifts = arm.share[None] * _drift(arm.halves, changes, arm.wide, limits.drift)
 
-    def cost(half: Half, changes: list[list[Array]], drift: Array) -> Array:
+    def cost(half: Half, changes: list[Array], drift: Array) -> Array:
         total = jnp.zeros_like(drift)
-        for change, step, there in zip(changes, half.steps, half.there, strict=True):
-            rest = [colour - step * drift for colour in change]
-            total = total + there * truncated(rest, limits.truncation)
+        for change, step, there in _per_view(half, changes):
+            total = total + there * truncated(change - step * drift[None], limits.truncation)
         count = jnp.sum(half.there)
         # A half without views confirms nothing.
         return jnp.where(count > 0, total / jnp.maximum(count, 1), 1)
@@ -174,23 +174,15 @@ def shifted_to(half: Half, disparity: Array, view: int, corner: Corner) -> list[
     return [jnp.asarray(at, jnp.int32) for at in (view, 0, corner[0], first)]
 
 
-def _changes(
-    moved: list[Array], steps: Array, centre: Array, disparity: Array
-) -> list[list[Array]]:
+def _changes(moved: list[Array], steps: Array, centre: Array, disparity: Array) -> list[Array]:
     """Colours of every view of a half at a disparity, less those of the centre view."""
     width = centre.shape[2]
     result = []
-    for part, step in zip(moved, steps, strict=True):
+    for part, step in zip(moved, unstack(steps), strict=True):
         shift = step * disparity
         weights = keys_taps(shift - jnp.floor(shift))
-        taps = [unstack(part[:, :, j : j + width]) for j in range(4)]
-        result.append(
-            [
-                sum((weights[j] * taps[j][c] for j in range(1, 4)), weights[0] * taps[0][c])
-                - reference
-                for c, reference in enumerate(unstack(centre))
-            ]
-        )
+        seen = sum(w * part[..., j : j + width] for j, w in enumerate(weights))
+        result.append(seen - centre)
     return result
 
 
@@ -207,15 +199,15 @@ def _better(first: Array, second: Array, alpha: Array) -> Array:
 
 
 def _drift(
-    halves: tuple[Half, Half], changes: list[list[list[Array]]], weights: Array, limit: Array
+    halves: tuple[Half, Half], changes: list[list[Array]], weights: Array, limit: Array
 ) -> Float[Array, "h y x"]:
     """Change of the grey of a window per view step, by regression through the centre view."""
     ends = [jnp.max(jnp.abs(half.steps), initial=1) for half in halves]
 
-    def trend(half: Half, changes: list[list[Array]], last: Array) -> Array:
+    def trend(half: Half, changes: list[Array], last: Array) -> Array:
         total, square = jnp.zeros_like(weights[0]), jnp.zeros_like(last)
-        for change, step, there in zip(changes, half.steps, half.there, strict=True):
-            gray = sum(change[1:], change[0]) / len(change)
+        for change, step, there in _per_view(half, changes):
+            gray = plane_sum(change) / change.shape[0]
             # What is far beyond any drift is another surface, and says nothing about this one.
             total = total + there * step * jnp.clip(gray, -3 * limit, 3 * limit)
             square = square + there * step**2
@@ -226,12 +218,15 @@ def _drift(
     return jnp.clip(change, -limit, limit) / jnp.stack(ends)[:, None, None]
 
 
-def truncated(change: list[Array], truncation: Array) -> Array:
-    # Colours are summed by hand: XLA on CPU does not vectorise a sum over a leading axis.
-    square = change[0] ** 2
-    for colour in change[1:]:
-        square = square + colour**2
+def truncated(change: Float[Array, "c y x"], truncation: Array) -> Float[Array, "y x"]:
+    """Saturated squares of a change: one half where they are as large as `truncation`."""
+    square = plane_sum(change**2)
     return square / (square + truncation)
+
+
+def _per_view(half: Half, changes: list[Array]) -> Iterator[tuple[Array, Array, Array]]:
+    """Every view's change with its step and whether it is there."""
+    return zip(changes, unstack(half.steps), unstack(half.there), strict=True)
 
 
 def _halves(arm: Arm) -> tuple[Half, Half]:

@@ -5,6 +5,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
+from mvedge_jax._pair import of_both
 from mvedge_jax._root import root
 
 
@@ -44,9 +45,11 @@ def aggregate(
         >>> total.argmin(0)[0].tolist()
         [2, 2, 2, 2, 2]
     """
-    weights = slant, jump, colour
-    down = _both_ways(jnp.transpose(cost, (1, 0, 2)), jnp.transpose(lab, (1, 0, 2)), *weights)
-    across = _both_ways(jnp.transpose(cost, (2, 0, 1)), jnp.transpose(lab, (2, 0, 1)), *weights)
+    across, down = of_both(
+        lambda of: _both_ways(*of, slant, jump, colour),
+        (jnp.transpose(cost, (2, 0, 1)), jnp.transpose(lab, (2, 0, 1))),
+        (jnp.transpose(cost, (1, 0, 2)), jnp.transpose(lab, (1, 0, 2))),
+    )
     return jnp.transpose(down, (1, 0, 2)) + jnp.transpose(across, (1, 2, 0))
 
 

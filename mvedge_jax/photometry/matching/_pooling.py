@@ -8,6 +8,7 @@ from jaxtyping import Array, Float
 
 from mvedge_jax._params import at_least, cast, number
 from mvedge_jax._root import root
+from mvedge_jax._unstack import plane_sum
 from mvedge_jax.image import gaussian, highest
 
 from ..brightness._noise import Noise
@@ -71,18 +72,21 @@ def pooled(
         unit = reach / (params.step * noise.deviation)
         steps = unit * _distance(lab, 0), unit * _distance(lab, 1)
         trust = 1 / (1 + highest(_gradient(lab), params.reach) ** 4) + 1e-6
-        total = _smooth(trust[None], steps, reach)
 
         @jax.checkpoint
-        def some(cost: Array) -> Array:
-            return _smooth(trust[None] * cost, steps, reach) / total
+        def some(slab: Array) -> Array:
+            return _smooth(slab, steps, reach)
 
-        # In slabs, for the sake of what reverse mode keeps of a filter.
-        slabs = -(-cost.shape[0] // _SLAB)
-        spare = slabs * _SLAB - cost.shape[0]
-        padded = jnp.pad(cost, ((0, spare), (0, 0), (0, 0)))
-        out = lax.map(some, padded.reshape(slabs, _SLAB, *cost.shape[1:]))
-        return out.reshape(padded.shape)[: cost.shape[0]]
+        # The trust itself goes along as one more slice. In slabs, for the sake of what reverse mode
+        # keeps of a filter.
+        count = cost.shape[0]
+        slabs = -(-(count + 1) // _SLAB)
+        spare = slabs * _SLAB - count - 1
+        whole = jnp.concatenate(
+            [trust[None] * cost, trust[None], jnp.zeros((spare, *trust.shape), cost.dtype)]
+        )
+        out = lax.map(some, whole.reshape(slabs, _SLAB, *trust.shape)).reshape(whole.shape)
+        return out[:count] / out[count][None]
 
     return lax.cond(noise.alpha > 0, jax.checkpoint(filtered), lambda cost: cost, cost)
 
@@ -90,39 +94,31 @@ def pooled(
 def _gradient(lab: Float[Array, "c y x"]) -> Float[Array, "y x"]:
     """Lab units per px, after a blur of 1 px."""
     soft = gaussian(lab, jnp.ones((), lab.dtype), 3)
-    square = jnp.zeros_like(lab[0])
-    for channel in soft:
-        for axis in (0, 1):
-            margin = [(0, 0), (0, 0)]
-            margin[axis] = (1, 1)
-            wide = jnp.pad(channel, margin, mode="edge")
-            size = channel.shape[axis]
-            ahead = lax.slice_in_dim(wide, 2, size + 2, axis=axis)
-            square = square + (0.5 * (ahead - lax.slice_in_dim(wide, 0, size, axis=axis))) ** 2
-    return root(square)
+    wide = jnp.pad(soft, ((0, 0), (1, 1), (1, 1)), mode="edge")
+    across, down = wide[:, 1:-1, 2:] - wide[:, 1:-1, :-2], wide[:, 2:, 1:-1] - wide[:, :-2, 1:-1]
+    return root(plane_sum(0.25 * (across**2 + down**2)))
 
 
 def _distance(lab: Float[Array, "c y x"], axis: int) -> Array:
     """Colour step between each pixel and the one before it along an axis, 0 for the first."""
     margin = [(0, 0), (0, 0)]
     margin[axis] = (1, 0)
-    square = jnp.zeros_like(lab[0])
-    for channel in lab:
-        square = square + jnp.pad(jnp.diff(channel, axis=axis), margin) ** 2
-    return root(square)
+    return root(jnp.pad(plane_sum(jnp.diff(lab, axis=1 + axis) ** 2), margin))
 
 
 def _smooth(volume: Array, steps: tuple[Array, Array], length: Array) -> Array:
     """The recursive filter, in two rounds whose variances add up to the square of `length`."""
     length = jnp.maximum(length, 0.1)
-    across = jnp.transpose(volume, (2, 0, 1))
-    for share in (2.0, 1.0):
-        scale = -jnp.sqrt(2.0 * 15 / 3).astype(volume.dtype) / (share * length)
-        columns = jnp.exp(scale * (1 + steps[1])).T[:, None]
-        rows = jnp.exp(scale * (1 + steps[0]))[:, None]
-        across = _both_ways(across, columns)
-        down = _both_ways(jnp.transpose(across, (2, 1, 0)), rows)
-        across = jnp.transpose(down, (2, 1, 0))
+    shares = jnp.asarray([2.0, 1.0], volume.dtype)[:, None, None]
+    scale = -((2.0 * 15 / 3) ** 0.5) / (shares * length)
+    columns, rows = jnp.exp(scale * (1 + steps[1].T[None])), jnp.exp(scale * (1 + steps[0][None]))
+
+    def round_of(across: Array, feedback: tuple[Array, Array]) -> tuple[Array, None]:
+        for along in feedback:
+            across = jnp.transpose(_both_ways(across, along[:, None]), (2, 1, 0))
+        return across, None
+
+    across, _ = lax.scan(round_of, jnp.transpose(volume, (2, 0, 1)), (columns, rows))
     return jnp.transpose(across, (1, 2, 0))
 
 

@@ -15,8 +15,8 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float
 
-from mvedge_jax._fence import fenced
 from mvedge_jax._linear_map import linear_map
+from mvedge_jax._pair import of_both
 
 from ._arm import Corner, Half, Limits, Swept, arm_cost, moved_cost, reach_of, shifted, shifted_to
 
@@ -80,21 +80,25 @@ def _volume_jvp(window: int, primals: Any, tangents: Any) -> tuple[Array, Array]
 
 
 def _costs(sweep: Sweep) -> Array:
-    @jax.checkpoint
-    def cost(disparity: Array) -> Array:
-        # Stored before the transposition, or the windows are summed across the rows in memory.
-        along_rows, along_columns = (
-            fenced(arm_cost, arm, disparity, sweep.limits) for arm in (sweep.across, sweep.down)
-        )
-        return along_rows + along_columns.T
+    def of_arm(arm: Swept) -> Array:
+        @jax.checkpoint
+        def cost(disparity: Array) -> Array:
+            return arm_cost(arm, disparity, sweep.limits)
 
-    return lax.map(cost, sweep.disparities)
+        return lax.map(cost, sweep.disparities)
+
+    along_rows, along_columns = of_both(of_arm, sweep.across, sweep.down)
+    return along_rows + jnp.swapaxes(along_columns, 1, 2)
 
 
 def _pulled(window: int, sweep: Sweep, cotangent: Float[Array, "d y x"]) -> Sweep:
     """The transpose."""
-    across, along_x = _pulled_arm(window, sweep.across, sweep, cotangent)
-    down, along_y = _pulled_arm(window, sweep.down, sweep, jnp.swapaxes(cotangent, 1, 2))
+    turned = jnp.swapaxes(cotangent, 1, 2)
+    (across, along_x), (down, along_y) = of_both(
+        lambda of: _pulled_arm(window, of[0], sweep, of[1]),
+        (sweep.across, cotangent),
+        (sweep.down, turned),
+    )
     return Sweep(across, down, *jax.tree.map(jnp.add, along_x, along_y))
 
 

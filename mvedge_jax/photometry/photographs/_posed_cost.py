@@ -9,6 +9,7 @@ from jaxtyping import Array, Bool, Float
 
 from mvedge_jax._params import cast
 from mvedge_jax._root import root
+from mvedge_jax._unstack import plane_sum
 from mvedge_jax.image import window_sum
 
 from .._places import Projection, shown_at
@@ -86,13 +87,13 @@ def posed_hypotheses(
             inside = (x >= 0) & (x <= width - 1) & (y >= 0) & (y <= height - 1) & there
             if shown is not None and opaque is not None:
                 inside = inside & shown_at(opaque, x, y) & (shown[0] > 0)
-            change = [v - r for v, r in zip(_linear(image, x, y), reference, strict=True)]
-            gray = sum(change[1:], change[0]) / len(change)
+            change = jnp.stack(_linear(image, x, y)) - reference
+            gray = plane_sum(change) / change.shape[0]
             # What is far beyond any drift is another surface, and says nothing about this one.
             gray = jnp.where(inside, jnp.clip(gray, -3 * limit, 3 * limit), 0)
             drift = weighted_sum(gray[None], wide, spacing=2)[0]
             drift = share * jnp.clip(drift, -limit, limit)
-            return jnp.where(inside, truncated([c - drift for c in change], truncation), 1)
+            return jnp.where(inside, truncated(change - drift[None], truncation), 1)
 
         return 2 * _better_half(weighted_sum(lax.map(one, others), support), count)
 
