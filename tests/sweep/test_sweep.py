@@ -82,7 +82,7 @@ def test_mistakes_are_told(make, message):
         ({}, {"refine": (1,)}, "`refine` is a part, whose numbers and static fields are"),
         ({}, {"refine.solves": (1, 1.5)}, "`refine.solves` must be a whole number, got 1.5"),
         ({}, {"refine.solves": (0,)}, "`solves` must be at least 1, got 0"),
-        ({}, {"refine.outlines": (1,)}, "`refine.outlines` must be true or false, got 1"),
+        ({}, {"solver.by_residual": (1,)}, "`solver.by_residual` must be true or false, got 1"),
     ],
 )
 def test_what_the_model_does_not_have_is_not_varied(numbers, choices, message, bowl):
