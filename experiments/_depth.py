@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from mvedge_jax.depth import EdgeDepth, NearestLabels
+from mvedge_jax.depth import EdgeDepth, NearestLabels, PointWeight
 from mvedge_jax.edges import scene_range
 from mvedge_jax.edges.sides import BidirectionalSides, NoSides, ReprojectionSides, ThesisSides
 from mvedge_jax.lightfield import LightField
@@ -47,7 +47,7 @@ def pointwise(name: str, sides: Part, *, gain: float = 3.0, **options: Any) -> M
 
     def labels(model: EdgeDepth) -> NearestLabels:
         del model
-        return NearestLabels(gain=jnp.asarray(gain))
+        return NearestLabels(PointWeight(gain=jnp.asarray(gain)))
 
     return chain(name, {"labels": labels, "sides": sides}, preset="edges", **options)
 

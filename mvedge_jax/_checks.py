@@ -124,7 +124,7 @@ def expect(name: str, value: Any, kind: type, advice: str) -> None:
 
 
 def untraced(name: str, value: Any) -> None:
-    """Refuses traced values where sizes are chosen from numbers.
+    """Refuses traced values where ranges and capacities are chosen from numbers.
 
     Args:
         name: of the argument.
@@ -135,9 +135,9 @@ def untraced(name: str, value: Any) -> None:
     """
     if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(value)):
         raise TypeError(
-            f"`{name}` is traced, as everything within `jit`, `vmap` or `grad` is, but sizes are "
-            "chosen from its numbers: choose them outside, and close over them or pass them as a "
-            "static argument."
+            f"`{name}` is traced, as everything within `jit`, `vmap` or `grad` is, but the host "
+            "reads its numbers to choose ranges and capacities: make the model outside, such as by "
+            "`EdgeDepth.for_light_field`, and pass it in."
         )
 
 

@@ -1,7 +1,8 @@
 """Settings of a model that people wrote: numbers and static fields by path, checked at once."""
 
+import dataclasses
 from collections.abc import Mapping
-from typing import Any, TypeVar
+from typing import Any, TypeVar, get_args
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -12,8 +13,8 @@ from .depth import EdgeDepth
 from .lightfield import LightField
 
 _Module = TypeVar("_Module", bound=eqx.Module)
-# What a setting may be; `bool` is an `int` to Python, but not to a reader.
-Setting = bool | int | float | str
+# What a setting may be; `bool` is an `int` to Python, but not to a reader. None leaves a part out.
+Setting = bool | int | float | str | None
 
 
 def of_preset(preset: str) -> EdgeDepth:
@@ -37,7 +38,7 @@ def with_settings(model: _Module, settings: Mapping[str, Setting]) -> _Module:
 
     Args:
         model: any.
-        settings: by path.
+        settings: by path; None leaves out a part that a model may lack.
 
     Returns:
         The new model.
@@ -52,7 +53,9 @@ def with_settings(model: _Module, settings: Mapping[str, Setting]) -> _Module:
         2.0
     """
     for path, value in settings.items():
-        _check_kind(path, value, value_at(model, path))
+        now = value_at(model, path)
+        if value is not None or not _may_lack(model, path):
+            _check_kind(path, value, now)
         model = replaced(model, {path: value})
     return with_numbers(model)
 
@@ -60,6 +63,15 @@ def with_settings(model: _Module, settings: Mapping[str, Setting]) -> _Module:
 def is_number(value: Any) -> bool:
     """Whether a value of a model is a traced number, so that another one is no other program."""
     return eqx.is_inexact_array(value) and value.ndim == 0
+
+
+def _may_lack(model: eqx.Module, path: str) -> bool:
+    """Whether there is a part at a path, or none, and the model works without it."""
+    before, _, name = path.rpartition(".")
+    holder = value_at(model, before) if before else model
+    kinds = next((f.type for f in dataclasses.fields(holder) if f.name == name), None)
+    optional = type(None) in get_args(kinds)
+    return optional and isinstance(getattr(holder, name), eqx.Module | None)
 
 
 def _check_kind(path: str, value: Any, now: Any) -> None:

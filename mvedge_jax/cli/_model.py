@@ -27,7 +27,8 @@ class ModelOptions:
         preset: of the steps: full has edges and a label measured at every pixel; edges has the
             edges alone, splatted with transmittance; thesis has the steps of Chapters 4 and 6.
         set: a number or static field of the model by its path, such as smoothness.color=.3 or
-            refine.solves=1; may be given several times. report.json lists all paths.
+            refine.solves=1, or refine.outline=none to leave a part out; may be given several times.
+            report.json lists all paths.
     """
 
     preset: Literal["full", "edges", "thesis"] = "full"
@@ -116,9 +117,11 @@ def settings_of(words: tuple[str, ...]) -> dict[str, Setting]:
 
 
 def read_value(text: str) -> Setting:
-    """What a word of the command line means: true, false, a number, or itself."""
+    """What a word of the command line means: true, false, none, a number, or itself."""
     if text in ("true", "false"):
         return text == "true"
+    if text == "none":
+        return None
     for kind in (int, float):
         with contextlib.suppress(ValueError):
             return kind(text)

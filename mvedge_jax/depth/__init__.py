@@ -13,6 +13,7 @@ from ._edge_depth import (
 from ._labels import (
     NearestLabels as NearestLabels,
     PointLabels as PointLabels,
+    PointWeight as PointWeight,
     SharedLabels as SharedLabels,
     SplattedLabels as SplattedLabels,
 )

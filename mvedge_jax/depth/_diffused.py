@@ -3,6 +3,7 @@
 from typing import Any, NamedTuple, TypeVar
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import lineax as lx
 from jax import lax
@@ -13,16 +14,26 @@ from mvedge_jax.diffusion import AbstractSolver, System, diffuse
 
 from ._labels import Labels
 from ._refine import Refine
-from ._slopes import Slopes, rises, slope_labels
+from ._slopes import rises, slope_labels
 
 _Solver = TypeVar("_Solver", bound=lx.AbstractLinearSolver)
 
-# Which of the four diffusions is which; those of the slopes come first.
-_MAP, _ERROR = 2, 3
+# Places of what is diffused; those of the slopes follow, where there are any.
+_MAP, _ERROR, _SLOPES = 0, 1, 2
 
 
 class _Solve(NamedTuple):
-    """One diffusion of the four: those of either slope, of the map and of its error."""
+    """One diffusion: of either slope, of the map or of its error.
+
+    Attributes:
+        which: the place of what is diffused.
+        wanted: whether it is asked for in this turn.
+        weight: of the labels.
+        label: what is diffused.
+        start: of the solver.
+        stiffness: weight of an uncut edge.
+        coarser: multiplies the tolerance.
+    """
 
     which: Array
     wanted: Array
@@ -46,8 +57,8 @@ def diffused(
 ) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
     """Diffuses labels into a map, from `start`; if `sloped`, along the slopes of `start`.
 
-    For either slope, for the map and, at `last`, for its error, a solve each, one after the other
-    by a loop: the solver compiles slowly.
+    For either slope (where `Refine` has them), for the map and, at `last`, for its error, a solve
+    each, one after the other by a loop: the solver compiles slowly.
 
     Args:
         labels: of every pixel, of weight 0 where there is none.
@@ -64,30 +75,33 @@ def diffused(
         The map and, at `last`, the standard error of the labels that every pixel is made from, 0
         without labels; iterations and convergence of the map's own solve.
     """
-    bent = cast(Slopes() if params.slopes is None else params.slopes, start.dtype)
-    if params.slopes is None:
-        sloped = jnp.zeros_like(sloped)
-    held, slopes = slope_labels(start, labels.weight, edges, bent)
     # What a label of this weight is known to, and at best a tenth of what counts half.
     uncertain = params.precision * jnp.sqrt(1 / jnp.clip(labels.weight, 1e-9, 0.99) - 1)
-    slope, whole, nothing = bent.stiffness, params.stiffness, jnp.zeros_like(start)
+    whole, nothing = params.stiffness, jnp.zeros_like(start)
     forgotten = whole / params.error.forgotten**2
     doubted = labels.weight + forgotten
     spread = params.error.spread(start, labels.weight, span)
     doubt = (labels.weight * uncertain + forgotten * spread) / doubted
     coarser, alike = params.coarser.astype(start.dtype), jnp.ones((), start.dtype)
-    solves = _Solve(
-        which=jnp.arange(4),
-        wanted=jnp.stack([sloped, sloped, jnp.asarray(True), last]),
-        weight=jnp.concatenate([held, jnp.stack([labels.weight, doubted])]),
-        label=jnp.concatenate([slopes, jnp.stack([labels.value, doubt])]),
-        start=jnp.stack([nothing, nothing, start, nothing]),
-        stiffness=jnp.stack([slope, slope, whole, whole]),
-        coarser=jnp.stack([coarser, coarser, alike, coarser]),
-    )
+    turns = [
+        _Solve(
+            jnp.asarray(_MAP), jnp.asarray(True), labels.weight, labels.value, start, whole, alike
+        ),
+        _Solve(jnp.asarray(_ERROR), last, doubted, doubt, nothing, whole, coarser),
+    ]
+    if params.slopes is not None:
+        bent = cast(params.slopes, start.dtype)
+        held, slopes = slope_labels(start, labels.weight, edges, bent)
+        turns = [
+            _Solve(jnp.asarray(_SLOPES + i), sloped, *of, nothing, bent.stiffness, coarser)
+            for i, of in enumerate(zip(held, slopes, strict=True))
+        ] + turns
+    solves = jax.tree.map(lambda *leaves: jnp.stack(leaves), *turns)
 
     def solve(found: Array, of: _Solve) -> tuple[Array, tuple[Array, Array]]:
-        asked = [jnp.where(of.which == _MAP, rise, 0) for rise in rises(found[:_MAP])]
+        asked = ()
+        if params.slopes is not None:
+            asked = [jnp.where(of.which == _MAP, rise, 0) for rise in rises(found[_SLOPES:])]
         tx, ty = (of.stiffness * t for t in edges)
 
         def solved() -> tuple[Array, tuple[Array, Array]]:
@@ -102,7 +116,8 @@ def diffused(
         return lax.dynamic_update_index_in_dim(found, value, of.which, 0), stats
 
     found, (iterations, converged) = lax.scan(solve, jnp.zeros_like(solves.label), solves)
-    return (found[_MAP], found[_ERROR]), (iterations[_MAP], jnp.all(converged))
+    # The map's own turn is the last but one.
+    return (found[_MAP], found[_ERROR]), (iterations[-2], jnp.all(converged))
 
 
 def _coarser(solver: _Solver, factor: Array) -> _Solver:

@@ -304,7 +304,7 @@ def _outlined(
     """Disparity and its standard error once pixels of two surfaces have one of them."""
     views = evidence.calibrated
     disparity, error = found.disparity, found.error
-    if refine.outlines:
+    if refine.outline is not None:
         shown = outline(disparity, views.guide, views.noise.deviation, refine.outline)
         disparity, error = (jnp.ravel(a)[shown] for a in (disparity, error))
     # Selections drop NaN on the way: a number that is none would leave a plausible map.

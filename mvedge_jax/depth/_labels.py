@@ -88,28 +88,60 @@ class SharedLabels(eqx.Module):
         return Labels(total, mean / jnp.where(total > 0, total, 1))
 
 
-class NearestLabels(eqx.Module):
-    r"""Every label on the pixel that its surface vector points to; the nearest surface wins.
+class PointWeight(eqx.Module):
+    r"""Data weights of points: from standard errors, and from the depth-edge confidence.
 
-    Weights are those of the standard errors times $(1 + e^{\min(a \lambda_e, l) - l}) / 2$, which
-    is 1 at most and one half at least.
+    Those of the standard errors times $(1 + e^{\min(a \lambda_e, l) - l}) / 2$, which is 1 at most
+    and one half at least.
 
     Attributes:
         gain: $a$, of the depth-edge confidence in the exponent of the data weight (Eq. 6.3).
         limit: $l$, the largest exponent; the thesis' weight is unbounded.
 
-    Source: Thesis 6.1.
+    Source: Thesis 6.1, Eq. 6.3; the standard errors are ours.
     """
 
     gain: Float[Array, ""] = number(3.0, "1/px")
     limit: Float[Array, ""] = number(4.0)
 
     def __call__(
+        self,
+        confidence: Float[Array, " n"],
+        points: EdgePoints,
+        precision: Float[Array, ""],
+    ) -> Float[Array, " n"]:
+        """Weights of points.
+
+        Args:
+            confidence: `Sides.confidence`, px.
+            points: their standard errors, and which are there.
+            precision: standard error that halves a weight, px.
+
+        Returns:
+            Weights in [0, 1], 0 in slots without a point. Differentiable.
+        """
+        params = cast(self, confidence.dtype)
+        precise = precision_weight(points.error**2, precision)
+        exponent = jnp.minimum(params.gain * confidence, params.limit) - params.limit
+        return jnp.where(points.valid, precise * 0.5 * (1 + jnp.exp(exponent)), 0)
+
+
+class NearestLabels(eqx.Module):
+    """Every label on the pixel that its surface vector points to; the nearest surface wins.
+
+    Attributes:
+        weight: of the points.
+
+    Source: Thesis 6.1.
+    """
+
+    weight: PointWeight = eqx.field(default_factory=PointWeight)
+
+    def __call__(
         self, points: EdgePoints, sides: Sides, evidence: Evidence, precision: Float[Array, ""]
     ) -> Labels:
         """See `PointLabels`."""
-        params = cast(self, points.disparity.dtype)
-        weight = point_weight(sides.confidence, points, precision, params)
+        weight = self.weight(sides.confidence, points, precision)
         place = points.xy + sides.surface.offset
         raster = rasterise(place, points.disparity, points.valid, evidence.shape)
         return Labels(raster.values(weight), raster.values(points.disparity))
@@ -124,8 +156,7 @@ class SplattedLabels(eqx.Module):
         splat: widths, density and raster.
         clearing: c; a point of weight w has the opacity $1 - e^{-c w}$, so that one that nothing is
             known of hides nothing.
-        gain: see `NearestLabels`.
-        limit: see `NearestLabels`.
+        weight: of the points.
         uncovered: coverage at which a label has half of its weight; below, single precision spoils
             it.
 
@@ -134,8 +165,7 @@ class SplattedLabels(eqx.Module):
 
     splat: SplatLabels = eqx.field(default_factory=_splat)
     clearing: Float[Array, ""] = number(1.0)
-    gain: Float[Array, ""] = number(3.0, "1/px")
-    limit: Float[Array, ""] = number(4.0)
+    weight: PointWeight = eqx.field(default_factory=PointWeight)
     uncovered: Float[Array, ""] = number(1e-3, "coverage")
 
     def __call__(
@@ -143,7 +173,7 @@ class SplattedLabels(eqx.Module):
     ) -> Labels:
         """See `PointLabels`."""
         params = cast(self, points.disparity.dtype)
-        weight = point_weight(sides.confidence, points, precision, params)
+        weight = params.weight(sides.confidence, points, precision)
         maps = params.splat(
             points.xy + sides.surface.offset,
             points.disparity,
@@ -169,27 +199,3 @@ def precision_weight(variance: Array, precision: Float[Array, ""]) -> Array:
     """
     square = precision**2
     return square / (square + variance)
-
-
-def point_weight(
-    confidence: Float[Array, " n"],
-    points: EdgePoints,
-    precision: Float[Array, ""],
-    params: NearestLabels | SplattedLabels,
-) -> Float[Array, " n"]:
-    """Data weights: from standard errors, and from the depth-edge confidence; see `NearestLabels`.
-
-    Args:
-        confidence: `Sides.confidence`, px.
-        points: their standard errors, and which are there.
-        precision: standard error that halves a weight, px.
-        params: `gain` and `limit`.
-
-    Returns:
-        Weights in [0, 1], 0 in slots without a point. Differentiable.
-
-    Source: Thesis 6.1, Eq. 6.3; the standard errors are ours.
-    """
-    precise = precision_weight(points.error**2, precision)
-    exponent = jnp.minimum(params.gain * confidence, params.limit) - params.limit
-    return jnp.where(points.valid, precise * 0.5 * (1 + jnp.exp(exponent)), 0)

@@ -65,7 +65,7 @@ def parts_for(
             "dense": None,
             "smoothness": ColorAndDepth(),
             "solver": _solver(_SPARSE),
-            "refine": Refine(slopes=None, sharpen=Sharpen(), outlines=False),
+            "refine": Refine(slopes=None, sharpen=Sharpen(), outline=None),
             "searched": (-reach, reach),
         }
     # In whole filters, so that ranges of nearly equal length share a program.
@@ -93,7 +93,7 @@ def parts_for(
             "sides": ThesisSides(),
             "labels": SplattedLabels(),
             "dense": None,
-            "refine": Refine(precision=as_number(0.008), solves=3, outlines=False),
+            "refine": Refine(precision=as_number(0.008), solves=3, outline=None),
         }
     return common | {
         "sides": BidirectionalSides(),

@@ -42,12 +42,11 @@ class Refine(eqx.Module):
         coarser: solves for slopes and errors stop at this many times the tolerance of the map.
         accepted: a label of less weight is not accepted: its standard error is ten times
             `precision`, or the views disagree about its pixel. Accepted ones are counted, no more.
-        outline: which of two surfaces a pixel beside a step shows.
+        outline: which of two surfaces a pixel beside a step shows, so that it goes to the one that
+            covers most of it; None to leave pixels where the diffusion put them.
         solves: diffusions between two sharpenings.
         around: solves at the end whose labels are measured in all views, where these are asked for.
         beside: how far from a step labels of all views are doubted, px.
-        outlines: whether pixels beside depth steps go to the surface that covers most of them, see
-            `outline`.
     """
 
     precision: Float[Array, ""] = number(0.005, "px")
@@ -60,11 +59,10 @@ class Refine(eqx.Module):
     parted: Float[Array, ""] = number(0.1, "px")
     coarser: Float[Array, ""] = number(10.0, "tolerances", threshold=True)
     accepted: Float[Array, ""] = number(0.01, "perfect labels", threshold=True)
-    outline: Outline = eqx.field(default_factory=Outline)
+    outline: Outline | None = eqx.field(default_factory=Outline)
     solves: int = eqx.field(static=True, default=2)
     around: int = eqx.field(static=True, default=2)
     beside: int = eqx.field(static=True, default=2)
-    outlines: bool = eqx.field(static=True, default=True)
 
     def __check_init__(self) -> None:
         at_least(self, solves=1, around=1, beside=0)

@@ -60,8 +60,7 @@ class StereoDepth(eqx.Module):
         dense: weights of the measured labels.
         smoothness: between neighboring pixels.
         solver: of the diffusions.
-        refine: when to sharpen and solve again; its `outline` and `outlines` are not
-            read.
+        refine: when to sharpen and solve again; its `outline` is not read.
     """
 
     hypotheses: int = eqx.field(static=True)

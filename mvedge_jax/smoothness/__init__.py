@@ -10,6 +10,7 @@ from ._color_and_depth import (
 from ._protocol import Smoothness as Smoothness
 from ._thesis import (
     ImageGradient as ImageGradient,
+    PerPixel as PerPixel,
     ThesisSmoothness as ThesisSmoothness,
     image_roughness as image_roughness,
 )

@@ -1,67 +1,84 @@
 """The thesis' smoothness terms: one number per pixel."""
 
+import abc
+
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from mvedge_jax._params import number
+from mvedge_jax._params import cast, number
 from mvedge_jax.diffusion import Pairing, edge_weights
 
 
-class ThesisSmoothness(eqx.Module):
+class PerPixel(eqx.Module):
+    """A smoothness of one number per pixel, from which each edge takes its own.
+
+    Attributes:
+        floor: least smoothness.
+        pairing: how two pixels' smoothness makes an edge's, see `edge_weights`.
+    """
+
+    floor: Float[Array, ""] = number(1e-4)
+    pairing: Pairing = eqx.field(static=True, default="min")
+
+    @abc.abstractmethod
+    def per_pixel(
+        self, guide: Float[Array, "c y x"], depth_edge: Float[Array, "y x"]
+    ) -> Float[Array, "y x"]:
+        """Smoothness per pixel, at most 1 and not yet bounded below; arguments as `Smoothness`."""
+
+    def __call__(
+        self,
+        guide: Float[Array, "c y x"],
+        disparity: Float[Array, "y x"],
+        depth_edge: Float[Array, "y x"],
+    ) -> tuple[Float[Array, "y x-1"], Float[Array, "y-1 x"]]:
+        """See `Smoothness`; the map is not read."""
+        params = cast(self, disparity.dtype)
+        smooth = jnp.maximum(params.per_pixel(guide, depth_edge), params.floor)
+        return edge_weights(smooth, pairing=self.pairing)
+
+
+class ThesisSmoothness(PerPixel):
     r"""Smoothness that falls with the depth-edge confidence, $1 / (1 + \lambda_s / s)$.
 
     Attributes:
         depth_edge: confidence at which the smoothness is one half.
-        floor: least smoothness.
-        pairing: how two pixels' smoothness makes an edge's, see `edge_weights`.
+        floor: see `PerPixel`.
+        pairing: see `PerPixel`.
 
     Source: Thesis 4.3 and 6.1.
     """
 
     depth_edge: Float[Array, ""] = number(0.05, "px/px")
-    floor: Float[Array, ""] = number(1e-4)
-    pairing: Pairing = eqx.field(static=True, default="min")
 
-    def __call__(
-        self,
-        guide: Float[Array, "c y x"],
-        disparity: Float[Array, "y x"],
-        depth_edge: Float[Array, "y x"],
-    ) -> tuple[Float[Array, "y x-1"], Float[Array, "y-1 x"]]:
-        """See `Smoothness`; neither the colors nor the map are read."""
+    def per_pixel(
+        self, guide: Float[Array, "c y x"], depth_edge: Float[Array, "y x"]
+    ) -> Float[Array, "y x"]:
+        """See `PerPixel`; the colors are not read."""
         del guide
-        scale, floor = (a.astype(disparity.dtype) for a in (self.depth_edge, self.floor))
-        smooth = jnp.maximum(scale / (scale + depth_edge), floor)
-        return edge_weights(smooth, pairing=self.pairing)
+        return self.depth_edge / (self.depth_edge + depth_edge)
 
 
-class ImageGradient(eqx.Module):
+class ImageGradient(PerPixel):
     r"""Smoothness that falls with the gradient of the image, $e^{-g |\nabla L|}$.
 
     Attributes:
         gain: g.
-        floor: least smoothness.
-        pairing: how two pixels' smoothness makes an edge's, see `edge_weights`.
+        floor: see `PerPixel`.
+        pairing: see `PerPixel`.
 
     Source: Thesis 7.1.5, where Q starts as the image gradient.
     """
 
     gain: Float[Array, ""] = number(0.3, "px/L*")
-    floor: Float[Array, ""] = number(1e-4)
-    pairing: Pairing = eqx.field(static=True, default="min")
 
-    def __call__(
-        self,
-        guide: Float[Array, "c y x"],
-        disparity: Float[Array, "y x"],
-        depth_edge: Float[Array, "y x"],
-    ) -> tuple[Float[Array, "y x-1"], Float[Array, "y-1 x"]]:
-        """See `Smoothness`; the lightness alone is read."""
+    def per_pixel(
+        self, guide: Float[Array, "c y x"], depth_edge: Float[Array, "y x"]
+    ) -> Float[Array, "y x"]:
+        """See `PerPixel`; the lightness alone is read."""
         del depth_edge
-        gain, floor = (a.astype(disparity.dtype) for a in (self.gain, self.floor))
-        smooth = jnp.maximum(jnp.exp(-image_roughness(guide[0], gain)), floor)
-        return edge_weights(smooth, pairing=self.pairing)
+        return jnp.exp(-image_roughness(guide[0], self.gain))
 
 
 def image_roughness(lightness: Float[Array, "y x"], gain: Float[Array, ""]) -> Float[Array, "y x"]:

@@ -9,6 +9,7 @@ import pytest
 
 from mvedge_jax.cli import _main
 from mvedge_jax.cli._model import FULL, ModelOptions, described, read_value, settings_of
+from mvedge_jax.diffusion import AutoSolver
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.posed import StereoDepth
 from mvedge_jax.smoothness import ColorAndDepth
@@ -25,13 +26,16 @@ def test_presets_and_settings_make_the_model(light_field):
     words = (
         "smoothness.color=.3",
         "refine.solves=1",
-        "refine.outlines=false",
+        "refine.outline=none",
         "solver.tolerance=0",
+        "solver.by_residual=false",
     )
     model = ModelOptions("full", words).model(light_field, all_views=True)
     assert isinstance(model.smoothness, ColorAndDepth)
     assert float(model.smoothness.color) == pytest.approx(0.3)
-    assert (model.refine.solves, model.refine.outlines) == (1, False)
+    assert (model.refine.solves, model.refine.outline) == (1, None)
+    assert isinstance(model.solver, AutoSolver)
+    assert not model.solver.by_residual
     assert model.measurement is not None
     assert model.measurement.views == "all"
     thesis = ModelOptions("thesis", ("edges.lines.alignment=count", "edges.lines.floor=2"))
@@ -43,7 +47,8 @@ def test_presets_and_settings_make_the_model(light_field):
 
 def test_later_settings_win():
     assert settings_of(("a.b=1", "c=x=y", "a.b=2.5")) == {"a.b": 2.5, "c": "x=y"}
-    assert [read_value(text) for text in ("1", "-1e-3", "true", "all")] == [1, -1e-3, True, "all"]
+    words = ("1", "-1e-3", "true", "all", "none")
+    assert [read_value(text) for text in words] == [1, -1e-3, True, "all", None]
 
 
 def test_numbers_of_a_report_are_as_short_as_their_precision():
@@ -65,7 +70,10 @@ _MISTAKES = [
     ("smoothness.color=-1", "`smoothness.color` must be finite and not negative, got -1"),
     ("refine.solves=1.5", "`refine.solves` must be a whole number, got 1.5"),
     ("refine.solves=0", "`solves` must be at least 1, got 0"),
-    ("refine.outlines=1", "`refine.outlines` must be true or false, got 1"),
+    ("solver.by_residual=1", "`solver.by_residual` must be true or false, got 1"),
+    ("smoothness=none", "`smoothness` is a part, whose numbers and static fields are ['color', "),
+    ("refine.solves=none", "`refine.solves` must be a whole number, got None"),
+    ("smoothness.color=none", "`smoothness.color` must be a number, got None"),
     ("refine.sharpen.mode=1", "`refine.sharpen.mode` must be a word, got 1"),
     ("refine.solves", "expected PATH=VALUE, such as smoothness.color=0.3"),
     ("refine.solves=", "expected PATH=VALUE, such as smoothness.color=0.3"),

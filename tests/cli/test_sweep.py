@@ -70,5 +70,6 @@ def test_intervals_and_choices_are_read():
     assert _interval("dense.trust=0.7:2.8") == ("dense.trust", Interval(0.7, 2.8))
     assert _interval("x=-1:2:linear") == ("x", Interval(-1.0, 2.0, log=False))
     assert _choice("refine.solves=1,2") == ("refine.solves", (1, 2))
-    assert _choice("refine.outlines=true,false") == ("refine.outlines", (True, False))
+    assert _choice("solver.by_residual=true,false") == ("solver.by_residual", (True, False))
+    assert _choice("refine.slopes=none") == ("refine.slopes", (None,))
     assert _choice("views=crosshair,all") == ("views", ("crosshair", "all"))

@@ -13,8 +13,13 @@ from depth.parts import SHAPE, check_part, given
 from jaxtyping import Array
 
 from mvedge_jax._params import cast, number
-from mvedge_jax.depth import NearestLabels, PointLabels, SharedLabels, SplattedLabels
-from mvedge_jax.depth._labels import point_weight
+from mvedge_jax.depth import (
+    NearestLabels,
+    PointLabels,
+    PointWeight,
+    SharedLabels,
+    SplattedLabels,
+)
 from mvedge_jax.diffusion import AutoSolver
 from mvedge_jax.edges.sides import (
     BidirectionalSides,
@@ -125,9 +130,8 @@ def test_weights_grow_with_the_confidence_up_to_the_limit():
     points = given().points
     points = eqx.tree_at(lambda p: p.error, points, jnp.full_like(points.error, 0.005))
     confidence = jnp.zeros_like(points.error).at[1].set(1.0).at[3].set(50.0)
-    for part in (NearestLabels(), SplattedLabels()):
-        found = point_weight(confidence, points, jnp.asarray(0.005), part)
-        # The points' standard error is the one at which a label counts half.
-        expected = 0.25 * (1 + np.exp([-4.0, -1.0, 0.0]))
-        np.testing.assert_allclose(np.asarray(found)[[0, 1, 3]], expected)
-        assert float(found[2]) == 0
+    found = PointWeight()(confidence, points, jnp.asarray(0.005))
+    # The points' standard error is the one at which a label counts half.
+    expected = 0.25 * (1 + np.exp([-4.0, -1.0, 0.0]))
+    np.testing.assert_allclose(np.asarray(found)[[0, 1, 3]], expected)
+    assert float(found[2]) == 0

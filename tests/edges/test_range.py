@@ -46,7 +46,7 @@ def test_the_range_withstands(scene, clean_range, change):
 def test_sizes_within_jit_are_refused_in_a_sentence(known):
     field = LightField(jnp.zeros((3, 3, 16, 16, 3)), disparity_range=known)
     name = "light_field" if known is None else "light_field.disparity_range"
-    message = f"`{name}` is traced, as everything within `jit`.* choose them outside"
+    message = f"`{name}` is traced, as everything within `jit`.* make the model outside"
     for kind in (EdgeDepth, ViewDepth):
         with pytest.raises(TypeError, match=message):
             jax.jit(lambda f, kind=kind: kind.for_light_field(f))(field)

@@ -82,7 +82,7 @@ def test_mistakes_are_told(make, message):
         ({}, {"refine": (1,)}, "`refine` is a part, whose numbers and static fields are"),
         ({}, {"refine.solves": (1, 1.5)}, "`refine.solves` must be a whole number, got 1.5"),
         ({}, {"refine.solves": (0,)}, "`solves` must be at least 1, got 0"),
-        ({}, {"refine.outlines": (1,)}, "`refine.outlines` must be true or false, got 1"),
+        ({}, {"solver.by_residual": (1,)}, "`solver.by_residual` must be true or false, got 1"),
     ],
 )
 def test_what_the_model_does_not_have_is_not_varied(numbers, choices, message, bowl):
@@ -107,13 +107,13 @@ def test_a_preset_and_what_is_held_reach_every_scene(monkeypatch):
         return rows[:, 0]
 
     monkeypatch.setattr("mvedge_jax.sweep._sweep.evaluate", score)
-    space = Space({"labels.gain": Interval(1.0, 10.0)}, {"refine.solves": (1,)})
-    start = {"smoothness.color": 0.5, "labels.gain": 2.0}
+    space = Space({"labels.weight.gain": Interval(1.0, 10.0)}, {"refine.solves": (1,)})
+    start = {"smoothness.color": 0.5, "labels.weight.gain": 2.0}
     found = sweep(["a"], space, preset="edges", start=start, trials=4)
-    assert found.rows[0]["labels.gain"] == pytest.approx(2.0)
+    assert found.rows[0]["labels.weight.gain"] == pytest.approx(2.0)
     assert {preset for preset, _ in calls} == {"edges"}
     assert all(choices == {**start, "refine.solves": 1} for _, choices in calls)
-    assert found.choices == {**start, "refine.solves": 1, "labels.gain": found.value}
+    assert found.choices == {**start, "refine.solves": 1, "labels.weight.gain": found.value}
 
 
 def test_a_minimum_is_found_and_the_defaults_come_first(bowl):
