@@ -27,7 +27,7 @@ from mvedge_jax.color import srgb_to_gray, srgb_to_lab
 from mvedge_jax.datasets import load_light_field, synthetic
 from mvedge_jax.depth import EdgeDepth, estimate_depth, multiview_edges
 from mvedge_jax.diffusion import System, diffuse
-from mvedge_jax.edges.sides import BidirectionalSides, bidirectional, surface_vectors
+from mvedge_jax.edges.sides import MapSides, surface_vectors
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.photometry import Calibrate
 from mvedge_jax.photometry.matching import hypotheses
@@ -139,16 +139,13 @@ def _settings(out: Path, repeats: int) -> None:
 def _stages(measure: Any, light_field: LightField, model: EdgeDepth) -> None:
     calibration, sides, measurement = model.calibration, model.sides, model.measurement
     assert isinstance(calibration, Calibrate)
-    assert isinstance(sides, BidirectionalSides)
+    assert isinstance(sides, MapSides)
     assert measurement is not None
     points = measure("multi-view edges", multiview_edges, light_field, model).points
     gray = srgb_to_gray(light_field.centre_view)
     lab = jnp.moveaxis(srgb_to_lab(light_field.centre_view), -1, 0)
     guide = jnp.moveaxis(light_field.centre_view, -1, 0)
     arms = crosshair(light_field)
-    passes = measure(
-        "bidirectional diffusion", lean_jit(bidirectional), points, gray, sides.diffusion
-    )
     tried = jnp.linspace(*model.searched, calibration.hypotheses, dtype=gray.dtype)
     first = measure(
         "hypotheses",
@@ -161,9 +158,8 @@ def _stages(measure: Any, light_field: LightField, model: EdgeDepth) -> None:
     shape = (gray.shape[0], gray.shape[1])
     measure(
         "surface vectors",
-        lean_jit(lambda a, b, c, p: surface_vectors(a, b, c, p, shape=shape)),
+        lean_jit(lambda a, b, p: surface_vectors(a, None, b, p, shape=shape)),
         points,
-        passes.response,
         first,
         sides.vote,
     )

@@ -10,7 +10,7 @@ from mvedge_jax._params import as_number
 from mvedge_jax._positions import check_regular
 from mvedge_jax.diffusion import AutoSolver
 from mvedge_jax.edges import OrientedEdges, scene_range
-from mvedge_jax.edges.sides import BidirectionalSides, ThesisSides
+from mvedge_jax.edges.sides import MapSides, ThesisSides
 from mvedge_jax.edges.thesis import LineSearch, ThesisEdges
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.photometry import AsIs, Calibrate, hypothesis_count, occluder_radius
@@ -96,7 +96,7 @@ def parts_for(
             "refine": Refine(precision=as_number(0.008), solves=3, outline=None),
         }
     return common | {
-        "sides": BidirectionalSides(),
+        "sides": MapSides(),
         "labels": SharedLabels(),
         "dense": MeasuredLabels(),
         "refine": Refine(),

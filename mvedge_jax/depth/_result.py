@@ -52,7 +52,8 @@ class DepthResult(NamedTuple):
             label give way to the spread of the whole map or, where little was measured at all, to
             the width of the range that was tried; and what half a pixel of doubt about the place of
             a depth step amounts to. Infinite if there is no label at all.
-        depth_edge: depth-edge confidence (Thesis, Section 4.3), px per px, `[y, x]`.
+        depth_edge: depth-edge confidence, px per px, `[y, x]`: the gradient of the map or, where
+            the chain has no dense labels, that of its `sides` (Thesis, Section 4.3).
         points: the multi-view edges.
         surface: their surface vectors, scores and probabilities.
         stats: counts and iterations.

@@ -20,7 +20,7 @@ from mvedge_jax.edges import OrientedEdges
 # Of the parts of a preset, what it does not read.
 UNREAD = {
     # That is for labels of all views.
-    "full": {"refine.parted"},
+    "full": {"refine.parted", "sides.vote.response"},
     "edges": {
         *(f"sides.vote.{n}" for n in ("response", "neighbors", "dense", "radius", "cap")),
         "sides.vote.temperature",
@@ -45,7 +45,9 @@ SOMETIMES = {
 def _problem(name, size, preset, *, dtype: type = np.float64, **choices):
     blind = noisy_scene(name, size, dtype=dtype)
     # Differences see what is left of the solver's error, derivatives do not.
-    tight = {"solver.tolerance": 1e-12, "sides.diffusion.solver.tolerance": 1e-10}
+    tight = {"solver.tolerance": 1e-12}
+    if preset != "full":
+        tight["sides.diffusion.solver.tolerance"] = 1e-10
     model = EdgeDepth.for_light_field(blind, preset=preset, choices=tight | choices)
     phase = jax.random.normal(jax.random.key(5), (size, size), dtype)
 

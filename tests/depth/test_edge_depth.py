@@ -125,8 +125,8 @@ def test_static_fields_follow_the_range_and_explain_mistakes():
 @pytest.mark.parametrize("value", [float("nan"), -1.0])
 def test_numbers_that_are_none_are_named(value):
     flat = LightField(jnp.full((3, 3, 16, 16, 3), 0.5), disparity_range=(-1.0, 1.0))
-    model = EdgeDepth.for_light_field(flat).replace({"sides.diffusion.data": value})
-    with pytest.raises(ValueError, match="`sides.diffusion.data` must be finite and not negative"):
+    model = EdgeDepth.for_light_field(flat).replace({"sides.vote.cap": value})
+    with pytest.raises(ValueError, match="`sides.vote.cap` must be finite and not negative"):
         model(flat)
 
 

@@ -24,6 +24,7 @@ from mvedge_jax.diffusion import AutoSolver
 from mvedge_jax.edges.sides import (
     BidirectionalSides,
     DirectionalDiffusion,
+    MapSides,
     NoSides,
     ReprojectionSides,
     SideChoice,
@@ -108,6 +109,7 @@ def _precise():
     "part",
     [
         BidirectionalSides(diffusion=_precise()),
+        MapSides(),
         ThesisSides(diffusion=_precise()),
         ReprojectionSides(radius=2, diffusion=_precise()),
         NoSides(),

@@ -19,7 +19,13 @@ from mvedge_jax.depth import (
 )
 from mvedge_jax.depth._edge_depth import Preset
 from mvedge_jax.depth._presets import PRESETS
-from mvedge_jax.edges.sides import BidirectionalSides, NoSides, ReprojectionSides, ThesisSides
+from mvedge_jax.edges.sides import (
+    BidirectionalSides,
+    MapSides,
+    NoSides,
+    ReprojectionSides,
+    ThesisSides,
+)
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.photometry import AsIs
 from mvedge_jax.smoothness import ThesisSmoothness
@@ -72,7 +78,7 @@ def test_parts_of_the_presets():
     labels = [type(model.labels) for model in (full, edges, thesis)]
     assert labels == [SharedLabels, SplattedLabels, NearestLabels]
     sides = [type(model.sides) for model in (full, edges, thesis)]
-    assert sides == [BidirectionalSides, ThesisSides, ThesisSides]
+    assert sides == [MapSides, ThesisSides, ThesisSides]
     assert thesis.measurement is None
     assert isinstance(thesis.calibration, AsIs)
     assert get_args(Preset) == PRESETS

@@ -8,6 +8,7 @@ from ._bidirectional import (
 )
 from ._parts import (
     BidirectionalSides as BidirectionalSides,
+    MapSides as MapSides,
     NoSides as NoSides,
     ReprojectionSides as ReprojectionSides,
     SideChoice as SideChoice,

@@ -13,7 +13,13 @@ from mvedge_jax.color import srgb_to_gray
 from mvedge_jax.photometry import Evidence
 
 from .._points import EdgePoints
-from ._bidirectional import Bidirectional, DirectionalDiffusion, bidirectional
+from ._bidirectional import (
+    Bidirectional,
+    DirectionalDiffusion,
+    bidirectional,
+    depth_edge_confidence,
+)
+from ._evidence import map_evidence
 from ._profile import step_response, thesis_response
 from ._reprojection import reprojection_score
 from ._surface import SideVote, SurfaceVectors, choose, surface_vectors
@@ -58,6 +64,27 @@ class SideChoice(Protocol):
         ...
 
 
+class MapSides(eqx.Module):
+    """Sides by neighboring labels and by the measured map, which knows both surfaces.
+
+    Attributes:
+        vote: how the evidence is weighed; its `response` is not read.
+    """
+
+    vote: SideVote = eqx.field(default_factory=SideVote)
+
+    def __call__(self, points: EdgePoints, evidence: Evidence) -> Sides:
+        """See `SideChoice`; the depth-edge confidence of a point is what the map tells of it."""
+        if evidence.measured is None:
+            raise ValueError("`MapSides` need a `measurement` in the chain, got None.")
+        first = evidence.measured.disparity
+        vote = cast(self.vote, first.dtype)
+        step = jnp.abs(map_evidence(points, first, cap=vote.cap))
+        edge = depth_edge_confidence(first, first)
+        surface = _voted(points, None, first, vote, evidence.shape)
+        return Sides(surface, step, edge, first, jnp.zeros(0, jnp.int32))
+
+
 class BidirectionalSides(eqx.Module):
     """Sides by two directional diffusions, by neighboring labels and by the measured map.
 
@@ -73,13 +100,8 @@ class BidirectionalSides(eqx.Module):
         """See `SideChoice`."""
         passes = _both_ways(points, evidence, self.diffusion, step_response)
         first = None if evidence.measured is None else evidence.measured.disparity
-
-        def vectors(
-            points: EdgePoints, response: Array, first: Array | None, vote: SideVote
-        ) -> SurfaceVectors:
-            return surface_vectors(points, response, first, vote, shape=evidence.shape)
-
-        return _sides(staged(vectors)(points, passes.response, first, self.vote), passes)
+        surface = _voted(points, passes.response, first, self.vote, evidence.shape)
+        return _sides(surface, passes)
 
 
 class ThesisSides(eqx.Module):
@@ -140,6 +162,22 @@ class NoSides(eqx.Module):
         mean = jnp.sum(jnp.where(points.valid, points.disparity, 0)) / jnp.maximum(count, 1)
         flat = jnp.zeros(evidence.shape, nothing.dtype)
         return Sides(surface, nothing, flat, flat + mean, jnp.zeros(0, jnp.int32))
+
+
+def _voted(
+    points: EdgePoints,
+    response: Array | None,
+    first: Array | None,
+    vote: SideVote,
+    shape: tuple[int, int],
+) -> SurfaceVectors:
+    @staged
+    def vectors(
+        points: EdgePoints, response: Array | None, first: Array | None, vote: SideVote
+    ) -> SurfaceVectors:
+        return surface_vectors(points, response, first, vote, shape=shape)
+
+    return vectors(points, response, first, vote)
 
 
 def _both_ways(
