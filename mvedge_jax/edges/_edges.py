@@ -13,7 +13,7 @@ from mvedge_jax.color import srgb_to_gray, srgb_to_lab
 from mvedge_jax.epi import FilterBank, bank_radius, prewitt_bank, strongest_response
 from mvedge_jax.image import highest, unit_gradient
 from mvedge_jax.photometry import Evidence
-from mvedge_jax.photometry.measuring import PhotometricLabels, view_weights
+from mvedge_jax.photometry.measuring import PhotometricLabels
 
 from ._candidates import contrast, find_candidates, subpixel
 from ._points import EdgePoints, Edges, EdgeStats
@@ -179,8 +179,8 @@ def _frontmost(
 
 def _measured_edges(evidence: Evidence, params: OrientedEdges) -> Edges:
     """The points of evidence that has been measured."""
-    scene, seen, measured = evidence
-    if seen is None or measured is None:
+    scene, measured, shown = evidence.calibrated, evidence.measured, evidence.shown
+    if measured is None or shown is None:
         raise ValueError("`OrientedEdges` need a `measurement` in the chain, got None.")
     noise, view = scene.noise, jnp.moveaxis(scene.centre, 0, -1)
     across, down = (srgb_to_lab(jnp.moveaxis(arm.planes, 1, -1)) for arm in scene.arms)
@@ -216,9 +216,6 @@ def _measured_edges(evidence: Evidence, params: OrientedEdges) -> Edges:
 
     height = jnp.where(candidates.alone, centre[:, row, column], 0)
     height = jnp.where(candidates.found, strength[:, row, column], height).max(0)
-    weights = view_weights(
-        *seen.splines, measured.disparity, seen.params, radius=seen.params.radius
-    )
     normal = unit_gradient(srgb_to_gray(view))[row, column]
 
     def only(values: Array) -> Array:
@@ -231,7 +228,7 @@ def _measured_edges(evidence: Evidence, params: OrientedEdges) -> Edges:
         confidence=only(height / (height + params.half_confidence)),
         error=only(error),
         normal=only(normal),
-        visible=only((weights[:, row, column] > 1 / (1 + params.deviation)).T),
+        visible=only((shown[:, row, column] > 1 / (1 + params.deviation)).T),
         valid=valid,
     )
     stats = EdgeStats(candidates.total, candidates.overflow, consistent.sum(), valid.sum())

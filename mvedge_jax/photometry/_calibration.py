@@ -4,6 +4,7 @@ from typing import NamedTuple, Protocol, runtime_checkable
 
 import equinox as eqx
 import jax.numpy as jnp
+from jaxtyping import Array, Float
 
 from mvedge_jax._crosshair import crosshair
 from mvedge_jax._fence import staged
@@ -97,11 +98,14 @@ class Evidence(NamedTuple):
         calibrated: views whose colors compare.
         prepared: the same, ready to be measured in; None without a measurement.
         measured: disparity and standard error of every pixel around the first map; None likewise.
+        shown: how far each view of the crosshair shows a pixel, the vertical arm first; None
+            likewise.
     """
 
     calibrated: CalibratedViews
     prepared: PreparedViews | None
     measured: PhotometricLabels | None
+    shown: Float[Array, "s y x"] | None = None
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -138,4 +142,4 @@ def gather_evidence(
         return prepare_views(scene, params, every=every)
 
     views = staged(prepared)(scene, cast(measurement, scene.lab.dtype), every)
-    return Evidence(scene, views, staged(first_labels)(scene, views))
+    return Evidence(scene, views, *staged(first_labels)(scene, views))

@@ -20,7 +20,7 @@ from .brightness._noise import Noise, measure_noise
 from .brightness._unlit import lit
 from .matching._cost import Matching, hypotheses
 from .measuring._grid import Grid, grid_of
-from .measuring._look import ArmSplines, Look, arm_splines, look
+from .measuring._look import ArmSplines, Look, arm_splines, look, look_with_weights
 from .measuring._measure import PhotometricLabels, labels, shared
 from .measuring._measuring import Measurement, Measuring
 
@@ -271,7 +271,9 @@ def _guided(
     return CalibratedViews(arms, exposure, noise, guide, lab, None)
 
 
-def first_labels(scene: CalibratedViews, seen: PreparedViews) -> PhotometricLabels:
+def first_labels(
+    scene: CalibratedViews, seen: PreparedViews
+) -> tuple[PhotometricLabels, Float[Array, "s y x"]]:
     """Measures every pixel around the first map.
 
     Args:
@@ -279,7 +281,8 @@ def first_labels(scene: CalibratedViews, seen: PreparedViews) -> PhotometricLabe
         seen: its views.
 
     Returns:
-        Labels, shared between neighbours. Differentiable.
+        Labels, shared between neighbours, and the weights of the views, see `look_with_weights`.
+        Differentiable.
 
     Raises:
         ValueError: the scene has no first map.
@@ -287,6 +290,6 @@ def first_labels(scene: CalibratedViews, seen: PreparedViews) -> PhotometricLabe
     first, lab, passes = scene.first, scene.lab, seen.params.passes
     if first is None:
         raise ValueError("`scene` has no first map; `prepare` finds one.")
-    found = seen.look(first)
+    found, weights = look_with_weights(*seen.splines, first, seen.params, radius=seen.params.radius)
     measured = labels(found, lab, first, seen.params, passes=passes)
-    return shared(measured, lab, seen.params, passes=passes)
+    return shared(measured, lab, seen.params, passes=passes), weights

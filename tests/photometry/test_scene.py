@@ -19,7 +19,7 @@ from mvedge_jax.photometry.measuring import (
     Measurement,
     Measuring,
     PhotometricLabels,
-    view_weights,
+    look_with_weights,
 )
 from mvedge_jax.photometry.measuring._measure import shared
 
@@ -34,7 +34,7 @@ def _prepared(light_field, low, high):
 def test_the_first_measurement_finds_a_plane():
     scene, seen, _ = _prepared(plane(0.37, views=9, size=(24, 32)), 0.0, 0.7)
     assert scene.first is not None
-    found = first_labels(scene, seen)
+    found, _ = first_labels(scene, seen)
     off = np.abs(np.asarray(found.disparity) - 0.37)
     rough = np.abs(np.asarray(scene.first) - 0.37)
     assert np.median(off) < 0.002
@@ -69,7 +69,7 @@ def test_views_that_a_nearer_surface_hides_or_that_differ_weigh_little():
     _, seen, _ = _prepared(light_field, -0.9, 1.1)
     truth = jnp.where(jnp.arange(64) < 30, 0.8, -0.6)[None] * jnp.ones((16, 1))
     truth = truth.astype(jnp.float32)
-    weights = view_weights(*seen.splines, truth, seen.params, radius=12)
+    _, weights = look_with_weights(*seen.splines, truth, seen.params, radius=12)
     assert weights.shape == (18, 16, 64)
     # Right of the border, the near plane comes over the pixel in views of one side only.
     across = np.asarray(weights[9:, 4:12, 33]).mean(1)
@@ -78,7 +78,7 @@ def test_views_that_a_nearer_surface_hides_or_that_differ_weigh_little():
     assert shown.min() > 0.3
     painted = light_field.views.at[4, 0].set(0.9)
     _, seen, _ = _prepared(type(light_field)(painted, disparity_range=(-0.9, 1.1)), -0.9, 1.1)
-    weights = np.asarray(view_weights(*seen.splines, truth, seen.params, radius=12))
+    weights = np.asarray(look_with_weights(*seen.splines, truth, seen.params, radius=12)[1])
     inner = weights[9:, 4:12, 10:24].mean((1, 2))
     assert inner[0] < 0.3
     assert inner[1:].min() > 0.5

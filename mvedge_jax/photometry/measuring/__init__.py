@@ -5,7 +5,7 @@ from ._look import (
     Look as Look,
     arm_splines as arm_splines,
     look as look,
-    view_weights as view_weights,
+    look_with_weights as look_with_weights,
 )
 from ._measure import (
     PhotometricLabels as PhotometricLabels,

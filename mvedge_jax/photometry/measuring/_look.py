@@ -135,14 +135,55 @@ def look(
         What `labels` and `mismatch` read. Differentiable.
     """
     params = cast(params, disparity.dtype)
+    # Stored, or the vertical arm is summed up across the rows in memory.
+    across, down = (
+        fenced(lambda a, d: _sums(_arm_views(a, d, params, radius), a.steps), arm, turned)
+        for arm, turned in ((horizontal, disparity), (vertical, disparity.T))
+    )
+    return _joined(across, down, horizontal, vertical)
 
-    def arm_look(arm: ArmSplines, disparity: Array) -> _ArmLook:
-        # Stored, or the vertical arm is summed up across the rows in memory.
-        return fenced(lambda a, d, p: _arm_look(a, d, p, radius), arm, disparity, params)
 
-    there = jnp.concatenate([horizontal.available, vertical.available]).astype(disparity.dtype)
-    across = arm_look(horizontal, disparity)
-    down = jax.tree.map(jnp.transpose, arm_look(vertical, disparity.T))
+@partial(jax.jit, static_argnames="radius")
+def look_with_weights(
+    horizontal: ArmSplines,
+    vertical: ArmSplines,
+    disparity: Float[Array, "y x"],
+    params: Measuring,
+    *,
+    radius: int,
+) -> tuple[Look, Float[Array, "s y x"]]:
+    """`look`, and how far each view shows what the centre view shows.
+
+    Args:
+        horizontal: the horizontal arm.
+        vertical: the vertical arm, transposed.
+        disparity: px per view step, `[y, x]`.
+        params: see `Measuring`.
+        radius: how far occluders are looked for, px.
+
+    Returns:
+        What `look` returns; the weights of the views, those of the vertical arm first, in [0, 1]: 0
+        where a nearer surface of the map hides a pixel or the image ends, less than one half where
+        colours are further from those of the other views than these are from each other.
+        Differentiable at the occlusions found.
+    """
+    params = cast(params, disparity.dtype)
+
+    def arm_look(arm: ArmSplines, disparity: Array) -> tuple[_ArmLook, Array]:
+        found = _arm_views(arm, disparity, params, radius)
+        weights = jnp.insert(found.weight, arm.others.shape[0] // 2, found.own, axis=0)
+        return _sums(found, arm.steps), weights
+
+    across, own = fenced(arm_look, horizontal, disparity)
+    down, turned = fenced(arm_look, vertical, disparity.T)
+    weights = jnp.concatenate([jnp.swapaxes(turned, 1, 2), own])
+    return _joined(across, down, horizontal, vertical), weights
+
+
+def _joined(across: _ArmLook, down: _ArmLook, horizontal: ArmSplines, vertical: ArmSplines) -> Look:
+    """The sums of both arms, of which the vertical one is transposed."""
+    down = jax.tree.map(jnp.transpose, down)
+    there = jnp.concatenate([horizontal.available, vertical.available]).astype(across.right.dtype)
     return Look(
         across.right + down.right,
         across.information + down.information,
@@ -156,39 +197,6 @@ def look(
     )
 
 
-@partial(jax.jit, static_argnames="radius")
-def view_weights(
-    horizontal: ArmSplines,
-    vertical: ArmSplines,
-    disparity: Float[Array, "y x"],
-    params: Measuring,
-    *,
-    radius: int,
-) -> Float[Array, "s y x"]:
-    """How far each view shows what the centre view shows: the weights that `look` gives them.
-
-    Args:
-        horizontal: the horizontal arm.
-        vertical: the vertical arm, transposed.
-        disparity: px per view step, `[y, x]`.
-        params: see `Measuring`.
-        radius: how far occluders are looked for, px.
-
-    Returns:
-        In [0, 1]: 0 where a nearer surface of the map hides a pixel or the image ends, less than
-        one half where colours are further from those of the other views than these are from each
-        other. The vertical arm first. Differentiable at the occlusions found.
-    """
-    params = cast(params, disparity.dtype)
-
-    def weights(arm: ArmSplines, disparity: Array) -> Array:
-        found = _arm_views(arm, disparity, params, radius)
-        return jnp.insert(found.weight, arm.others.shape[0] // 2, found.own, axis=0)
-
-    down = jnp.swapaxes(fenced(weights, vertical, disparity.T), 1, 2)
-    return jnp.concatenate([down, fenced(weights, horizontal, disparity)])
-
-
 class _ArmViews(NamedTuple):
     """What the views of an arm but the centre one show, and how far they are trusted."""
 
@@ -197,14 +205,6 @@ class _ArmViews(NamedTuple):
     relative: list[Array]
     gradients: list[Array]
     slopes: list[Array]
-
-
-def _arm_look(arm: ArmSplines, disparity: Array, params: Measuring, radius: int) -> _ArmLook:
-    """The sums of one arm, per pixel."""
-    seen = _arm_views(arm, disparity, params, radius)
-    return _sums(
-        _moments(seen.weight, arm.steps, seen.relative, seen.gradients, seen.own, seen.slopes)
-    )
 
 
 def _arm_views(arm: ArmSplines, disparity: Array, params: Measuring, radius: int) -> _ArmViews:
@@ -283,7 +283,9 @@ def _trusted(
     return own, lax.map(jax.checkpoint(one), (seen, *values))
 
 
-def _sums(moments: _Moments) -> _ArmLook:
+def _sums(seen: _ArmViews, steps: Array) -> _ArmLook:
+    """The sums of one arm, per pixel."""
+    moments = _moments(seen.weight, steps, seen.relative, seen.gradients, seen.own, seen.slopes)
     mean_step = moments.step / moments.weight
     spread = jnp.maximum(moments.square - mean_step * moments.step, 0)
     gradients = [g / moments.weight for g in moments.gradient]
