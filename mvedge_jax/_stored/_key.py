@@ -22,7 +22,7 @@ from jax.sharding import SingleDeviceSharding
 
 # Versions of these packages are part of the key, so what they define can be named. What anybody
 # else defines may change from one process to the next under the same name.
-_VERSIONED = ("jax", "jaxlib", "equinox", "lineax", "optimistix", "numpy")
+_VERSIONED = ("jax", "jaxlib", "equinox", "lineax", "numpy")
 _PACKAGE = __name__.partition(".")[0]
 _TRUSTED = {_PACKAGE, "builtins", *_VERSIONED}
 _PLAIN = (type(None), bool, int, float, complex, str, bytes)
