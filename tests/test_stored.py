@@ -359,6 +359,27 @@ def test_who_diagnoses_meets_jax_alone(files, setting):
     assert not files.folder.exists()
 
 
+@pytest.mark.parametrize("setting", [jax.debug_nans, jax.disable_jit, jax.debug_infs])
+def test_who_diagnoses_for_a_while_meets_jax_alone(files, setting):
+    program, part = lean_jit(powers), Part(jnp.asarray(2.0))
+    program(_X, part)
+    (path,) = _stored_files(files)
+    path.unlink()
+    with setting(True):
+        program(_X, part)
+        with pytest.raises(_key.NoKey, match="diagnosing"):
+            _key.program_key(powers, (_X,), {})
+    assert not _stored_files(files)
+
+
+def test_another_device_is_not_tried(files, monkeypatch):
+    with jax.default_device(jax.devices()[0]):
+        _run(_X, Part(jnp.asarray(2.0)))
+    monkeypatch.setattr(_key.jax, "default_backend", lambda: "gpu")
+    _run(_X, Part(jnp.asarray(2.0)))
+    assert not files.folder.exists()
+
+
 def test_within_a_transform_nothing_is_stored(files):
     program, part = lean_jit(powers), Part(jnp.asarray(2.0))
     jax.jit(lambda x: program(x, part)["b"][0])(_X)

@@ -62,12 +62,14 @@ def program_key(function: Callable[..., Any], arguments: Any, asked: dict[str, A
 
     Raises:
         NoKey: a function or a class is not from the package and the libraries whose versions are
-            known, an array lies elsewhere than on the default device, JAX is diagnosing, or the
-            package was changed since it was imported: its sources or, in this process, what its
-            modules and classes hold.
+            known, an array lies elsewhere than on the default device, that is no CPU, JAX is
+            diagnosing, or the package was changed since it was imported: its sources or, in this
+            process, what its modules and classes hold.
     """
-    if any(jax.config.values.get(name) for name in _DIAGNOSTIC):
+    if any(map(_setting, _DIAGNOSTIC)):
         raise NoKey("JAX is diagnosing")
+    if jax.default_backend() != "cpu":
+        raise NoKey("a device on which no copy of a program was tried")
     if jax.process_count() > 1 or not jax.sharding.get_abstract_mesh().empty:
         raise NoKey("several processes, or a mesh")
     replaced = replaced_name()
@@ -77,7 +79,7 @@ def program_key(function: Callable[..., Any], arguments: Any, asked: dict[str, A
         _name_of_function(function),
         described(arguments),
         repr(sorted(asked.items())),
-        repr(context()),
+        context(),
         _surroundings(),
         _sources(),
     )
@@ -118,10 +120,13 @@ def _names() -> Iterator[tuple[tuple[str, ...], Any]]:
                 )
 
 
-def context() -> tuple[Any, ...]:
+def context() -> str:
     """JAX's settings, as its context managers have them at this moment."""
-    config, values = jax.config, jax.config.values
-    return tuple(getattr(config, name, values.get(name)) for name in _settings())
+    return repr([_setting(name) for name in _settings()])
+
+
+def _setting(name: str) -> Any:
+    return getattr(jax.config, name, jax.config.values.get(name))
 
 
 def kind_of(arguments: Any) -> Any:
@@ -224,7 +229,7 @@ def _kind_of_array(array: Any) -> str:
         return f"numpy {kind}"
     sharding, default = array.sharding, jax.devices()[:1]
     here = isinstance(sharding, SingleDeviceSharding) and list(sharding.device_set) == default
-    if not here or jax.config.values.get("jax_default_device") is not None:
+    if not here or _setting("jax_default_device") is not None:
         raise NoKey("not on the default device")
     weak, put = getattr(array, "weak_type", False), getattr(array, "committed", False)
     return f"array {kind} weak={weak} put={put} memory={sharding.memory_kind}"
