@@ -1,7 +1,7 @@
 """A program that was compiled ahead, or read from a file."""
 
-import contextlib
 import enum
+import functools
 import pickle
 import threading
 import time
@@ -76,13 +76,13 @@ def obtain(
             return _loaded(data, len(_arrays(arguments)))
         except Exception:  # whatever a file from an account's own past may hold
             files.drop(key)
-    start = time.perf_counter()
-    with _watched_compiler() as compiler:
-        compiled = _compiled(function, arguments, asked)
+    _listen()
+    start, before = time.perf_counter(), (_counts.requests, _counts.hits)
+    compiled = _compiled(function, arguments, asked)
     if compiled is None:
         return None
     executable, results = compiled
-    if time.perf_counter() - start >= _WORTH and compiler.has_compiled():
+    if time.perf_counter() - start >= _WORTH and _copyable(*before):
         data = _dumped(executable, results)
         # Nothing that the program depends on may have changed while it was traced.
         if data is not None and key == _key(original, arguments, asked):
@@ -90,34 +90,36 @@ def obtain(
     return Program(executable, results)
 
 
-class _Compiler(threading.local):
-    """What JAX says of its own cache, counted in this thread."""
+class _Counts(threading.local):
+    """How often JAX asked its own cache, and found a program there, in each thread."""
 
     requests = 0
     hits = 0
 
-    def has_compiled(self) -> bool:
-        """Whether the compiler ran: what JAX read from its cache can't be written again.
 
-        The functions of such an executable are lost in the copy, which shows when it is called.
-        """
-        asked = jax.config.values.get("jax_compilation_cache_dir") is not None
-        return not asked or (self.requests > 0 and self.hits == 0)
+_counts = _Counts()
 
 
-@contextlib.contextmanager
-def _watched_compiler() -> Iterator[_Compiler]:
-    compiler = _Compiler()
+@functools.cache
+def _listen() -> None:
+    """Counts from now on. For good: JAX may call listeners while another thread removes one."""
 
-    def listen(event: str, **_: Any) -> None:
-        compiler.requests += event == "/jax/compilation_cache/compile_requests_use_cache"
-        compiler.hits += event == "/jax/compilation_cache/cache_hits"
+    def count(event: str, **_: Any) -> None:
+        _counts.requests += event == "/jax/compilation_cache/compile_requests_use_cache"
+        _counts.hits += event == "/jax/compilation_cache/cache_hits"
 
-    jax.monitoring.register_event_listener(listen)
-    try:
-        yield compiler
-    finally:
-        jax.monitoring.unregister_event_listener(listen)
+    jax.monitoring.register_event_listener(count)
+
+
+def _copyable(requests: int, hits: int) -> bool:
+    """Whether the compiler ran since the counts were these.
+
+    What JAX reads from its own cache can't be written again: the copy lacks functions, which shows
+    when it is called.
+    """
+    if jax.config.values.get("jax_compilation_cache_dir") is None:
+        return True
+    return _counts.requests > requests and _counts.hits == hits
 
 
 def _key(function: Callable[..., Any], arguments: Any, asked: dict[str, Any]) -> str | None:
