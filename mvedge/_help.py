@@ -4,10 +4,11 @@ import ast
 import contextlib
 import sys
 from collections.abc import Callable, Sequence
-from importlib.metadata import version
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
+
+from ._version import package_version
 
 # Command -> module of `mvedge_jax.cli`, function.
 COMMANDS = {
@@ -50,7 +51,7 @@ def answer(words: Sequence[str]) -> int | None:
     tolerate_locales()
     with contextlib.suppress(OSError):  # nobody listens
         if words == ["--version"]:
-            sys.stdout.write(f"mvedge {version('mvedge_jax')}\n")
+            sys.stdout.write(f"mvedge {package_version()}\n")
             sys.stdout.flush()
             return 0
         try:

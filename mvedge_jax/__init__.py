@@ -1,9 +1,12 @@
 """Multi-view edges and dense, occlusion-correct depth from light fields, in JAX.
 
 The names that most programs need; each folder of the package exports the rest of its stage.
+Readers of files and the model's optimisation are imported when they are first named, with the
+libraries that they need: OpenCV, h5py, SciPy, Optax.
 """
 
-from typing import Any as _Any
+import typing as _typing
+from importlib import import_module as _import_module
 
 from ._cache import compilation_cache as compilation_cache
 from ._compiler import compiler_options as compiler_options, lean_jit as lean_jit
@@ -14,7 +17,6 @@ from .all_views import (
     ViewDepths as ViewDepths,
     depth_of_views as depth_of_views,
 )
-from .datasets import load_light_field as load_light_field
 from .depth import (
     DepthResult as DepthResult,
     EdgeDepth as EdgeDepth,
@@ -24,30 +26,60 @@ from .depth import (
 from .diffusion import System as System, diffuse as diffuse
 from .edges import EdgePoints as EdgePoints
 from .lightfield import Camera as Camera, GroundTruth as GroundTruth, LightField as LightField
-from .model import (
-    Optimised as Optimised,
-    Renderer as Renderer,
-    Start as Start,
-    SupervisedFit as SupervisedFit,
-    fit_edges as fit_edges,
-    optimize_edges as optimize_edges,
-    start_from_depth as start_from_depth,
-    start_from_image as start_from_image,
-)
-from .model.approaches import ByEvidence as ByEvidence, ByReprojection as ByReprojection
-from .model.optimisation import Growth as Growth
+
+if _typing.TYPE_CHECKING:
+    from . import (
+        datasets as datasets,
+        losses as losses,
+        model as model,
+        plotting as plotting,
+        posed as posed,
+    )
+    from .datasets import load_light_field as load_light_field
+    from .model import (
+        Optimised as Optimised,
+        Renderer as Renderer,
+        Start as Start,
+        SupervisedFit as SupervisedFit,
+        fit_edges as fit_edges,
+        optimize_edges as optimize_edges,
+        start_from_depth as start_from_depth,
+        start_from_image as start_from_image,
+    )
+    from .model.approaches import ByEvidence as ByEvidence, ByReprojection as ByReprojection
+    from .model.optimisation import Growth as Growth
+
+_LATER = {
+    "load_light_field": "datasets",
+    "Optimised": "model",
+    "Renderer": "model",
+    "Start": "model",
+    "SupervisedFit": "model",
+    "fit_edges": "model",
+    "optimize_edges": "model",
+    "start_from_depth": "model",
+    "start_from_image": "model",
+    "ByEvidence": "model.approaches",
+    "ByReprojection": "model.approaches",
+    "Growth": "model.optimisation",
+}
+_FOLDERS = ("datasets", "losses", "model", "plotting", "posed")
 
 _register(__name__)
 
 
-def __getattr__(name: str) -> _Any:
-    """`__version__` and `plotting`, which need not cost every import its time."""
+def __getattr__(name: str) -> _typing.Any:
+    """`__version__`, and what need not cost every import its time."""
     if name == "__version__":
-        from importlib.metadata import version
+        from mvedge._version import package_version
 
-        return version(__name__)
-    if name == "plotting":
-        from importlib import import_module
-
-        return import_module(".plotting", __name__)
+        return package_version()
+    if name in _FOLDERS:
+        return _import_module(f".{name}", __name__)
+    if name in _LATER:
+        return getattr(_import_module(f".{_LATER[name]}", __name__), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *_LATER, *_FOLDERS})

@@ -5,6 +5,8 @@ from pathlib import Path
 
 import jax
 
+from ._stored import ProgramFiles, replaced_name, use
+
 
 def compilation_cache(*, folder: str | os.PathLike | None = None) -> Path | None:
     """Switches on JAX's persistent compilation cache, for a notebook or a script.
@@ -12,6 +14,13 @@ def compilation_cache(*, folder: str | os.PathLike | None = None) -> Path | None
     The first call of `depth` then takes seconds instead of half a minute from the second
     process on. `mvedge` does this by itself. A cache that was configured through JAX's own
     variables is left alone.
+
+    The package's own programs are kept as a whole, too, in the folder `programs` within: a later
+    process doesn't even trace them. They are keyed by all they depend on: function, static fields,
+    shapes, sources of the package, versions, device and processor, settings of JAX and the
+    compiler. A program with parts of your own classes is not kept. `programs` is open to the user's
+    account alone (`mode 0700`), which is what makes it safe to read programs from it, and holds at
+    most 1 GiB.
 
     Args:
         folder: where to; by default `MVEDGE_CACHE`, or `mvedge_jax/jax` in the user's cache folder.
@@ -39,4 +48,6 @@ def compilation_cache(*, folder: str | os.PathLike | None = None) -> Path | None
         return None
     jax.config.update("jax_compilation_cache_dir", str(path))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.3)
+    replaced_name()  # from now on, replaced ones are noticed
+    use(ProgramFiles(path / "programs"))
     return path

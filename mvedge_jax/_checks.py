@@ -15,7 +15,7 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Bool
 
-from ._compiler import lean_jit, release_memory
+from ._compiler import LeanJit, release_memory
 from ._params import as_number
 from ._paths import replaced, walk
 
@@ -45,7 +45,7 @@ class CheckedJit:
             return function(*arguments, **options)
 
         self.check, self.traces = check, 0
-        self.compiled: Any = lean_jit(traced)
+        self.compiled: Any = LeanJit(traced, function)
         functools.update_wrapper(self, function)
 
     def __call__(self, *arguments: Any, **options: Any) -> Any:
@@ -54,6 +54,11 @@ class CheckedJit:
             return self.compiled(*arguments, **options)
         with self._announced():
             return self.compiled(*arguments, **options)
+
+    def ahead(self, *arguments: Any, **options: Any) -> "_Ahead":
+        """See `LeanJit`; the program looks at its arguments, too."""
+        arguments, options = self.check(*arguments, **options)
+        return _Ahead(self.check, self.compiled.ahead(*arguments, **options))
 
     @contextlib.contextmanager
     def _announced(self) -> Iterator[None]:

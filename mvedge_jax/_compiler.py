@@ -12,6 +12,8 @@ import equinox as eqx
 import jax
 from jax.core import Tracer
 
+from ._stored import Program, ProgramFiles, in_use, kind_of, obtain
+
 _P = ParamSpec("_P")
 _T = TypeVar("_T")
 # The newer emitters of fusions cost the chain a third of the compiler's memory and a quarter of its
@@ -60,6 +62,10 @@ def _known(backend: str) -> dict[str, bool | int | float | str]:
     return dict(_WISHES)
 
 
+# How often `jax.clear_caches` was found to have been called. Process-wide, as JAX's caches are.
+_clearings = [0]
+
+
 @functools.cache
 def _probe(backend: str) -> Callable[[float], Any]:
     return jax.jit(lambda x: x, compiler_options=compiler_options())
@@ -71,7 +77,10 @@ def _outermost(arguments: Any) -> bool:
         return False
     try:
         # What is called within a `jit` is part of it, even if its own arguments are constants.
-        _probe(jax.default_backend())(0.0)
+        probe: Any = _probe(jax.default_backend())
+        empty = probe._cache_size() == 0
+        probe(0.0)
+        _clearings[0] += empty
     except ValueError:
         return False
     return True
@@ -123,30 +132,90 @@ def _check_devices(function: Callable[..., Any], arguments: Any, options: Any) -
 
 
 class LeanJit(Generic[_P, _T]):
-    """What `lean_jit` returns."""
+    """What `lean_jit` returns.
+
+    Args:
+        function: what to compile.
+        original: what `function` wraps without changing its results, if it does; files of programs
+            are named after it.
+    """
 
     __wrapped__: Callable[_P, _T]
 
-    def __init__(self, function: Callable[_P, _T]):
-        self._function = function
+    def __init__(self, function: Callable[_P, _T], original: Callable[..., Any] | None = None):
+        self._function, self._original = function, original or function
         self._nested: Any = eqx.filter_jit(function)
         self._outermost: Any = None
         self._known: set[Any] = set()
+        self._programs: dict[Any, Program | None] = {}
+        self._clearings = 0
         functools.update_wrapper(self, function)
 
     def __call__(self, *arguments: _P.args, **options: _P.kwargs) -> _T:
-        program = self._program(arguments, options)
-        if program is self._nested:
-            return program(*arguments, **options)
+        if not _outermost((arguments, options)):
+            return self._nested(*arguments, **options)
         _check_devices(self._function, arguments, options)
+        kept = self._kept((arguments, options))
+        if kept is not None:
+            return kept((arguments, options))
+        program = self._ahead(arguments, options)
+        return program(*arguments, **options)
+
+    def ahead(self, *arguments: _P.args, **options: _P.kwargs) -> Callable[_P, _T]:
+        """A program for arguments like these, read from its file or compiled, the caller's own.
+
+        Returns:
+            The program; it raises a TypeError for arguments of another kind.
+        """
+        _check_devices(self._function, arguments, options)
+        files = in_use() if _outermost((arguments, options)) else None
+        kept = None if files is None else self._obtained((arguments, options), files)
+        if kept is None:
+            return self.lower(*arguments, **options).compile()
+        program, kind = kept, kind_of((arguments, options))
+
+        def run(*arguments: _P.args, **options: _P.kwargs) -> _T:
+            if kind_of((arguments, options)) != kind:
+                raise TypeError(
+                    f"`{self._function.__name__}` was compiled for arguments of other shapes, "
+                    "dtypes or static fields."
+                )
+            return program((arguments, options))
+
+        return run
+
+    def _kept(self, arguments: Any) -> Program | None:
+        """The program that is kept in a file, where `compilation_cache` has said so."""
+        files = in_use()
+        if files is None:
+            return None
+        if self._clearings != _clearings[0]:  # these programs, too, are to be forgotten
+            self._programs.clear()
+            self._clearings = _clearings[0]
+        kind = kind_of(arguments)
+        if kind not in self._programs:
+            self._programs[kind] = self._obtained(arguments, files)
+        return self._programs[kind]
+
+    def _obtained(self, arguments: Any, files: ProgramFiles) -> Program | None:
+        with _no_collections():
+            asked = compiler_options()
+            program = obtain(self._function, self._original, arguments, asked, files)
+        release_memory()
+        return program
+
+    def _ahead(self, arguments: Any, options: Any) -> Any:
+        """JAX's own program, compiled."""
+        program = self._program(arguments, options)
         leaves, structure = jax.tree.flatten((arguments, options))
         kind = structure, *(jax.typeof(x) if hasattr(x, "dtype") else x for x in leaves)
         if kind not in self._known:
             # JAX keeps what is compiled ahead, and its arrays come after the compiler's memory.
-            self.lower(*arguments, **options).compile()
+            with _no_collections():
+                program.lower(*arguments, **options).compile()
             self._known.add(kind)
             release_memory()
-        return program(*arguments, **options)
+        return program
 
     def lower(self, *arguments: _P.args, **options: _P.kwargs) -> Any:
         """See `equinox.filter_jit`."""

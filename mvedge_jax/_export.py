@@ -14,6 +14,8 @@ from jax import export
 
 _PLAIN = str | int | float | bool | None
 _registered: set[type] = set()
+# Dataclasses that are static choices, such as `SplatRaster`, by name.
+_choices: dict[str, type] = {}
 
 
 def register(package: str) -> None:
@@ -26,16 +28,22 @@ def register(package: str) -> None:
         if kind in _registered:
             continue
         _registered.add(kind)
-        rooms = (part for part in kind.__module__.split(".") if not part.startswith("_"))
-        name = ".".join([*rooms, kind.__qualname__])
+        name = _public_name(kind)
         if issubclass(kind, eqx.Module):
             _register_module(kind, name)
+        elif dataclasses.is_dataclass(kind):
+            _choices[name] = kind
         else:
             export.register_namedtuple_serialization(kind, serialized_name=name)
 
 
+def _public_name(kind: type) -> str:
+    rooms = (part for part in kind.__module__.split(".") if not part.startswith("_"))
+    return ".".join([*rooms, kind.__qualname__])
+
+
 def _types(package: str) -> Iterator[type]:
-    """Named tuples and modules, each where it is defined; private and abstract ones are none."""
+    """Named tuples, modules and dataclasses where they are defined, unless private or abstract."""
     for name, module in sorted(sys.modules.items()):
         if name != package and not name.startswith(f"{package}."):
             continue
@@ -43,7 +51,7 @@ def _types(package: str) -> Iterator[type]:
             if not isinstance(kind, type) or kind.__module__ != name or kind.__name__[:1] == "_":
                 continue
             named = issubclass(kind, tuple) and hasattr(kind, "_fields")
-            if named or (issubclass(kind, eqx.Module) and not inspect.isabstract(kind)):
+            if named or (dataclasses.is_dataclass(kind) and not inspect.isabstract(kind)):
                 yield kind
 
 
@@ -78,17 +86,26 @@ def _auxiliary(kind: type[eqx.Module], static: dict[str, Any]) -> tuple[Any, ...
 
 
 def _plain(name: str, value: Any) -> Any:
-    """A static value in JSON, tuples as lists."""
+    """A static value in JSON: tuples as lists, dataclasses as their name and fields."""
     if isinstance(value, _PLAIN):
         return value
     if isinstance(value, tuple):
         return list(map(partial(_plain, name), value))
+    kind = _public_name(type(value))
+    if type(value) is _choices.get(kind):
+        names = [field.name for field in dataclasses.fields(value)]
+        return {kind: {field: _plain(f"{name}.{field}", getattr(value, field)) for field in names}}
     raise TypeError(
         f"A program whose arguments hold `{name}` = {value!r} cannot be serialised: static fields "
-        "may be text, numbers, truth values, None and tuples of them. Close over this argument, or "
-        "pass its arrays alone."
+        "may be text, numbers, truth values, None, tuples and this package's dataclasses of them. "
+        "Close over this argument, or pass its arrays alone."
     )
 
 
 def _restored(value: Any) -> Any:
-    return tuple(map(_restored, value)) if isinstance(value, list) else value
+    if isinstance(value, list):
+        return tuple(map(_restored, value))
+    if isinstance(value, dict):
+        ((kind, fields),) = value.items()
+        return _choices[kind](**{name: _restored(field) for name, field in fields.items()})
+    return value

@@ -175,6 +175,7 @@ def test_no_class_is_named_after_what_it_is_to_the_compiler():
 
 
 _FLOORS = (
+    ("_stored",),
     (
         "_compiler",
         "_export",
@@ -201,6 +202,36 @@ _FLOORS = (
     ("cli",),
     ("__init__", "__main__"),
 )
+
+
+_HEAVY = {
+    "cv2",
+    "h5py",
+    "matplotlib",
+    "optax",
+    "optimistix",
+    "optuna",
+    "PIL",
+    "rich",
+    "scipy",
+    "tyro",
+}
+_IMPORTED = f"""
+import sys
+import mvedge_jax
+heavy = {_HEAVY} & set(sys.modules)
+assert not heavy, heavy
+later = set(dir(mvedge_jax)) - set(vars(mvedge_jax))
+assert {{"load_light_field", "Renderer", "fit_edges", "model", "datasets", "plotting"}} <= later
+for name in later:
+    getattr(mvedge_jax, name)
+assert mvedge_jax.model.Renderer is mvedge_jax.Renderer
+"""
+
+
+def test_the_import_loads_no_library_that_the_chain_does_not_need():
+    run = [sys.executable, "-c", _IMPORTED]
+    subprocess.run(run, check=True)
 
 
 def _imports(path: Path) -> Iterator[tuple[str, ...]]:

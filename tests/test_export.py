@@ -11,11 +11,12 @@ from jax import export
 
 import mvedge_jax as mv
 from mvedge_jax import _export
-from mvedge_jax.depth import DepthStats
+from mvedge_jax.depth import DepthStats, SplattedLabels
 from mvedge_jax.edges import EdgeStats
 from mvedge_jax.edges.sides import SurfaceVectors
 from mvedge_jax.photometry.brightness import Exposure, Noise
 from mvedge_jax.smoothness import ColorAndDepth
+from mvedge_jax.splatting import SplatLabels, SplatRaster
 from mvedge_jax.superpixels import Superpixels
 
 pytest.importorskip("flatbuffers", reason="jax.export writes files by it")
@@ -60,6 +61,15 @@ def test_solvers_keep_their_static_fields():
     found: Any = export.deserialize(data).call(solver)
     assert found.max_iterations == 7
     assert jax.tree.structure(found) == jax.tree.structure(solver)
+
+
+def test_static_choices_are_kept():
+    raster = SplatRaster(scale=2, capacity=7)
+    labels = SplattedLabels(splat=SplatLabels(raster=raster))
+    data = export.export(jax.jit(lambda part: part))(labels).serialize()
+    found: Any = export.deserialize(data).call(labels)
+    assert found.splat.raster == raster
+    assert jax.tree.structure(found) == jax.tree.structure(labels)
 
 
 def test_every_public_type_is_registered():

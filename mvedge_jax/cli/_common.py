@@ -26,11 +26,24 @@ def printable(text: str) -> str:
     return "".join(shown)
 
 
+class _Elapsed:
+    """A line that is made anew whenever the terminal is, with the seconds since `start`."""
+
+    def __init__(self, name: str, start: float):
+        self._name, self._start = name, start
+
+    def __rich__(self) -> Text:
+        return Text(f"{self._name} ({time.perf_counter() - self._start:.0f} s)")
+
+
 @contextlib.contextmanager
 def stage(name: str) -> Iterator[None]:
-    """Shows `name` with a spinner while the body runs, and its time when it is done."""
+    """Shows `name`, a spinner and the seconds while the body runs, and its time when it is done.
+
+    While it runs, only a terminal is told.
+    """
     start, name = time.perf_counter(), printable(name)
-    with _PROGRESS.status(Text(name)):
+    with _PROGRESS.status(_Elapsed(name, start)):  # pyright: ignore
         yield
     _say(("done", "green"), f" {name} ({time.perf_counter() - start:.1f} s)")
 
@@ -108,7 +121,9 @@ def missing_views(light_field: LightField) -> list[str]:
 
 
 def compiled(function: Any, *arguments: Any, **options: Any) -> Callable[..., Any]:
-    """Compiles a `lean_jit` function, and gives back the memory that it took.
+    """Compiles a `lean_jit` function, or reads what an earlier process compiled.
+
+    The memory that it took is given back.
 
     Args:
         function: to compile.
@@ -118,6 +133,6 @@ def compiled(function: Any, *arguments: Any, **options: Any) -> Callable[..., An
     Returns:
         The program, to be called with the same arguments.
     """
-    program = function.lower(*arguments, **options).compile()
+    program = function.ahead(*arguments, **options)
     release_memory()
     return program

@@ -119,7 +119,7 @@ def _estimate(
 ) -> tuple[DepthResult, dict[str, float]]:
     """Depth, and the seconds it took."""
     before = time.perf_counter()
-    with stage("compiling, or reading what was compiled before"):
+    with stage("compiling depth, or reading what was compiled before"):
         estimate = compiled(estimate_depth, blind, model, key=key)
     start = time.perf_counter()
     with stage("estimating depth"):

@@ -73,7 +73,7 @@ def edges(
         with stage("choosing sizes"):
             model, key = options.model(light_field), jax.random.key(seed)
         before = time.perf_counter()
-        with stage("compiling, or reading what was compiled before"):
+        with stage("compiling edges, or reading what was compiled before"):
             find = compiled(multiview_edges, light_field, model, key=key)
         start = time.perf_counter()
         with stage("finding edges"):

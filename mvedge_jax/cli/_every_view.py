@@ -45,11 +45,11 @@ def every_view(
     key = jax.random.key(seed)
     with stage("choosing sizes"):
         model, every = options.model(light_field), ViewDepth.for_light_field(light_field)
-    with stage("compiling, or reading what was compiled before"):
+    with stage("compiling depth, or reading what was compiled before"):
         centre = compiled(estimate_depth, light_field, model, key=key)
     with stage("estimating depth of the centre view"):
         result = jax.block_until_ready(centre(light_field, model, key=key))
-    with stage("compiling, or reading what was compiled before"):
+    with stage("compiling depth of all views, or reading what was compiled before"):
         program = compiled(depth_of_views, light_field, result, every)
     start = time.perf_counter()
     with stage("estimating depth of all views"):

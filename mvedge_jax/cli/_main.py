@@ -7,13 +7,13 @@ import sys
 import traceback
 import warnings
 from collections.abc import Callable, Sequence
-from importlib.metadata import version
 from typing import Any
 
 import cv2
 import tyro
 
 from mvedge._help import COMMANDS, list_commands, tolerate_locales
+from mvedge._version import package_version
 from mvedge_jax._cache import compilation_cache
 
 from ._common import note, printable, warn
@@ -38,7 +38,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     words = list(sys.argv[1:] if arguments is None else arguments)
     tolerate_locales()
     if words == ["--version"]:
-        note(f"mvedge {version('mvedge_jax')}")
+        note(f"mvedge {package_version()}")
         return 0
     debug = "--debug" in words
     words = [word for word in words if word != "--debug"]

@@ -8,11 +8,12 @@ import re
 import shutil
 import tempfile
 from collections.abc import Iterator, Sequence
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 from filelock import FileLock, Timeout
+
+from mvedge._version import package_version
 
 from ._common import warn
 from ._interruption import GUARD, unfinished
@@ -194,7 +195,7 @@ def _contents(folder: Path) -> set[str]:
 def _mark(folder: Path) -> None:
     record = {
         "program": "mvedge_jax",
-        "version": version("mvedge_jax"),
+        "version": package_version(),
         "written": sorted(_contents(folder) | {MARKER}),
     }
     (folder / MARKER).write_text(json.dumps(record, indent=1), encoding="utf-8")

@@ -85,7 +85,7 @@ def superpixels(
         model = SuperpixelClustering.for_depths(depths, choices={"size": size})
         room = max(model.capacity, int(4 * height * width / size**2))
         model = model.replace(capacity=min(room, 32000))
-        with stage("compiling, or reading what was compiled before"):
+        with stage("compiling superpixels, or reading what was compiled before"):
             program = compiled(cut, blind, depths, model)
         with stage("cutting"):
             found = jax.block_until_ready(program(blind, depths, model))

@@ -3,6 +3,8 @@
 Rooms: `synthetic` (rendered scenes), `photographs` (posed photographs), `exchange` (other tools).
 """
 
+from mvedge_jax._export import register
+
 from . import synthetic as synthetic
 from ._columns import columns_of as columns_of
 from ._convention import ConventionCheck as ConventionCheck, check_convention as check_convention
@@ -16,3 +18,5 @@ from ._open import open_source as open_source
 from ._pfm import read_pfm as read_pfm, write_pfm as write_pfm
 from ._stanford import CameraSpacing as CameraSpacing, camera_spacing as camera_spacing
 from ._write_hci import write_hci as write_hci
+
+register(__name__)

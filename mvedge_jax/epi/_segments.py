@@ -7,7 +7,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
-from scipy.optimize import linear_sum_assignment
 
 from mvedge_jax._params import accepts_numpy
 
@@ -196,6 +195,9 @@ _jitted = jax.jit(_relations, static_argnames="views")
 
 def _matched(weights: np.ndarray) -> np.ndarray:
     """The column of each row in the matching of largest weight; -1 where there is none."""
+    # Of SciPy's optimisation, which takes long to import, nothing else is needed.
+    from scipy.optimize import linear_sum_assignment
+
     rows, columns = linear_sum_assignment(weights, maximize=True)
     found = np.full(len(weights), -1)
     good = weights[rows, columns] > 0

@@ -3,6 +3,8 @@
 Rooms: `terms` (the summands), `features` (what views are compared in).
 """
 
+from mvedge_jax._export import register
+
 from ._losses import (
     LossTerms as LossTerms,
     LossWeights as LossWeights,
@@ -16,3 +18,5 @@ from ._views import (
     all_views as all_views,
     gather_views as gather_views,
 )
+
+register(__name__)

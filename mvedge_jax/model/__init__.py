@@ -4,6 +4,8 @@ Rooms: `objectives` (what is minimised), `optimisation` (the loop, its state, gr
 `approaches` (from the views: by evidence, by reprojection), `codec` (a map as its edges, 8.1.1).
 """
 
+from mvedge_jax._export import register
+
 from ._fit_edges import SupervisedFit as SupervisedFit, fit_edges as fit_edges
 from ._model import (
     DepthModel as DepthModel,
@@ -18,3 +20,5 @@ from ._start import (
     start_from_depth as start_from_depth,
     start_from_image as start_from_image,
 )
+
+register(__name__)

@@ -4,6 +4,8 @@ Rooms: `sparse` (the thesis' own method: points, diffused and optimised), `objec
 `cloud` (surfaces as points), `scores` (errors in depth).
 """
 
+from mvedge_jax._export import register
+
 from ._model import StereoDepth as StereoDepth
 from ._photographs import Photographs as Photographs, projections as projections
 from ._reference import Reference as Reference, reference_of as reference_of
@@ -14,3 +16,5 @@ from ._stereo import (
     posed_sweep as posed_sweep,
     stereo as stereo,
 )
+
+register(__name__)

@@ -1,14 +1,19 @@
 """What a user of the command line meets: help, exit codes, the cache."""
 
+import io
+import json
 import os
 import subprocess
 import sys
 import warnings
+from importlib.metadata import PackageNotFoundError
 
 import pytest
+from rich.console import Console
 
 import mvedge_jax
-from mvedge_jax.cli import _main
+from mvedge import _version
+from mvedge_jax.cli import _common, _main, _output
 
 
 def _fail_with(error):
@@ -126,6 +131,36 @@ def test_versions(capsys):
     assert mvedge_jax.plotting.plot_edges.__module__.startswith("mvedge_jax.plotting")
     with pytest.raises(AttributeError, match="has no attribute 'ploting'"):
         _ = mvedge_jax.ploting
+
+
+def test_sources_run_without_an_installation(monkeypatch, capsys, tmp_path):
+    def missing(name):
+        raise PackageNotFoundError(name)
+
+    monkeypatch.setattr(_version, "version", missing)
+    assert mvedge_jax.__version__ == "unknown (not installed)"
+    assert _main.main(["--version"]) == 0
+    assert capsys.readouterr().out == "mvedge unknown (not installed)\n"
+    with _output.output_folder(tmp_path / "out", inputs=[]):
+        pass
+    record = json.loads((tmp_path / "out" / _output.MARKER).read_text())
+    assert record["version"] == "unknown (not installed)"
+
+
+def test_a_stage_tells_a_terminal_how_long_it_has_taken(monkeypatch):
+    said, now = io.StringIO(), iter([0.0, *([12.4] * 1000)])
+    monkeypatch.setattr(_common.time, "perf_counter", lambda: next(now))
+    for terminal in (True, False):
+        console = Console(file=said, force_terminal=terminal, width=80, color_system=None)
+        monkeypatch.setattr(_common, "_PROGRESS", console)
+        now = iter([0.0, *([12.4] * 1000)])
+        with _common.stage("compiling depth"):
+            pass
+        found = said.getvalue()
+        assert ("compiling depth (12 s)" in found) == terminal
+        assert "done compiling depth (12.4 s)" in found
+        said.seek(0)
+        said.truncate()
 
 
 def test_libraries_warn_in_one_line(monkeypatch, capsys):

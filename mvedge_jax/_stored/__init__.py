@@ -1,0 +1,5 @@
+"""Compiled programs in files, so that a later process neither traces nor compiles them."""
+
+from ._files import ProgramFiles as ProgramFiles, in_use as in_use, use as use
+from ._key import kind_of as kind_of, replaced_name as replaced_name
+from ._program import Program as Program, obtain as obtain

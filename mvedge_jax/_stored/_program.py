@@ -1,0 +1,188 @@
+"""A program that was compiled ahead, or read from a file."""
+
+import enum
+import functools
+import pickle
+import threading
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.monitoring
+from jax.experimental import serialize_executable
+from jax.extend.core import ClosedJaxpr, Jaxpr
+
+from ._files import ProgramFiles
+from ._key import NoKey, described, program_key
+
+# Seconds of tracing and compiling that are worth a file, as for JAX's own cache.
+_WORTH = 0.3
+
+
+class _Place(enum.Enum):
+    """Stands for an array in what a program returns."""
+
+    ARRAY = 0
+
+
+class Program:
+    """A compiled program for arguments of one kind.
+
+    Args:
+        executable: maps the list of arrays among the arguments to that of the results.
+        results: what the function returns, with `_Place.ARRAY` for every array.
+    """
+
+    def __init__(self, executable: jax.stages.Compiled, results: Any):
+        self._executable = executable
+        self._leaves, self._structure = jax.tree.flatten(results)
+
+    def __call__(self, arguments: Any) -> Any:
+        """Runs it on arguments of the kind that it is for."""
+        arrays = iter(self._executable(_arrays(arguments)))
+        return self._structure.unflatten(
+            next(arrays) if leaf is _Place.ARRAY else leaf for leaf in self._leaves
+        )
+
+
+def obtain(
+    function: Callable[..., Any],
+    original: Callable[..., Any],
+    arguments: Any,
+    asked: dict[str, Any],
+    files: ProgramFiles,
+) -> Program | None:
+    """Reads a program from its file, or compiles it and writes the file.
+
+    Args:
+        function: to compile; what is no array among its arguments and results is static.
+        original: does the same, and is a function of a module.
+        arguments: positional ones and those by name.
+        asked: compiler options.
+        files: where programs are kept.
+
+    Returns:
+        The program; None if it can't be kept in a file, as it calls back to Python, or depends on
+        something that has no name beyond this process.
+    """
+    key = _key(original, arguments, asked)
+    if key is None:
+        return None
+    data = files.read(key)
+    if data is not None:
+        try:
+            return _loaded(data, len(_arrays(arguments)))
+        except Exception:  # whatever a file from an account's own past may hold
+            files.drop(key)
+    _listen()
+    start, before = time.perf_counter(), (_counts.requests, _counts.hits)
+    compiled = _compiled(function, arguments, asked)
+    if compiled is None:
+        return None
+    executable, results = compiled
+    if time.perf_counter() - start >= _WORTH and _copyable(*before):
+        data = _dumped(executable, results)
+        # Nothing that the program depends on may have changed while it was traced.
+        if data is not None and key == _key(original, arguments, asked):
+            files.write(key, data)
+    return Program(executable, results)
+
+
+class _Counts(threading.local):
+    """How often JAX asked its own cache, and found a program there, in each thread."""
+
+    requests = 0
+    hits = 0
+
+
+_counts = _Counts()
+
+
+@functools.cache
+def _listen() -> None:
+    """Counts from now on. For good: JAX may call listeners while another thread removes one."""
+
+    def count(event: str, **_: Any) -> None:
+        _counts.requests += event == "/jax/compilation_cache/compile_requests_use_cache"
+        _counts.hits += event == "/jax/compilation_cache/cache_hits"
+
+    jax.monitoring.register_event_listener(count)
+
+
+def _copyable(requests: int, hits: int) -> bool:
+    """Whether the compiler ran since the counts were these.
+
+    What JAX reads from its own cache can't be written again: the copy lacks functions, which shows
+    when it is called.
+    """
+    if jax.config.values.get("jax_compilation_cache_dir") is None:
+        return True
+    return _counts.requests > requests and _counts.hits == hits
+
+
+def _key(function: Callable[..., Any], arguments: Any, asked: dict[str, Any]) -> str | None:
+    try:
+        return program_key(function, arguments, asked)
+    except NoKey:
+        return None
+
+
+def _compiled(
+    function: Callable[..., Any], arguments: Any, asked: dict[str, Any]
+) -> tuple[jax.stages.Compiled, Any] | None:
+    """The executable and the structure of its results; None if it calls back to Python."""
+    leaves, structure = jax.tree.flatten(arguments)
+    results: Any = None
+
+    def flat(arrays: list[Any]) -> list[Any]:
+        nonlocal results
+        given = iter(arrays)
+        filled = (next(given) if eqx.is_array(leaf) else leaf for leaf in leaves)
+        positional, named = structure.unflatten(filled)
+        found = function(*positional, **named)
+        results = jax.tree.map(lambda x: _Place.ARRAY if eqx.is_array(x) else x, found)
+        return _arrays(found)
+
+    flat.__name__ = function.__name__
+    traced = jax.jit(flat, compiler_options=asked).trace(_arrays(arguments))
+    if traced.jaxpr.effects or any("callback" in name for name in _primitives(traced.jaxpr.jaxpr)):
+        return None
+    return traced.lower().compile(), results
+
+
+def _arrays(tree: Any) -> list[Any]:
+    return [leaf for leaf in jax.tree.leaves(tree) if eqx.is_array(leaf)]
+
+
+def _primitives(program: Jaxpr) -> Iterator[str]:
+    """Names of all primitives, those of inner programs included."""
+    for equation in program.eqns:
+        yield equation.primitive.name
+        for value in jax.tree.leaves(list(equation.params.values())):
+            if isinstance(value, ClosedJaxpr):
+                yield from _primitives(value.jaxpr)
+            elif isinstance(value, Jaxpr):
+                yield from _primitives(value)
+
+
+def _dumped(executable: jax.stages.Compiled, results: Any) -> bytes | None:
+    """Bytes of a program, if it has any."""
+    try:
+        described(results)
+        data, *_ = serialize_executable.serialize(executable)
+        return pickle.dumps((data, results))
+    except (NoKey, ValueError, NotImplementedError, TypeError, AttributeError, pickle.PickleError):
+        return None  # constants beside the program, or a device without serialisation
+    except jax.errors.JaxRuntimeError:
+        return None
+
+
+def _loaded(data: bytes, count: int) -> Program:
+    executable, results = pickle.loads(data)
+    given = jax.tree.structure((([0] * count,), {}))
+    arrays = sum(leaf is _Place.ARRAY for leaf in jax.tree.leaves(results))
+    returned = jax.tree.structure([0] * arrays)
+    load = serialize_executable.deserialize_and_load
+    return Program(load(executable, given, returned, None, jax.devices()[:1]), results)
