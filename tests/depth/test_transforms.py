@@ -1,5 +1,8 @@
 """What the page on gradients says about transforms: each of them traces, with these shapes."""
 
+import subprocess
+import sys
+
 import equinox as eqx
 import jax
 import jax.flatten_util
@@ -84,3 +87,44 @@ def test_vmap_over_light_fields_equals_the_loop(model):
     many = jax.jit(jax.vmap(one))(views)
     np.testing.assert_allclose(many, jnp.stack([one(v) for v in views]), atol=1e-8)
     assert float(jnp.abs(many[0] - many[1]).max()) > 1e-6
+
+
+SHARDED = """
+import jax
+import jax.numpy as jnp
+
+jax.config.update("jax_num_cpu_devices", 2)
+from jax.sharding import PartitionSpec as P
+
+from mvedge_jax import EdgeDepth
+from mvedge_jax.datasets import synthetic
+
+scene = synthetic.scene("edges")
+field = synthetic.render(scene, shape=(3, 3, 24, 24), key=jax.random.key(0)).bare()
+model = EdgeDepth.for_light_field(field)
+
+
+def one(stiffness):
+    return model.replace({"refine.stiffness": stiffness})(field).disparity
+
+
+def maps(stiffness):
+    return jax.lax.map(one, stiffness)
+
+
+mesh = jax.make_mesh((2,), ("settings",))
+split = P("settings")
+spread = jax.shard_map(maps, mesh=mesh, in_specs=split, out_specs=split, check_vma=False)
+values = jnp.asarray([0.5, 5.0, 50.0, 500.0])
+found = jax.jit(spread)(jax.device_put(values, jax.NamedSharding(mesh, split)))
+assert len(found.sharding.device_set) == 2
+in_turn = jnp.stack([one(value) for value in values])
+assert float(abs(in_turn[0] - in_turn[-1]).max()) > 0.1
+print(float(abs(found - in_turn).max()))
+"""
+
+
+def test_settings_spread_over_devices_are_those_in_turn():
+    ran = subprocess.run([sys.executable, "-c", SHARDED], capture_output=True, text=True)
+    assert ran.returncode == 0, ran.stderr
+    assert float(ran.stdout) < 1e-3  # px; rounding, where a median chooses
