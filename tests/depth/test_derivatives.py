@@ -89,7 +89,8 @@ def test_every_leaf(name, side, preset):
 def test_every_leaf_of_the_thesis(name, interpolate):
     """With the disparity of the winning filter, which no blur moves, and one between filters."""
     lines = {"edges.lines.capacity": 64, "edges.lines.interpolate": interpolate}
-    _check(name, 40, "thesis", unread=set() if interpolate else {"edges.lines.smoothing"}, **lines)
+    unread = frozenset() if interpolate else frozenset({"edges.lines.smoothing"})
+    _check(name, 40, "thesis", unread=unread, **lines)
 
 
 @pytest.mark.slow
