@@ -133,8 +133,22 @@ ITEMS = (
         "secants",
         "secants.py",
         None,
-        "--scenes edges demo",
+        "--preset full",
         "Do derivatives mean something?",
+    ),
+    Item(
+        "secants_edges",
+        "secants.py",
+        None,
+        "--preset edges",
+        "Do derivatives of the edges' chain mean something?",
+    ),
+    Item(
+        "taps_and_chance",
+        "taps_and_chance.py",
+        None,
+        "",
+        "Do learned filters do better than random ones?",
     ),
     Item(
         "learn_parameters",

@@ -29,6 +29,8 @@ UNREAD = {
     },
 }
 PRESETS = tuple(UNREAD)
+# Labels on whole pixels: an offset only says on which.
+UNREAD["thesis"] = UNREAD["edges"] | {"sides.vote.offset"}
 
 # Bounds, and what only noise, dark scenes or uneven gains ask for.
 SOMETIMES = {
@@ -53,7 +55,7 @@ def _problem(name, size, preset, *, dtype: type = np.float64, **choices):
 
     def loss(tree):
         model, views = tree
-        found = model(eqx.tree_at(lambda f: f.views, blind, views))
+        found = model(eqx.tree_at(lambda f: f.views, blind, views), key=jax.random.key(0))
         # Relative to what the views tell: errors reach the width of the range.
         error = jnp.mean(jnp.cos(phase) * jnp.log(found.error))
         return jnp.mean(jnp.sin(3 * found.disparity + phase)) + 0.1 * error
@@ -61,10 +63,10 @@ def _problem(name, size, preset, *, dtype: type = np.float64, **choices):
     return loss, model, blind.views
 
 
-def _check(name, size, preset, *, directions=2, **choices):
+def _check(name, size, preset, *, directions=2, unread=frozenset(), **choices):
     loss, model, views = _problem(name, size, preset, **choices)
     thresholds = {row.path for row in describe(model) if row.threshold}
-    zero = thresholds | UNREAD[preset]
+    zero = thresholds | UNREAD[preset] | unread
     check_rows(loss, model, views, zero, directions=directions, sometimes=SOMETIMES)
 
 
@@ -79,6 +81,18 @@ CASES = [(name, side) for name in ("edges", "demo") for side in (40, 64, 96)]
 )
 def test_every_leaf(name, side, preset):
     _check(name, side, preset)
+
+
+# In `edges` two lines tie where disparities are those of the winning filters.
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "interpolate"), [("demo", False), ("edges", True), ("demo", True)]
+)
+def test_every_leaf_of_the_thesis(name, interpolate):
+    """With the disparity of the winning filter, which no blur moves, and one between filters."""
+    lines = {"edges.lines.capacity": 64, "edges.lines.interpolate": interpolate}
+    unread = frozenset() if interpolate else frozenset({"edges.lines.smoothing"})
+    _check(name, 40, "thesis", unread=unread, **lines)
 
 
 @pytest.mark.slow
