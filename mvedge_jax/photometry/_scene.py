@@ -15,7 +15,7 @@ from mvedge_jax.lightfield import LightField
 
 from .brightness._brightness import Brightness, NoiseModel
 from .brightness._denoise import denoised, low_pass, soften
-from .brightness._exposure import Exposure, exposed_arms, exposure_along, rough_exposure
+from .brightness._exposure import Exposure, expose, exposed_arms, exposure_along, rough_exposure
 from .brightness._noise import Noise, measure_noise
 from .brightness._unlit import lit
 from .matching._cost import Matching, hypotheses
@@ -209,9 +209,8 @@ def measuring_in(
 
 def _whole_grid(scene: CalibratedViews, every: LightField, sigma: Float[Array, ""]) -> Grid:
     """All views as `prepare_views` has those of the crosshair."""
-    factor = scene.exposure.scale / scene.exposure.gain.reshape(-1)
-    views = every.views.reshape(-1, *every.views.shape[2:])
-    planes = jnp.moveaxis(views, -1, 1) * factor[:, None, None, None]
+    even = expose(every, scene.exposure).views
+    planes = jnp.moveaxis(even.reshape(-1, *even.shape[2:]), -1, 1)
     soft = soften(planes, scene.noise, sigma)
     return grid_of(soft, every.steps.reshape(-1, 2), every.available.reshape(-1))
 
@@ -244,20 +243,21 @@ def recentred(
         [0.0, 1.0, 2.0, 3.0, 4.0]
     """
     v, u = view.astype(jnp.int32)
-    factor = exposure.scale / exposure.gain
+    shape = light_field.views.shape[2:4]
 
-    def arm(views: Array, gains: Array, there: Array, own: Array, at: Array | None) -> Arm:
+    def arm(views: Array, factors: Array, there: Array, own: Array, at: Array | None) -> Arm:
         count = views.shape[0]
         # An arm has its centre in the middle; the order of the other views does not matter.
         order = (jnp.arange(count, dtype=jnp.int32) - count // 2 + own) % count
-        planes = jnp.moveaxis(views[order] * gains[order][:, None, None, None], -1, 1)
+        planes = jnp.moveaxis((views * factors[..., None])[order], -1, 1)
         steps = own - order if at is None else at[own] - at[order]
         return Arm(planes, steps.astype(views.dtype), there[order])
 
     places, there = light_field.positions, light_field.available
     columns, rows = (None, None) if places is None else (places[v, :, 0], places[:, u, 1])
-    across = arm(light_field.views[v], factor[v], there[v], u, columns)
-    down = arm(light_field.views[:, u], factor[:, u], there[:, u], v, rows)
+    column = slice(None), u
+    across = arm(light_field.views[v], exposure.factors(v, shape), there[v], u, columns)
+    down = arm(light_field.views[column], exposure.factors(column, shape), there[:, u], v, rows)
     down = down._replace(planes=jnp.swapaxes(down.planes, -1, -2))
     return _guided((across, down), exposure, noise, params)
 
