@@ -12,7 +12,7 @@ from mvedge_jax.image import gaussian_taps
 
 from .._places import Projection, Shift
 from ._brightness import Brightness
-from ._vignette import SIZE, basis_at, falloff, falloff_at, vignettes
+from ._vignette import SIZE, basis_at, basis_of_blocks, falloff, falloff_at, vignettes
 
 
 class Ratios(NamedTuple):
@@ -124,9 +124,8 @@ def rough_ratios(
     of_own = cells[own][None]
     known = _shown(of_own, 0.95) & (cells > 0) & (cells < 0.95) & there[:, None]
     logs = _logs(cells, of_own, known)
-    y, x = ((jnp.arange(n, dtype=means.dtype) + 0.5) * (block * cell) - 0.5 for n in (down, across))
-    basis = basis_at(jnp.repeat(y, across), jnp.tile(x, down), shape)
-    basis = jnp.broadcast_to(basis[None], (means.shape[0], *basis.shape))
+    basis = jnp.asarray(basis_of_blocks(shape, block * cell), means.dtype)[None]
+    basis = jnp.broadcast_to(basis, (means.shape[0], *basis.shape[1:]))
     known = known.astype(logs.dtype)
     vignette = vignettes(logs, known, basis, params, least=params.vignette_rough)
     even = means * falloff(vignette, shape, block=block)

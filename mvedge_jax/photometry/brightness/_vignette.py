@@ -13,6 +13,7 @@ from ._brightness import Brightness
 
 # Polynomials per axis: of degree 0 to 3.
 SIZE = 4
+_NORMS = np.sqrt(2 * np.arange(SIZE) + 1)
 _ORDERS = np.maximum.outer(np.arange(SIZE), np.arange(SIZE))
 # Which products of polynomials are of order 1, 2 and 3.
 _MEMBERS = np.stack([order == _ORDERS for order in range(1, SIZE)])
@@ -25,20 +26,18 @@ class _Fit(NamedTuple):
     variance: Float[Array, " s"]
 
 
-def polynomials(places: Float[Array, "*p"], size: int) -> Float[Array, "*p 4"]:
-    """Legendre polynomials of degree 0 to 3, each of mean square 1 over the frame.
+def _polynomials(size: int, block: int) -> np.ndarray:
+    """Legendre polynomials of degree 0 to 3, each of mean square 1, at blocks along an axis.
 
     Args:
-        places: along an axis of a view, px; 0 is the center of the first pixel.
         size: pixels along that axis.
+        block: pixels of a block.
 
     Returns:
-        One value per place and degree.
+        One value per block and degree.
     """
-    t = (2 * places + 1) / size - 1
-    square = t * t
-    values = [jnp.ones_like(t), t, 1.5 * square - 0.5, (2.5 * square - 1.5) * t]
-    return jnp.stack([(2 * k + 1) ** 0.5 * value for k, value in enumerate(values)], axis=-1)
+    places = (np.arange(size // block) + 0.5) * block
+    return np.polynomial.legendre.legvander(2 * places / size - 1, SIZE - 1) * _NORMS
 
 
 def falloff(
@@ -54,10 +53,7 @@ def falloff(
     Returns:
         One factor per block. Differentiable.
     """
-    dtype = coefficients.dtype
-    down, across = (
-        polynomials((jnp.arange(n // block, dtype=dtype) + 0.5) * block - 0.5, n) for n in shape
-    )
+    down, across = (jnp.asarray(_polynomials(n, block), coefficients.dtype) for n in shape)
     logs = jnp.einsum("...kl,yk,xl->...yx", coefficients, down, across, precision=FULL)
     return jnp.exp(-logs)
 
@@ -70,13 +66,23 @@ def falloff_at(
     return jnp.exp(-jnp.einsum("snk,sk->sn", basis, flat, precision=FULL))
 
 
+def basis_of_blocks(shape: tuple[int, ...], block: int) -> np.ndarray:
+    """Products of polynomials at the centers of the blocks of a frame, `[n, 16]`."""
+    down, across = (_polynomials(n, block) for n in shape)
+    return np.einsum("yk,xl->yxkl", down, across).reshape(-1, SIZE**2)
+
+
 def basis_at(
-    y: Float[Array, "*p"], x: Float[Array, "*p"], shape: tuple[int, ...]
+    y: Float[Array, "*p"], x: Float[Array, "*p"], shape: tuple[int, int]
 ) -> Float[Array, "*p 16"]:
-    """Products of polynomials at places of a view; those outside of the frame are moved in."""
+    """Products of polynomials at places of a view, px; those outside of the frame are moved in."""
     height, width = shape
-    down = polynomials(jnp.clip(y, 0, height - 1), height)
-    across = polynomials(jnp.clip(x, 0, width - 1), width)
+    t = jnp.stack([(2 * y + 1) / height - 1, (2 * x + 1) / width - 1])
+    t = jnp.clip(t, -1, 1)
+    square = t * t
+    values = [jnp.ones_like(t), t, 1.5 * square - 0.5, (2.5 * square - 1.5) * t]
+    values = [norm * value for norm, value in zip(_NORMS.tolist(), values, strict=True)]
+    down, across = jnp.stack(values, axis=-1)
     return (down[..., :, None] * across[..., None, :]).reshape(*y.shape, SIZE**2)
 
 
