@@ -28,7 +28,7 @@ def problems(result: "DepthResult") -> tuple[str, ...]:
     return tuple(found)
 
 
-def _vignette_doubts(exposure: Any, *, most: float = 0.15) -> list[str]:
+def _vignette_doubts(exposure: Any, *, most: float = 0.3) -> list[str]:
     """Vignettes that differ a lot were taken out; what the lens of the centre view does was not."""
     uneven = np.asarray(exposure.unevenness)
     if not (uneven > most).any():

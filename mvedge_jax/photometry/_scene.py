@@ -5,6 +5,7 @@ import math
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
+from jax import lax
 from jaxtyping import Array, Float, Int
 
 from mvedge_jax._crosshair import Arm, crosshair
@@ -111,8 +112,8 @@ def prepare(
 ) -> CalibratedViews:
     """Measures exposure, gains and noise, and finds the first map.
 
-    Gains are measured twice: roughly, and again along the first map, when it is known what shows
-    the same.
+    Gains and vignettes are measured twice: roughly, and again along the first map, when it is known
+    what shows the same. If there are vignettes, the map is searched, and both are measured, again.
 
     Args:
         light_field: the crosshair of views is read.
@@ -143,11 +144,27 @@ def prepare(
         soft = low_pass(arms, noise, sigma).arms
         return hypotheses(*soft, lab, disparities, params, noise=noise, window=window)
 
-    first = searched(arms, scene.lab, noise, params)
-    exposure = exposure_along(light_field, exposure.scale, first, every=every, params=brightness)
-    return scene._replace(
-        arms=exposed_arms(own, exposure), exposure=exposure, first=first, lit=lit(own, brightness)
-    )
+    def tinted(exposure: Exposure) -> CalibratedViews:
+        """With the guide as bright as the centre view is in the end."""
+        factor = exposure.factors(light_field.centre, scene.guide.shape[1:]) / exposure.scale
+        guide = scene.guide * factor[None]
+        lab = jnp.moveaxis(srgb_to_lab(jnp.moveaxis(guide, 0, -1)), -1, 0)
+        arms = exposed_arms(own, exposure)
+        return scene._replace(arms=arms, exposure=exposure, guide=guide, lab=lab)
+
+    def measured(state: tuple[Exposure, Array]) -> tuple[Exposure, Array]:
+        here = tinted(state[0])
+        first = searched(here.arms, here.lab, noise, params)
+        scale = here.exposure.scale
+        return exposure_along(light_field, scale, first, every=every, params=brightness), first
+
+    def again(state: tuple[Exposure, Array], start: Array) -> tuple[tuple[Exposure, Array], None]:
+        return lax.cond(start | state[0].uneven, measured, lambda state: state, state), None
+
+    # A loop, so that the search is traced once; without vignettes it is left out the second time.
+    start = exposure, jnp.zeros_like(scene.guide[0])
+    (exposure, first), _ = lax.scan(again, start, jnp.asarray([True, False]))
+    return tinted(exposure)._replace(first=first, lit=lit(own, brightness))
 
 
 def prepare_views(

@@ -53,7 +53,7 @@ def test_a_good_map_says_nothing():
         ({"error": jnp.inf}, "no pixel was measured at all"),
         ({"error": 1.5}, "a standard error above 1.5 px, of a range of 2 px"),
         ({"disparity": -1.2}, "100 % of the pixels lie beyond the lowest disparity"),
-        ({"vignette": -0.2}, "brightness of view (2, 1) varies by 20 %"),
+        ({"vignette": -0.4}, "brightness of view (2, 1) varies by 40 %"),
         ({"disparity": 1.2}, "beyond the highest disparity that was tried, 1 px"),
         ({"sound": False, "disparity": jnp.nan}, "a parameter is NaN, infinite or negative"),
     ],

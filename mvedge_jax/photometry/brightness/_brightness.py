@@ -41,6 +41,9 @@ class Brightness(eqx.Module):
             frame by no more than this, as a standard deviation of logs, owes it to the scene and
             not to the lenses, as long as no disparity is known.
         vignette_prior: the same along a disparity map.
+        vignette_common: what the lenses of all views, the centre view's too, take away from the
+            center of the frame to its corners is 0 if its standard deviation over the frame is no
+            more than this.
         vignette_outlier: log ratio of brightness beyond which a place speaks against the vignette
             of all others less and less.
         black: brightness below which a pixel of the centre view is black.
@@ -58,6 +61,7 @@ class Brightness(eqx.Module):
     blur: Float[Array, ""] = number(2.0, "px")
     vignette_rough: Float[Array, ""] = number(0.016)
     vignette_prior: Float[Array, ""] = number(0.008)
+    vignette_common: Float[Array, ""] = number(0.05)
     vignette_outlier: Float[Array, ""] = number(0.03)
     black: Float[Array, ""] = number(0.5 / 255, "sRGB", threshold=True)
     dark: Float[Array, ""] = number(0.02, "sRGB", threshold=True)

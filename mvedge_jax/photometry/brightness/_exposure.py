@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from mvedge_jax._crosshair import Arm
 from mvedge_jax._params import cast
@@ -29,9 +29,12 @@ class Exposure(NamedTuple):
         vignette: how the log of that brightness varies over the frame of the view: coefficients
             `[v, u, i, j]` of the products of Legendre polynomials of degree `i` down and `j` across
             the frame, each of mean square 1; 0 where the views show no more of it than scenes do;
-            None for 0 everywhere. Only ratios to the centre view are seen: what its own lens takes
-            away towards the corners is left in all views. A pixel whose disparity moves it over
-            that by a few pixels changes a little from view to view, and steadily, like gloss.
+            None for 0 everywhere. Only ratios to the centre view are seen, so that its own
+            vignette shows in nothing but parallax: a pixel that its disparity moves outwards is
+            darker there. What all views, the centre view too, lose in proportion to the square of
+            the distance from the center of the frame is found along a disparity map, if surfaces
+            of different disparities lie side by side, and is part of their coefficients. The rest
+            of the centre view's own vignette stays in all views.
     """
 
     scale: Float[Array, ""]
@@ -40,11 +43,20 @@ class Exposure(NamedTuple):
 
     @property
     def unevenness(self) -> Float[Array, "v u"]:
-        """Standard deviation over the frame of the log of each vignette; 0 without any."""
+        """Standard deviation over the frame of the log of each vignette over the centre view's."""
         if self.vignette is None:
             return jnp.zeros_like(self.gain)
         # Of orthonormal polynomials.
-        return root(jnp.sum(self.vignette**2, axis=(-2, -1)))
+        rows, columns = self.gain.shape
+        own = self.vignette[rows // 2, columns // 2]
+        return root(jnp.sum((self.vignette - own[None, None]) ** 2, axis=(-2, -1)))
+
+    @property
+    def uneven(self) -> Bool[Array, ""]:
+        """Whether any view has a vignette."""
+        if self.vignette is None:
+            return jnp.asarray(False)
+        return jnp.any(self.vignette != 0)
 
     def factors(self, views: Any, shape: tuple[int, ...]) -> Float[Array, "*s y x"]:
         """What pixels are multiplied by to take exposure, gain and vignette out.

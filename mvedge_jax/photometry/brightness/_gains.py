@@ -7,12 +7,12 @@ from jax import lax
 from jaxtyping import Array, Bool, Float
 
 from mvedge_jax._params import cast
-from mvedge_jax._product import FULL
+from mvedge_jax._product import FULL, product
 from mvedge_jax.image import gaussian_taps
 
 from .._places import Projection, Shift
 from ._brightness import Brightness
-from ._vignette import SIZE, basis_at, basis_of_blocks, falloff, falloff_at, vignettes
+from ._vignette import SIZE, basis_at, basis_of_blocks, falloff, falloff_at, radial, vignettes
 
 
 class Ratios(NamedTuple):
@@ -206,8 +206,14 @@ def ratios_along(
         logs = _logs(jnp.mean(seen, axis=-1), jnp.mean(own, axis=-1)[None], usable)
         of_view = basis[0].reshape(count, -1, SIZE**2)
         weight = _flat(usable.astype(logs.dtype))
-        vignette = vignettes(_flat(logs), weight, of_view, params, least=params.vignette_prior)
+        flat = jnp.asarray(radial((height, width)).ravel(), seen.dtype)
+        moved = product(of_view - of_view[centre][None], flat)
+        vignette = vignettes(
+            _flat(logs), weight, of_view, params,
+            least=params.vignette_prior, moved=moved, shape=(height, width),
+        )  # fmt: skip
         seen = seen * falloff_at(vignette, of_view).reshape(*usable.shape, 1)
+        own = seen[centre]
     seen, known = seen.reshape(count, -1), known.reshape(count, -1)
     own = jnp.broadcast_to(own.reshape(1, -1), seen.shape)
     gain = _median(seen / jnp.where(known, own, 1), known)

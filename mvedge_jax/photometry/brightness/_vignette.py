@@ -20,10 +20,19 @@ _MEMBERS = np.stack([order == _ORDERS for order in range(1, SIZE)])
 
 
 class _Fit(NamedTuple):
-    """Coefficients of the log ratio of every view, and the variance of each of them."""
+    """Log ratios of the views.
+
+    Attributes:
+        coefficients: of every view.
+        variance: of each of them.
+        common: what multiplies `radial` in all views.
+        common_variance: of it.
+    """
 
     coefficients: Float[Array, "s 4 4"]
     variance: Float[Array, " s"]
+    common: Float[Array, ""]
+    common_variance: Float[Array, ""]
 
 
 def _polynomials(size: int, block: int) -> np.ndarray:
@@ -86,6 +95,17 @@ def basis_at(
     return (down[..., :, None] * across[..., None, :]).reshape(*y.shape, SIZE**2)
 
 
+def radial(shape: tuple[int, ...]) -> np.ndarray:
+    """Coefficients of the square of the distance from the center of the frame, 1 in its corners."""
+    down, across = (n**2 / sum(m**2 for m in shape) for n in shape)
+    found = np.zeros((SIZE, SIZE))
+    found[0, 0], found[2, 0], found[0, 2] = np.array([1, 2 * down, 2 * across]) / (
+        3,
+        *[3 * 5**0.5] * 2,
+    )
+    return found
+
+
 def vignettes(
     logs: Float[Array, "s n"],
     known: Float[Array, "s n"],
@@ -93,6 +113,8 @@ def vignettes(
     params: Brightness,
     *,
     least: Float[Array, ""],
+    moved: Float[Array, "s n"] | None = None,
+    shape: tuple[int, ...] = (1, 1),
 ) -> Float[Array, "s 4 4"]:
     """Robust fit of smooth log ratios, kept where they are no accident.
 
@@ -103,40 +125,65 @@ def vignettes(
         params: see `Brightness`.
         least: standard deviation of the log ratios over all views and the frame that scenes
             without vignettes have.
+        moved: what parallax adds to `radial` at each place: what a lens like the centre view's
+            does to the ratio there; None where no disparity is known.
+        shape: rows and columns of the views.
 
     Returns:
-        Coefficients, without the constant, which is the gain; exactly 0 where the ratios of all
+        Coefficients. The constant is the gain, and left out. Exactly 0 where the ratios of all
         views together are no more than a scene without vignettes has. Differentiable.
     """
-    return _earned(_fitted(logs, known, basis, params), least)
+    moved = jnp.zeros_like(logs) if moved is None else moved
+    fit = _fitted(logs, known, basis, moved, params)
+    # Twice its standard error.
+    chance = 4 * params.alike * fit.common_variance
+    strength = fit.common**2
+    share = jnp.maximum(strength - chance, 0) / jnp.where(strength > 0, strength, 1)
+    spread = float(np.sum(radial(shape).ravel()[1:] ** 2))
+    switch = jnp.clip(spread * strength / params.vignette_common**2 - 1, 0, 1)
+    common = switch * share * fit.common * jnp.asarray(radial(shape), logs.dtype)
+    return _earned(fit, least) + common[None]
 
 
-def _fitted(logs: Array, known: Array, basis: Array, params: Brightness) -> _Fit:
+def _fitted(logs: Array, known: Array, basis: Array, moved: Array, params: Brightness) -> _Fit:
     """Weighted least squares, reweighted while the scale of what is an outlier falls.
 
     Steps of gradient descent suffice, as the polynomials are orthonormal; they leave unknown parts
-    of the frame at what the known parts need least.
+    of the frame at what the known parts need least. What the polynomials explain of `moved` is
+    taken out of it alike, and what is left of both says what all views have in common.
     """
     count = logs.shape[1]
+    both = jnp.stack([logs, moved])
+    # Where polynomials explain all but a hundredth of `moved`, rounding would tell the rest.
+    ridge = 0.01 * jnp.sum(known * moved**2) + 1e-9
 
-    def weighted(flat: Array, scale: Array) -> tuple[Array, Array]:
-        residual = logs - jnp.einsum("snk,sk->sn", basis, flat, precision=FULL)
-        return residual, known / (1 + (residual / scale) ** 2) ** 2
+    def weighted(flat: Array, common: Array, scale: Array) -> tuple[Array, Array]:
+        rest = both - jnp.einsum("snk,tsk->tsn", basis, flat, precision=FULL)
+        residual = rest[0] - common * rest[1]
+        return rest, known / (1 + (residual / scale) ** 2) ** 2
 
-    def closer(flat: Array, scale: Array) -> tuple[Array, None]:
-        residual, weight = weighted(flat, scale)
-        step = jnp.einsum("sn,snk->sk", weight * residual, basis, precision=FULL)
-        return flat + step / count, None
+    def closer(state: tuple[Array, Array], scale: Array) -> tuple[tuple[Array, Array], None]:
+        flat, common = state
+        rest, weight = weighted(flat, common, scale)
+        step = jnp.einsum("tsn,snk->tsk", weight[None] * rest, basis, precision=FULL)
+        power = jnp.sum(weight * rest[1] ** 2)
+        common = jnp.sum(weight * rest[0] * rest[1]) / (power + ridge)
+        return (flat + step / count, common), None
 
     ladder = np.linspace(0, 1, params.vignette_steps)
     scales = params.vignette_outlier ** jnp.asarray(ladder, logs.dtype)
-    start = jnp.zeros((logs.shape[0], SIZE**2), logs.dtype)
-    flat, _ = lax.scan(closer, start, scales)
-    residual, weight = weighted(flat, scales[-1])
-    total = jnp.sum(weight, axis=1)
-    scatter = jnp.sum(weight * residual**2, axis=1) / jnp.where(total > 0, total, 1)
-    variance = scatter / jnp.maximum(total, 1)
-    return _Fit(flat.reshape(-1, SIZE, SIZE), variance)
+    start = jnp.zeros((2, logs.shape[0], SIZE**2), logs.dtype), jnp.zeros((), logs.dtype)
+    (flat, common), _ = lax.scan(closer, start, scales)
+    rest, weight = weighted(flat, common, scales[-1])
+    squares = weight * (rest[0] - common * rest[1]) ** 2
+    total, scatter = jnp.sum(weight, axis=1), jnp.sum(squares, axis=1)
+    of_all = jnp.sum(scatter) / jnp.maximum(jnp.sum(total), 1)
+    return _Fit(
+        (flat[0] - common * flat[1]).reshape(-1, SIZE, SIZE),
+        scatter / jnp.maximum(total, 1) ** 2,
+        common,
+        of_all / (jnp.sum(weight * rest[1] ** 2) + 0.1 * ridge),
+    )
 
 
 def _earned(fit: _Fit, least: Float[Array, ""]) -> Float[Array, "s 4 4"]:
