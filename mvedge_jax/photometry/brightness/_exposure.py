@@ -222,5 +222,7 @@ def exposure_along(
         smooth=True,
     )
     gain = jnp.ones((rows, columns), views.dtype).at[v, u].set(earned(found, params))
-    vignette = jnp.zeros((rows, columns, SIZE, SIZE), views.dtype).at[v, u].set(found.vignette)
+    # Views that were not asked for have what all have in common.
+    centre = found.vignette[places.index(own)][None, None]
+    vignette = jnp.broadcast_to(centre, (rows, columns, SIZE, SIZE)).at[v, u].set(found.vignette)
     return Exposure(scale, gain, vignette)
