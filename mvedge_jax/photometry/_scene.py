@@ -144,16 +144,8 @@ def prepare(
         soft = low_pass(arms, noise, sigma).arms
         return hypotheses(*soft, lab, disparities, params, noise=noise, window=window)
 
-    def tinted(exposure: Exposure) -> CalibratedViews:
-        """With the guide as bright as the centre view is in the end."""
-        factor = exposure.factors(light_field.centre, scene.guide.shape[1:]) / exposure.scale
-        guide = scene.guide * factor[None]
-        lab = jnp.moveaxis(srgb_to_lab(jnp.moveaxis(guide, 0, -1)), -1, 0)
-        arms = exposed_arms(own, exposure)
-        return scene._replace(arms=arms, exposure=exposure, guide=guide, lab=lab)
-
     def measured(state: tuple[Exposure, Array]) -> tuple[Exposure, Array]:
-        here = tinted(state[0])
+        here = _evened(scene, own, state[0])
         first = searched(here.arms, here.lab, noise, params)
         scale = here.exposure.scale
         return exposure_along(light_field, scale, first, every=every, params=brightness), first
@@ -164,7 +156,16 @@ def prepare(
     # A loop, so that the search is traced once; without vignettes it is left out the second time.
     start = exposure, jnp.zeros_like(scene.guide[0])
     (exposure, first), _ = lax.scan(again, start, jnp.asarray([True, False]))
-    return tinted(exposure)._replace(first=first, lit=lit(own, brightness))
+    return _evened(scene, own, exposure)._replace(first=first, lit=lit(own, brightness))
+
+
+def _evened(scene: CalibratedViews, own: tuple[Arm, Arm], exposure: Exposure) -> CalibratedViews:
+    """The scene after another exposure, the vignette of the centre view taken out of its guide."""
+    centre = own[1].centre, own[0].centre
+    factor = exposure.factors(centre, scene.guide.shape[1:]) / exposure.scale
+    guide = scene.guide * factor[None]
+    lab = jnp.moveaxis(srgb_to_lab(jnp.moveaxis(guide, 0, -1)), -1, 0)
+    return scene._replace(arms=exposed_arms(own, exposure), exposure=exposure, guide=guide, lab=lab)
 
 
 def prepare_views(

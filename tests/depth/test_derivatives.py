@@ -36,7 +36,7 @@ SOMETIMES = {
         f"calibration.brightness.{n}"
         for n in (
             *("bright", "brightest", "gain_prior", "alike", "blur"),
-            *("vignette_rough", "vignette_prior", "vignette_outlier"),
+            *("vignette_rough", "vignette_prior", "vignette_common", "vignette_outlier"),
         )
     ),
     *(f"calibration.brightness.noise.{n}" for n in ("single", "between", "finest", "excess")),
