@@ -199,7 +199,7 @@ def score_depth(folder: Path, light_field: LightField, result: DepthResult) -> d
 
 def _photometry(stats: DepthStats) -> dict[str, Any]:
     """What was taken out of the views, and the noise that was left."""
-    gain = np.asarray(stats.exposure.gain)
+    gain, uneven = np.asarray(stats.exposure.gain), np.asarray(stats.exposure.unevenness)
     row, column = (count // 2 for count in gain.shape)
     return {
         "noise of 255": 255 * float(stats.noise.deviation),
@@ -207,6 +207,8 @@ def _photometry(stats: DepthStats) -> dict[str, Any]:
         "brightened by": float(stats.exposure.scale),
         "gain of the centre row of views": gain[row].tolist(),
         "gain of the centre column of views": gain[:, column].tolist(),
+        "vignette of the centre row of views": uneven[row].tolist(),
+        "vignette of the centre column of views": uneven[:, column].tolist(),
     }
 
 

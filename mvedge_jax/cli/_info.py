@@ -13,7 +13,7 @@ from mvedge_jax.datasets import (
     open_source,
 )
 from mvedge_jax.lightfield import Camera, GroundTruth, LightField
-from mvedge_jax.photometry.brightness import rough_brightness
+from mvedge_jax.photometry.brightness import Exposure, rough_brightness
 
 from ._common import note, positions_of, stage, warn
 from ._source import read_scene
@@ -146,6 +146,13 @@ def _camera(camera: Camera | None, limits) -> str:
     return text + f", range {near:.3g} .. {far:.3g} m"
 
 
+def _unevenness(exposure: Exposure) -> str:
+    most = 100 * float(np.max(exposure.unevenness))
+    if not most:
+        return "none beyond the centre view's"
+    return f"up to {most:.1f} % (standard deviation) against the centre view's"
+
+
 def _photometry(light_field: LightField) -> list[tuple[str, str]]:
     exposure, noise = rough_brightness(light_field.bare())
     scale, gain = float(exposure.scale), np.asarray(exposure.gain)
@@ -154,6 +161,7 @@ def _photometry(light_field: LightField) -> list[tuple[str, str]]:
     return [
         ("brightness", "as it is" if scale == 1 else f"dark; raised {scale:.2f} times"),
         ("gain of the views", f"{cross.min():.3f} .. {cross.max():.3f} of the centre view's"),
+        ("vignette of the views", _unevenness(exposure)),
         ("noise", f"{255 * float(noise.deviation) / scale:.2f} of 255 at most"),
     ]
 

@@ -25,6 +25,9 @@ def render(
     samples: int = 3,
     seed: int = 0,
     textures: int | None = None,
+    vignette: float = 0.0,
+    vignette_shift: float = 0.05,
+    gain: float = 0.0,
     no_occlusions: bool = False,
     overwrite: bool = False,
 ) -> None:
@@ -41,13 +44,18 @@ def render(
         views: VIEWS x VIEWS views, an odd number.
         size: height and width in px.
         samples: rays per pixel along each side of a pixel.
-        seed: of the sensor's noise.
+        seed: of the sensor's noise, of vignettes and gains.
         textures: seed of another set of textures; the usual ones without it.
+        vignette: share of the brightness that is lost in the corners, 0 to 1.
+        vignette_shift: standard deviation of the vignette's center, another in every view, over the
+            shorter side of the views.
+        gain: standard deviation of the brightness of the views, relative.
         no_occlusions: leave visible_CamNNN.png out.
         overwrite: replace OUT if it is an earlier result of mvedge, with nothing else in it.
     """
     key = None if textures is None else jax.random.key(textures)
     scene = synthetic.scene(name, key=key)
+    scene = scene.through_lenses(vignette=vignette, vignette_shift=vignette_shift, gain=gain)
     shape = (views, views, *size)
     centre = (views // 2, views // 2)
     with output_folder(out, overwrite=overwrite) as folder, _progress() as bar:

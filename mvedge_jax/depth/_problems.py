@@ -19,12 +19,26 @@ def problems(result: "DepthResult") -> tuple[str, ...]:
             "a black view may be why: `datasets.find_dead_views` names it, and "
             "`LightField.without_views` leaves it out."
         )
+    found += _vignette_doubts(stats.exposure)
     if not int(stats.edges.valid):
         # A step between two plain surfaces may be a surface's end, and then fits any disparity.
         found.append("no edge was found: the views do not determine the map, whatever its error.")
     if int(stats.edges.overflow):
         found.append(f"{int(stats.edges.overflow)} weak edges found no slot and were left out.")
     return tuple(found)
+
+
+def _vignette_doubts(exposure: Any, *, most: float = 0.3) -> list[str]:
+    """Vignettes that differ a lot were taken out; what the lens of the centre view does was not."""
+    uneven = np.asarray(exposure.unevenness)
+    if not (uneven > most).any():
+        return []
+    v, u = np.unravel_index(np.argmax(uneven), uneven.shape)
+    return [
+        f"the vignettes of the views differ: the brightness of view ({v}, {u}) varies by "
+        f"{100 * uneven[v, u]:.0f} % (standard deviation) over the frame against the centre "
+        "view's; calibrate the views with pictures of a white wall."
+    ]
 
 
 def map_problems(

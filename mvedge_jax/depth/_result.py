@@ -23,7 +23,7 @@ class DepthStats(NamedTuple):
         iterations: of the two directional diffusions and of every map, in order.
         converged: whether every diffusion of maps, slopes and errors reached its tolerance.
         noise: of the views, in their units after `exposure` was taken out.
-        exposure: what was taken out of the views before they were compared.
+        exposure: what was taken out of the views before they were compared: `gain`, `vignette`.
         sound: whether all parameters were finite and none negative; if not, the map is NaN.
         searched: lowest and highest disparity that was tried, px per view step.
     """

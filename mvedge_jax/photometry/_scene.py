@@ -5,6 +5,7 @@ import math
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
+from jax import lax
 from jaxtyping import Array, Float, Int
 
 from mvedge_jax._crosshair import Arm, crosshair
@@ -15,7 +16,7 @@ from mvedge_jax.lightfield import LightField
 
 from .brightness._brightness import Brightness, NoiseModel
 from .brightness._denoise import denoised, low_pass, soften
-from .brightness._exposure import Exposure, exposed_arms, exposure_along, rough_exposure
+from .brightness._exposure import Exposure, expose, exposed_arms, exposure_along, rough_exposure
 from .brightness._noise import Noise, measure_noise
 from .brightness._unlit import lit
 from .matching._cost import Matching, hypotheses
@@ -111,8 +112,8 @@ def prepare(
 ) -> CalibratedViews:
     """Measures exposure, gains and noise, and finds the first map.
 
-    Gains are measured twice: roughly, and again along the first map, when it is known what shows
-    the same.
+    Gains and vignettes are measured twice: roughly, and again along the first map, when it is known
+    what shows the same. If there are vignettes, the map is searched, and both are measured, again.
 
     Args:
         light_field: the crosshair of views is read.
@@ -143,11 +144,28 @@ def prepare(
         soft = low_pass(arms, noise, sigma).arms
         return hypotheses(*soft, lab, disparities, params, noise=noise, window=window)
 
-    first = searched(arms, scene.lab, noise, params)
-    exposure = exposure_along(light_field, exposure.scale, first, every=every, params=brightness)
-    return scene._replace(
-        arms=exposed_arms(own, exposure), exposure=exposure, first=first, lit=lit(own, brightness)
-    )
+    def measured(state: tuple[Exposure, Array]) -> tuple[Exposure, Array]:
+        here = _evened(scene, own, state[0])
+        first = searched(here.arms, here.lab, noise, params)
+        scale = here.exposure.scale
+        return exposure_along(light_field, scale, first, every=every, params=brightness), first
+
+    def again(state: tuple[Exposure, Array], start: Array) -> tuple[tuple[Exposure, Array], None]:
+        return lax.cond(start | state[0].uneven, measured, lambda state: state, state), None
+
+    # A loop, so that the search is traced once; without vignettes it is left out the second time.
+    start = exposure, jnp.zeros_like(scene.guide[0])
+    (exposure, first), _ = lax.scan(again, start, jnp.asarray([True, False]))
+    return _evened(scene, own, exposure)._replace(first=first, lit=lit(own, brightness))
+
+
+def _evened(scene: CalibratedViews, own: tuple[Arm, Arm], exposure: Exposure) -> CalibratedViews:
+    """The scene after another exposure, the vignette of the centre view taken out of its guide."""
+    centre = own[1].centre, own[0].centre
+    factor = exposure.factors(centre, scene.guide.shape[1:]) / exposure.scale
+    guide = scene.guide * factor[None]
+    lab = jnp.moveaxis(srgb_to_lab(jnp.moveaxis(guide, 0, -1)), -1, 0)
+    return scene._replace(arms=exposed_arms(own, exposure), exposure=exposure, guide=guide, lab=lab)
 
 
 def prepare_views(
@@ -209,9 +227,8 @@ def measuring_in(
 
 def _whole_grid(scene: CalibratedViews, every: LightField, sigma: Float[Array, ""]) -> Grid:
     """All views as `prepare_views` has those of the crosshair."""
-    factor = scene.exposure.scale / scene.exposure.gain.reshape(-1)
-    views = every.views.reshape(-1, *every.views.shape[2:])
-    planes = jnp.moveaxis(views, -1, 1) * factor[:, None, None, None]
+    even = expose(every, scene.exposure).views
+    planes = jnp.moveaxis(even.reshape(-1, *even.shape[2:]), -1, 1)
     soft = soften(planes, scene.noise, sigma)
     return grid_of(soft, every.steps.reshape(-1, 2), every.available.reshape(-1))
 
@@ -244,20 +261,21 @@ def recentred(
         [0.0, 1.0, 2.0, 3.0, 4.0]
     """
     v, u = view.astype(jnp.int32)
-    factor = exposure.scale / exposure.gain
+    shape = light_field.views.shape[2:4]
 
-    def arm(views: Array, gains: Array, there: Array, own: Array, at: Array | None) -> Arm:
+    def arm(views: Array, factors: Array, there: Array, own: Array, at: Array | None) -> Arm:
         count = views.shape[0]
         # An arm has its centre in the middle; the order of the other views does not matter.
         order = (jnp.arange(count, dtype=jnp.int32) - count // 2 + own) % count
-        planes = jnp.moveaxis(views[order] * gains[order][:, None, None, None], -1, 1)
+        planes = jnp.moveaxis((views * factors[..., None])[order], -1, 1)
         steps = own - order if at is None else at[own] - at[order]
         return Arm(planes, steps.astype(views.dtype), there[order])
 
     places, there = light_field.positions, light_field.available
     columns, rows = (None, None) if places is None else (places[v, :, 0], places[:, u, 1])
-    across = arm(light_field.views[v], factor[v], there[v], u, columns)
-    down = arm(light_field.views[:, u], factor[:, u], there[:, u], v, rows)
+    column = slice(None), u
+    across = arm(light_field.views[v], exposure.factors(v, shape), there[v], u, columns)
+    down = arm(light_field.views[column], exposure.factors(column, shape), there[:, u], v, rows)
     down = down._replace(planes=jnp.swapaxes(down.planes, -1, -2))
     return _guided((across, down), exposure, noise, params)
 

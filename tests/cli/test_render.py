@@ -42,6 +42,19 @@ def test_writes_a_scene_that_loads(tmp_path, capsys):
     assert set(np.unique(truth.object_ids)) == {1, 2}
 
 
+def test_lenses_of_uneven_brightness_are_asked_for(tmp_path, capsys):
+    corners = []
+    for words in ((), ("--vignette", "0.4", "--gain", "0.02")):
+        assert run("crossing", tmp_path / "out", "--overwrite", "--no-occlusions", *words) == 0
+        views = np.asarray(load_light_field(tmp_path / "out").views)
+        corners.append(views[..., :6, :6, :].mean((2, 3, 4)))
+    ratio = corners[1] / corners[0]
+    assert 0.4 < ratio.mean() < 0.85
+    assert ratio.std() > 0.01
+    assert run("crossing", tmp_path / "out", "--overwrite", "--vignette", "2") == 2
+    assert "`vignette` must be between 0 and 1, got 2.0" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("error", [KeyboardInterrupt(), OSError("disk full"), RuntimeError("bug")])
 def test_leaves_nothing_half_written(monkeypatch, tmp_path, error):
     """Interrupted in the middle of writing, after some files are there."""

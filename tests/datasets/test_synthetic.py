@@ -336,6 +336,36 @@ def test_sensor_noise_has_the_stated_variance_and_its_own_draw_per_view():
     assert abs(np.corrcoef(noise.ravel(), np.asarray(other - clean).ravel())[0, 1]) < 0.05
 
 
+def test_lenses_of_uneven_brightness_are_another_in_every_view():
+    """Against the closed form: a paraboloid that is 1 at its own center."""
+    shape = (1, 3, *SMALL[2:])
+    clean = render(_grey(), shape=shape, samples=1, key=KEY).views
+    scene = _grey().through_lenses(vignette=0.4, vignette_shift=0.05, gain=0.02)
+    uneven, same, other = (
+        render(scene, shape=shape, samples=1, key=key).views
+        for key in (KEY, KEY, jax.random.key(1))
+    )
+    np.testing.assert_array_equal(uneven, same)
+    assert float(jnp.abs(other - uneven).max()) > 0.01
+    height, width = shape[2:]
+    y, x = np.mgrid[:height, :width] - (np.array([height, width]) - 1)[:, None, None] / 2
+    square = 4 * (x**2 + y**2) / ((height - 1) ** 2 + (width - 1) ** 2)
+    basis = np.stack([np.ones_like(square), x, y, square], axis=-1).reshape(-1, 4)
+    gains, centres = [], []
+    for view in np.asarray(uneven / clean)[0]:
+        fit, *_ = np.linalg.lstsq(basis, view[..., 0].ravel(), rcond=None)
+        np.testing.assert_allclose(basis @ fit, view[..., 0].ravel(), atol=1e-5)
+        gains.append(fit[0])
+        assert fit[3] / fit[0] == pytest.approx(-0.4, rel=0.03)
+        centres.append(fit[1:3] / fit[0])
+    assert 0.002 < np.std(gains) < 0.08
+    assert np.ptp(centres, axis=0).max() > 1e-3
+    plain = _grey().through_lenses(vignette=0.0, gain=0.0)
+    np.testing.assert_array_equal(render(plain, shape=shape, samples=1, key=KEY).views, clean)
+    with pytest.raises(ValueError, match="`vignette` must be between 0 and 1, got 1.5"):
+        _grey().through_lenses(vignette=1.5)
+
+
 def test_blur_has_the_stated_width():
     def linear(image):
         image = np.asarray(image, float)

@@ -36,7 +36,10 @@ UNREAD["thesis"] = UNREAD["edges"] | {"sides.vote.offset"}
 SOMETIMES = {
     *(
         f"calibration.brightness.{n}"
-        for n in ("bright", "brightest", "gain_prior", "alike", "blur")
+        for n in (
+            *("bright", "brightest", "gain_prior", "alike", "blur"),
+            *("vignette_rough", "vignette_prior", "vignette_common", "vignette_outlier"),
+        )
     ),
     *(f"calibration.brightness.noise.{n}" for n in ("single", "between", "finest", "excess")),
     *(f"calibration.matching.{n}" for n in ("least_noise", "pooling.length", "pooling.step")),

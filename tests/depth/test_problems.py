@@ -8,6 +8,7 @@ import pytest
 
 from mvedge_jax.depth import DepthResult, DepthStats
 from mvedge_jax.edges import EdgeStats
+from mvedge_jax.photometry.brightness import Exposure
 
 
 def _result(**changed) -> DepthResult:
@@ -22,7 +23,11 @@ def _result(**changed) -> DepthResult:
         iterations=jnp.asarray([1]),
         converged=jnp.asarray(changed.get("converged", True)),
         noise=unread,
-        exposure=unread,
+        exposure=Exposure(
+            jnp.ones(()),
+            jnp.ones((3, 3)),
+            jnp.zeros((3, 3, 4, 4)).at[2, 1, 1, 0].set(changed.get("vignette", 0.1)),
+        ),
         sound=jnp.asarray(changed.get("sound", True)),
         searched=jnp.asarray([-1.0, 1.0]),
     )
@@ -48,6 +53,7 @@ def test_a_good_map_says_nothing():
         ({"error": jnp.inf}, "no pixel was measured at all"),
         ({"error": 1.5}, "a standard error above 1.5 px, of a range of 2 px"),
         ({"disparity": -1.2}, "100 % of the pixels lie beyond the lowest disparity"),
+        ({"vignette": -0.4}, "brightness of view (2, 1) varies by 40 %"),
         ({"disparity": 1.2}, "beyond the highest disparity that was tried, 1 px"),
         ({"sound": False, "disparity": jnp.nan}, "a parameter is NaN, infinite or negative"),
     ],

@@ -148,6 +148,8 @@ def _wrong_words() -> Iterator[Case]:
         ("render", "nothing", "OUT"),
         ("render", "demo", "OUT", "--views", 4),
         ("render", "demo", "OUT", "--size", 0, 0),
+        ("render", "demo", "OUT", "--vignette", 2),
+        ("render", "demo", "OUT", "--vignette", 0.4, "--gain", "nan"),
         ("demo", "OUT", "--views", 1),
         ("demo", "OUT", "--size", 3, 3),
         ("info", "nowhere"),

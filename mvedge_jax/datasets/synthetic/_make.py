@@ -180,7 +180,7 @@ def make_scene(
     return Scene(
         world,
         Rig(number(focal), number(gain), number(focus)),
-        Sensor(number(blur), number(read_noise), number(shot_noise)),
+        Sensor(*map(number, (blur, read_noise, shot_noise, 0.0, 0.0, 0.0))),
         jnp.asarray(np.asarray([low, high], float), dtype),
         name,
     )

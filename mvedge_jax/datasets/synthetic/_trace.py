@@ -73,21 +73,32 @@ def _add_noise(image: Float[Array, "y x 3"], sensor: Sensor, key: PRNGKeyArray) 
     return image + deviation * jax.random.normal(key, image.shape, image.dtype)
 
 
+def _lens(size: tuple[int, int], sensor: Sensor, key: PRNGKeyArray) -> Float[Array, "y x"]:
+    """What a lens of its own leaves of the brightness of every pixel."""
+    dtype = sensor.vignette.dtype
+    down, across, gain = jax.random.normal(key, (3,), dtype)
+    shift = sensor.vignette_shift * min(size)
+    y, x = (
+        jnp.arange(n, dtype=dtype) - (n - 1) / 2 - shift * moved
+        for n, moved in zip(size, (down, across), strict=True)
+    )
+    corner = sum(((n - 1) / 2) ** 2 for n in size)
+    lost = sensor.vignette * (y[:, None] ** 2 + x[None] ** 2) / max(corner, 1)
+    return jnp.maximum(1 - lost, 0) * jnp.maximum(1 + sensor.gain * gain, 0)
+
+
 class Mode(NamedTuple):
     """What is compiled in; the rest of a scene is data."""
 
     size: tuple[int, int]
     samples: int
-    exposed: bool  # blur or noise
+    exposed: bool  # blur, noise, vignettes or gains
 
 
 def mode_of(scene: Scene, size: tuple[int, int], samples: int) -> Mode:
-    sensor = scene.sensor
-    return Mode(
-        size,
-        samples,
-        exposed=any(float(x) > 0 for x in (sensor.blur, sensor.read_noise, sensor.shot_noise)),
-    )
+    s = scene.sensor
+    changes = s.blur, s.read_noise, s.shot_noise, s.vignette, s.gain
+    return Mode(size, samples, exposed=any(float(x) > 0 for x in changes))
 
 
 @partial(jax.jit, static_argnames=("mode",))
@@ -160,8 +171,10 @@ def trace_view(
     image = jnp.stack([picture(colour[:, c]) for c in range(3)], axis=-1)
     ids = jnp.where(index < 0, 0, world.solids.object_id[jnp.maximum(index, 0)])
     if mode.exposed:
-        image = _encode(_blur(image, sensor.blur))
-        image = jnp.clip(_add_noise(image, sensor, jax.random.fold_in(key, view)), 0.0, 1.0)
+        own = jax.random.fold_in(key, view)
+        lens = _lens(mode.size, sensor, jax.random.fold_in(own, 1))
+        image = _encode(_blur(image, sensor.blur)) * lens[..., None]
+        image = jnp.clip(_add_noise(image, sensor, own), 0.0, 1.0)
     else:
         image = _encode(image)
     return image, depth, ids

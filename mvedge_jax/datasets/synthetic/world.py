@@ -1,9 +1,11 @@
 """What a synthetic scene is made of: solids with materials, a light, a camera rig, a sensor."""
 
+import dataclasses
 from dataclasses import dataclass, field
 from typing import Literal
 
 import equinox as eqx
+import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from mvedge_jax.lightfield import Camera
@@ -181,11 +183,19 @@ class Sensor(eqx.Module):
         blur: standard deviation of the optics' Gaussian blur, px, up to 3; 0 for none.
         read_noise: standard deviation of the noise in the dark, of sRGB in [0, 1].
         shot_noise: variance that is added per unit of sRGB.
+        vignette: share of the sRGB values that is lost in the corners, 0 to 1; what is lost grows
+            with the square of the distance from the vignette's center.
+        vignette_shift: standard deviation of that center, another in every view, over the shorter
+            side of the views.
+        gain: standard deviation of the brightness of the views, relative.
     """
 
     blur: Float[Array, ""]
     read_noise: Float[Array, ""]
     shot_noise: Float[Array, ""]
+    vignette: Float[Array, ""]
+    vignette_shift: Float[Array, ""]
+    gain: Float[Array, ""]
 
 
 class Scene(eqx.Module):
@@ -194,7 +204,7 @@ class Scene(eqx.Module):
     Attributes:
         world: what is seen.
         rig: the light-field cameras.
-        sensor: blur and noise.
+        sensor: blur, noise, vignettes and gains.
         disparity_range: lowest and highest disparity in the scene, px per view step.
         name: what to call it.
     """
@@ -204,3 +214,27 @@ class Scene(eqx.Module):
     sensor: Sensor
     disparity_range: Float[Array, "2"]
     name: str = eqx.field(static=True)
+
+    def through_lenses(
+        self, *, vignette: float = 0.4, vignette_shift: float = 0.05, gain: float = 0.02
+    ) -> "Scene":
+        """The same scene seen by lenses of uneven brightness, which are drawn with the noise.
+
+        Args:
+            vignette: see `Sensor`.
+            vignette_shift: see `Sensor`.
+            gain: see `Sensor`.
+
+        Returns:
+            The scene.
+
+        Raises:
+            ValueError: if a number is out of its range.
+        """
+        given = {"vignette": vignette, "vignette_shift": vignette_shift, "gain": gain}
+        for label, value in given.items():
+            if not 0 <= value <= 1:
+                raise ValueError(f"`{label}` must be between 0 and 1, got {value}.")
+        dtype = self.sensor.blur.dtype
+        changed = {label: jnp.asarray(value, dtype) for label, value in given.items()}
+        return dataclasses.replace(self, sensor=dataclasses.replace(self.sensor, **changed))

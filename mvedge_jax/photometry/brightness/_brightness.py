@@ -27,7 +27,7 @@ class NoiseModel(eqx.Module):
 
 
 class Brightness(eqx.Module):
-    """How exposure, gains, noise and what the lens leaves dark are found.
+    """How exposure, gains, vignettes, noise and what the lens leaves dark are found.
 
     Attributes:
         bright: where the 99th percentile of a bright, matt scene lies; floors are meant for such
@@ -37,9 +37,19 @@ class Brightness(eqx.Module):
             cameras.
         alike: places that count as one, for parallax errs alike over some 4x4 of them.
         blur: standard deviation of the blur that keeps noise from shrinking gains.
+        vignette_rough: a scene whose views' brightness against the centre view's varies over the
+            frame by no more than this, as a standard deviation of logs, owes it to the scene and
+            not to the lenses, as long as no disparity is known.
+        vignette_prior: the same along a disparity map.
+        vignette_common: what the lenses of all views, the centre view's too, take away from the
+            center of the frame to its corners is 0 if its standard deviation over the frame is no
+            more than this.
+        vignette_outlier: log ratio of brightness beyond which a place speaks against the vignette
+            of all others less and less.
         black: brightness below which a pixel of the centre view is black.
         dark: brightness below which a pixel of the other views is dark.
         noise: how noise is measured and taken out of the guide.
+        vignette_steps: of the descent to the vignettes.
         blur_reach: where that blur ends, px.
         dark_reach: pixels around what is unlit whose windows reach into it.
     """
@@ -49,11 +59,16 @@ class Brightness(eqx.Module):
     gain_prior: Float[Array, ""] = number(0.002)
     alike: Float[Array, ""] = number(16.0, "places")
     blur: Float[Array, ""] = number(2.0, "px")
+    vignette_rough: Float[Array, ""] = number(0.016)
+    vignette_prior: Float[Array, ""] = number(0.008)
+    vignette_common: Float[Array, ""] = number(0.05)
+    vignette_outlier: Float[Array, ""] = number(0.03)
     black: Float[Array, ""] = number(0.5 / 255, "sRGB", threshold=True)
     dark: Float[Array, ""] = number(0.02, "sRGB", threshold=True)
     noise: NoiseModel = eqx.field(default_factory=NoiseModel)
+    vignette_steps: int = eqx.field(static=True, default=24)
     blur_reach: int = eqx.field(static=True, default=5)
     dark_reach: int = eqx.field(static=True, default=3)
 
     def __check_init__(self) -> None:
-        at_least(self, blur_reach=1, dark_reach=0)
+        at_least(self, vignette_steps=2, blur_reach=1, dark_reach=0)

@@ -12,7 +12,7 @@ from .._places import Projection
 from .._scene import measuring_in
 from ..brightness._brightness import Brightness
 from ..brightness._denoise import denoised, passed, soften
-from ..brightness._exposure import gains_along, rough_gains
+from ..brightness._gains import gains_along, rough_gains
 from ..brightness._noise import Noise, measure_noise
 from ..matching._cost import Matching
 from ..measuring._grid import PosedGrid, look_around, posed_grid

@@ -1,0 +1,200 @@
+"""Vignettes: what a view's brightness, relative to the centre view's, changes by over the frame."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Float
+
+from mvedge_jax._product import FULL
+
+from ._brightness import Brightness
+
+# Polynomials per axis: of degree 0 to 3.
+SIZE = 4
+_NORMS = np.sqrt(2 * np.arange(SIZE) + 1)
+_ORDERS = np.maximum.outer(np.arange(SIZE), np.arange(SIZE))
+# Which products of polynomials are of order 1, 2 and 3.
+_MEMBERS = np.stack([order == _ORDERS for order in range(1, SIZE)])
+
+
+class _Fit(NamedTuple):
+    """Log ratios of the views.
+
+    Attributes:
+        coefficients: of every view.
+        variance: of each of them.
+        common: what multiplies `radial` in all views.
+        common_variance: of it.
+    """
+
+    coefficients: Float[Array, "s 4 4"]
+    variance: Float[Array, " s"]
+    common: Float[Array, ""]
+    common_variance: Float[Array, ""]
+
+
+def _polynomials(size: int, block: int) -> np.ndarray:
+    """Legendre polynomials of degree 0 to 3, each of mean square 1, at blocks along an axis.
+
+    Args:
+        size: pixels along that axis.
+        block: pixels of a block.
+
+    Returns:
+        One value per block and degree.
+    """
+    places = (np.arange(size // block) + 0.5) * block
+    return np.polynomial.legendre.legvander(2 * places / size - 1, SIZE - 1) * _NORMS
+
+
+def falloff(
+    coefficients: Float[Array, "*s 4 4"], shape: tuple[int, ...], *, block: int = 1
+) -> Float[Array, "*s y x"]:
+    """What the pixels of views are multiplied by to take vignettes out: 1 without any.
+
+    Args:
+        coefficients: see `Exposure.vignette`.
+        shape: rows and columns; any resolution of the same frame.
+        block: side of square blocks of pixels.
+
+    Returns:
+        One factor per block. Differentiable.
+    """
+    down, across = (jnp.asarray(_polynomials(n, block), coefficients.dtype) for n in shape)
+    logs = jnp.einsum("...kl,yk,xl->...yx", coefficients, down, across, precision=FULL)
+    return jnp.exp(-logs)
+
+
+def falloff_at(
+    coefficients: Float[Array, "s 4 4"], basis: Float[Array, "s n 16"]
+) -> Float[Array, "s n"]:
+    """`falloff` at places, see `basis_at`."""
+    flat = coefficients.reshape(coefficients.shape[0], -1)
+    return jnp.exp(-jnp.einsum("snk,sk->sn", basis, flat, precision=FULL))
+
+
+def basis_of_blocks(shape: tuple[int, ...], block: int) -> np.ndarray:
+    """Products of polynomials at the centers of the blocks of a frame, `[n, 16]`."""
+    down, across = (_polynomials(n, block) for n in shape)
+    return np.einsum("yk,xl->yxkl", down, across).reshape(-1, SIZE**2)
+
+
+def basis_at(
+    y: Float[Array, "*p"], x: Float[Array, "*p"], shape: tuple[int, int]
+) -> Float[Array, "*p 16"]:
+    """Products of polynomials at places of a view, px; those outside of the frame are moved in."""
+    height, width = shape
+    t = jnp.stack([(2 * y + 1) / height - 1, (2 * x + 1) / width - 1])
+    t = jnp.clip(t, -1, 1)
+    square = t * t
+    values = [jnp.ones_like(t), t, 1.5 * square - 0.5, (2.5 * square - 1.5) * t]
+    values = [norm * value for norm, value in zip(_NORMS.tolist(), values, strict=True)]
+    down, across = jnp.stack(values, axis=-1)
+    return (down[..., :, None] * across[..., None, :]).reshape(*y.shape, SIZE**2)
+
+
+def radial(shape: tuple[int, ...]) -> np.ndarray:
+    """Coefficients of the square of the distance from the center of the frame, 1 in its corners."""
+    down, across = (n**2 / sum(m**2 for m in shape) for n in shape)
+    found = np.zeros((SIZE, SIZE))
+    found[0, 0], found[2, 0], found[0, 2] = np.array([1, 2 * down, 2 * across]) / (
+        3,
+        *[3 * 5**0.5] * 2,
+    )
+    return found
+
+
+def vignettes(
+    logs: Float[Array, "s n"],
+    known: Float[Array, "s n"],
+    basis: Float[Array, "s n 16"],
+    params: Brightness,
+    *,
+    least: Float[Array, ""],
+    moved: Float[Array, "s n"] | None = None,
+    shape: tuple[int, ...] = (1, 1),
+) -> Float[Array, "s 4 4"]:
+    """Robust fit of smooth log ratios, kept where they are no accident.
+
+    Args:
+        logs: of the ratio of every view to the centre view, place by place.
+        known: 1 where both show the scene, 0 elsewhere.
+        basis: see `basis_at`.
+        params: see `Brightness`.
+        least: standard deviation of the log ratios over all views and the frame that scenes
+            without vignettes have.
+        moved: what parallax adds to `radial` at each place: what a lens like the centre view's
+            does to the ratio there; None where no disparity is known.
+        shape: rows and columns of the views.
+
+    Returns:
+        Coefficients. The constant is the gain, and left out. Exactly 0 where the ratios of all
+        views together are no more than a scene without vignettes has. Differentiable.
+    """
+    moved = jnp.zeros_like(logs) if moved is None else moved
+    fit = _fitted(logs, known, basis, moved, params)
+    # Twice its standard error.
+    chance = 4 * params.alike * fit.common_variance
+    strength = fit.common**2
+    share = jnp.maximum(strength - chance, 0) / jnp.where(strength > 0, strength, 1)
+    spread = float(np.sum(radial(shape).ravel()[1:] ** 2))
+    switch = jnp.clip(spread * strength / params.vignette_common**2 - 1, 0, 1)
+    common = switch * share * fit.common * jnp.asarray(radial(shape), logs.dtype)
+    return _earned(fit, least) + common[None]
+
+
+def _fitted(logs: Array, known: Array, basis: Array, moved: Array, params: Brightness) -> _Fit:
+    """Weighted least squares, reweighted while the scale of what is an outlier falls.
+
+    Steps of gradient descent suffice, as the polynomials are orthonormal; they leave unknown parts
+    of the frame at what the known parts need least. What the polynomials explain of `moved` is
+    taken out of it alike, and what is left of both says what all views have in common.
+    """
+    count = logs.shape[1]
+    both = jnp.stack([logs, moved])
+    # Where polynomials explain all but a hundredth of `moved`, rounding would tell the rest.
+    ridge = 0.01 * jnp.sum(known * moved**2) + 1e-9
+
+    def weighted(flat: Array, common: Array, scale: Array) -> tuple[Array, Array]:
+        rest = both - jnp.einsum("snk,tsk->tsn", basis, flat, precision=FULL)
+        residual = rest[0] - common * rest[1]
+        return rest, known / (1 + (residual / scale) ** 2) ** 2
+
+    def closer(state: tuple[Array, Array], scale: Array) -> tuple[tuple[Array, Array], None]:
+        flat, common = state
+        rest, weight = weighted(flat, common, scale)
+        step = jnp.einsum("tsn,snk->tsk", weight[None] * rest, basis, precision=FULL)
+        power = jnp.sum(weight * rest[1] ** 2)
+        common = jnp.sum(weight * rest[0] * rest[1]) / (power + ridge)
+        return (flat + step / count, common), None
+
+    ladder = np.linspace(0, 1, params.vignette_steps)
+    scales = params.vignette_outlier ** jnp.asarray(ladder, logs.dtype)
+    start = jnp.zeros((2, logs.shape[0], SIZE**2), logs.dtype), jnp.zeros((), logs.dtype)
+    (flat, common), _ = lax.scan(closer, start, scales)
+    rest, weight = weighted(flat, common, scales[-1])
+    squares = weight * (rest[0] - common * rest[1]) ** 2
+    total, scatter = jnp.sum(weight, axis=1), jnp.sum(squares, axis=1)
+    of_all = jnp.sum(scatter) / jnp.maximum(jnp.sum(total), 1)
+    return _Fit(
+        (flat[0] - common * flat[1]).reshape(-1, SIZE, SIZE),
+        scatter / jnp.maximum(total, 1) ** 2,
+        common,
+        of_all / (jnp.sum(weight * rest[1] ** 2) + 0.1 * ridge),
+    )
+
+
+def _earned(fit: _Fit, least: Float[Array, ""]) -> Float[Array, "s 4 4"]:
+    """Every order shrunk by its share of chance, and all of them where they hardly matter."""
+    dtype = fit.coefficients.dtype
+    power = jnp.mean(fit.coefficients**2, axis=0)
+    own = jnp.einsum("okl,kl->o", jnp.asarray(_MEMBERS, dtype), power, precision=FULL)
+    chance = 2 * jnp.asarray(_MEMBERS.sum((1, 2)), dtype) * jnp.mean(fit.variance)
+    over = jnp.maximum(own - chance, 0)
+    share = over / jnp.where(own > 0, own, 1)
+    # Off up to `least`, on from the square root of 2 times that.
+    switch = jnp.clip(jnp.sum(over) / least**2 - 1, 0, 1)
+    kept = jnp.einsum("okl,o->kl", jnp.asarray(_MEMBERS, dtype), switch * share, precision=FULL)
+    return kept[None] * fit.coefficients
