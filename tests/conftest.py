@@ -19,6 +19,8 @@ jax.config.update("jax_numpy_dtype_promotion", "strict")
 
 
 def pytest_configure(config):
+    # Tests neither read what the user has compiled nor leave anything there.
+    os.environ["MVEDGE_CACHE"] = "off"
     if config.getoption("markexpr") == "not slow":
         # Compiling is nearly all of the fast tier's time, and unoptimised programs compile faster;
         # so they do by the emitters of fusions that the package's own programs are made with.

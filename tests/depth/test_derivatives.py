@@ -39,6 +39,7 @@ SOMETIMES = {
         for n in (
             *("bright", "brightest", "gain_prior", "alike", "blur"),
             *("vignette_rough", "vignette_prior", "vignette_common", "vignette_outlier"),
+            "vignette_side",
         )
     ),
     *(f"calibration.brightness.noise.{n}" for n in ("single", "between", "finest", "excess")),

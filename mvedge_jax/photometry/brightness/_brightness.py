@@ -46,6 +46,8 @@ class Brightness(eqx.Module):
             more than this.
         vignette_outlier: log ratio of brightness beyond which a place speaks against the vignette
             of all others less and less.
+        vignette_side: the first two are for views whose shorter side is at least this long; for
+            smaller ones, of which parallax moves a larger part, they grow in proportion.
         black: brightness below which a pixel of the centre view is black.
         dark: brightness below which a pixel of the other views is dark.
         noise: how noise is measured and taken out of the guide.
@@ -63,6 +65,7 @@ class Brightness(eqx.Module):
     vignette_prior: Float[Array, ""] = number(0.008)
     vignette_common: Float[Array, ""] = number(0.05)
     vignette_outlier: Float[Array, ""] = number(0.03)
+    vignette_side: Float[Array, ""] = number(160.0, "px")
     black: Float[Array, ""] = number(0.5 / 255, "sRGB", threshold=True)
     dark: Float[Array, ""] = number(0.02, "sRGB", threshold=True)
     noise: NoiseModel = eqx.field(default_factory=NoiseModel)

@@ -86,9 +86,12 @@ class Exposure(NamedTuple):
             params: see `Brightness`; None for the defaults.
 
         Returns:
-            Gains to about 0.2 %. Differentiable in the views and the map.
+            Gains to about 0.2 %, vignettes where these views have some. Differentiable in the views
+            and the map.
         """
-        return exposure_along(light_field, self.scale, disparity, every=True, params=params)
+        return exposure_along(
+            light_field, self.scale, disparity, every=True, params=params, uneven=self.uneven
+        )
 
 
 def expose(light_field: LightField, exposure: Exposure) -> LightField:
@@ -180,6 +183,7 @@ def exposure_along(
     *,
     every: bool = False,
     params: Brightness | None = None,
+    uneven: Bool[Array, ""] | bool = True,
 ) -> Exposure:
     """Gains and vignettes by robust regression on the centre view, along a disparity map.
 
@@ -192,6 +196,7 @@ def exposure_along(
         disparity: px per view step, `[y, x]`.
         every: measure all views, not those of the crosshair alone.
         params: see `Brightness`; None for the defaults.
+        uneven: whether there may be vignettes: what a map gets wrong could pass for some.
 
     Returns:
         Gains to about 0.2 %, vignettes likewise. Differentiable in the views and the map.
@@ -219,7 +224,7 @@ def exposure_along(
         places.index(own),
         disparity,
         params,
-        smooth=True,
+        smooth=uneven,
     )
     gain = jnp.ones((rows, columns), views.dtype).at[v, u].set(earned(found, params))
     # Views that were not asked for have what all have in common.

@@ -127,9 +127,15 @@ def rough_ratios(
     basis = jnp.asarray(basis_of_blocks(shape, block * cell), means.dtype)[None]
     basis = jnp.broadcast_to(basis, (means.shape[0], *basis.shape[1:]))
     known = known.astype(logs.dtype)
-    vignette = vignettes(logs, known, basis, params, least=params.vignette_rough)
+    least = params.vignette_rough * _narrow(shape, params)
+    vignette = vignettes(logs, known, basis, params, least=least)
     even = means * falloff(vignette, shape, block=block)
     return _ratios(_flat(even), there, own, params)._replace(vignette=vignette)
+
+
+def _narrow(shape: tuple[int, ...], params: Brightness) -> Array:
+    """By how much more a scene may vary over a small frame: parallax moves a larger part of it."""
+    return jnp.maximum(params.vignette_side / min(shape), 1)
 
 
 def _logs(values: Array, own: Array, known: Bool[Array, "*n"]) -> Float[Array, "*n"]:
@@ -183,7 +189,7 @@ def ratios_along(
     disparity: Float[Array, "y x"],
     params: Brightness,
     *,
-    smooth: bool = False,
+    smooth: Bool[Array, ""] | bool | None = None,
 ) -> Ratios:
     """Gains, and vignettes if `smooth`, of views along the disparity map of one of them."""
     height, width = disparity.shape
@@ -193,7 +199,7 @@ def ratios_along(
         view, place, there = item
         x, y = (position[::stride, ::stride] for position in place.positions(disparity))
         inside = (x >= 0) & (x <= width - 1) & (y >= 0) & (y <= height - 1)
-        basis = (basis_at(y, x, (height, width)),) if smooth else ()
+        basis = (basis_at(y, x, (height, width)),) if smooth is not None else ()
         return _blurred_at(view, x, y, params), inside & there, *basis
 
     seen, known, *basis = lax.map(look, (views, places, available))
@@ -201,7 +207,7 @@ def ratios_along(
     known = known[..., None] & _shown(own, 0.97)[None] & (seen < 0.97)
     count = seen.shape[0]
     vignette = jnp.zeros((count, SIZE, SIZE), seen.dtype)
-    if smooth:
+    if smooth is not None:
         usable = jnp.all(known & (seen > 0), axis=-1)
         logs = _logs(jnp.mean(seen, axis=-1), jnp.mean(own, axis=-1)[None], usable)
         of_view = basis[0].reshape(count, -1, SIZE**2)
@@ -210,8 +216,10 @@ def ratios_along(
         moved = product(of_view - of_view[centre][None], flat)
         vignette = vignettes(
             _flat(logs), weight, of_view, params,
-            least=params.vignette_prior, moved=moved, shape=(height, width),
+            least=params.vignette_prior * _narrow((height, width), params),
+            moved=moved, shape=(height, width),
         )  # fmt: skip
+        vignette = jnp.where(smooth, vignette, 0)
         seen = seen * falloff_at(vignette, of_view).reshape(*usable.shape, 1)
         own = seen[centre]
     seen, known = seen.reshape(count, -1), known.reshape(count, -1)
