@@ -78,11 +78,10 @@ SCENES = pytest.mark.parametrize("name", ["edges", "demo"])
 CASES = [(name, side) for name in ("edges", "demo") for side in (40, 64, 96)]
 
 
+# Three programs of the whole chain each: `.ci/run` runs the first case after the fast tests.
+@pytest.mark.slow
 @pytest.mark.parametrize("preset", PRESETS)
-@pytest.mark.parametrize(
-    ("name", "side"),
-    [CASES[0], *(pytest.param(*case, marks=pytest.mark.slow) for case in CASES[1:])],
-)
+@pytest.mark.parametrize(("name", "side"), CASES)
 def test_every_leaf(name, side, preset):
     _check(name, side, preset)
 
