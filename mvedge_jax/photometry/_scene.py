@@ -9,7 +9,7 @@ from jax import lax
 from jaxtyping import Array, Float, Int
 
 from mvedge_jax._crosshair import Arm, crosshair
-from mvedge_jax._fence import staged
+from mvedge_jax._fence import recomputed, staged
 from mvedge_jax._params import cast
 from mvedge_jax.color import srgb_to_lab
 from mvedge_jax.lightfield import LightField
@@ -155,7 +155,7 @@ def prepare(
 
     # A loop, so that the search is traced once; without vignettes it is left out the second time.
     start = exposure, jnp.zeros_like(scene.guide[0])
-    (exposure, first), _ = lax.scan(again, start, jnp.asarray([True, False]))
+    (exposure, first), _ = lax.scan(recomputed(again), start, jnp.asarray([True, False]))
     return _evened(scene, own, exposure)._replace(first=first, lit=lit(own, brightness))
 
 

@@ -93,12 +93,9 @@ def _costs(sweep: Sweep) -> Array:
 
 def _pulled(window: int, sweep: Sweep, cotangent: Float[Array, "d y x"]) -> Sweep:
     """The transpose."""
-    turned = jnp.swapaxes(cotangent, 1, 2)
-    (across, along_x), (down, along_y) = of_both(
-        lambda of: _pulled_arm(window, of[0], sweep, of[1]),
-        (sweep.across, cotangent),
-        (sweep.down, turned),
-    )
+    # One after the other: cotangents of both arms at once take a multiple of the memory.
+    across, along_x = _pulled_arm(window, sweep.across, sweep, cotangent)
+    down, along_y = _pulled_arm(window, sweep.down, sweep, jnp.swapaxes(cotangent, 1, 2))
     return Sweep(across, down, *jax.tree.map(jnp.add, along_x, along_y))
 
 
