@@ -224,7 +224,7 @@ def exposure_along(
         places.index(own),
         disparity,
         params,
-        smooth=uneven,
+        uneven=uneven,
     )
     gain = jnp.ones((rows, columns), views.dtype).at[v, u].set(earned(found, params))
     # Views that were not asked for have what all have in common.

@@ -128,7 +128,7 @@ def rough_ratios(
     basis = jnp.broadcast_to(basis, (means.shape[0], *basis.shape[1:]))
     known = known.astype(logs.dtype)
     least = params.vignette_rough * _narrow(shape, params)
-    vignette = vignettes(logs, known, basis, params, least=least)
+    vignette = vignettes(logs, known, basis, params, least=least, shape=shape)
     even = means * falloff(vignette, shape, block=block)
     return _ratios(_flat(even), there, own, params)._replace(vignette=vignette)
 
@@ -189,9 +189,12 @@ def ratios_along(
     disparity: Float[Array, "y x"],
     params: Brightness,
     *,
-    smooth: Bool[Array, ""] | bool | None = None,
+    uneven: Bool[Array, ""] | bool | None = None,
 ) -> Ratios:
-    """Gains, and vignettes if `smooth`, of views along the disparity map of one of them."""
+    """Gains of views along the disparity map of one of them, and vignettes where they are `uneven`.
+
+    None leaves the fit of vignettes out of the program; False fits them and takes none.
+    """
     height, width = disparity.shape
     stride = min(16, max(1, min(height, width) // 24))
 
@@ -199,7 +202,7 @@ def ratios_along(
         view, place, there = item
         x, y = (position[::stride, ::stride] for position in place.positions(disparity))
         inside = (x >= 0) & (x <= width - 1) & (y >= 0) & (y <= height - 1)
-        basis = (basis_at(y, x, (height, width)),) if smooth is not None else ()
+        basis = (basis_at(y, x, (height, width)),) if uneven is not None else ()
         return _blurred_at(view, x, y, params), inside & there, *basis
 
     seen, known, *basis = lax.map(look, (views, places, available))
@@ -207,7 +210,7 @@ def ratios_along(
     known = known[..., None] & _shown(own, 0.97)[None] & (seen < 0.97)
     count = seen.shape[0]
     vignette = jnp.zeros((count, SIZE, SIZE), seen.dtype)
-    if smooth is not None:
+    if uneven is not None:
         usable = jnp.all(known & (seen > 0), axis=-1)
         logs = _logs(jnp.mean(seen, axis=-1), jnp.mean(own, axis=-1)[None], usable)
         of_view = basis[0].reshape(count, -1, SIZE**2)
@@ -219,7 +222,7 @@ def ratios_along(
             least=params.vignette_prior * _narrow((height, width), params),
             moved=moved, shape=(height, width),
         )  # fmt: skip
-        vignette = jnp.where(smooth, vignette, 0)
+        vignette = jnp.where(uneven, vignette, 0)
         seen = seen * falloff_at(vignette, of_view).reshape(*usable.shape, 1)
         own = seen[centre]
     seen, known = seen.reshape(count, -1), known.reshape(count, -1)

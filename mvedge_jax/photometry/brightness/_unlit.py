@@ -34,14 +34,16 @@ def lit(arms: tuple[Arm, Arm], params: Brightness) -> Float[Array, "y x"]:
     ]
     views = sum(arm.planes.shape[0] for arm in arms)
     black = (centre < params.black) & (2 * (dark[0] + dark[1].T) >= views)
-    dark_from_side = [_run(black, axis, reverse) for axis in (0, 1) for reverse in (False, True)]
+    dark_from_side = [
+        _before_light(black, axis, reverse) for axis in (0, 1) for reverse in (False, True)
+    ]
     unlit = functools.reduce(jnp.logical_or, dark_from_side).astype(centre.dtype)
     window = (2 * params.dark_reach + 1,) * 2
     around = lax.reduce_window(unlit, -jnp.inf, lax.max, window, (1, 1), "SAME")
     return lax.stop_gradient(1 - around)
 
 
-def _run(black: Bool[Array, "y x"], axis: int, reverse: bool) -> Bool[Array, "y x"]:
+def _before_light(black: Bool[Array, "y x"], axis: int, reverse: bool) -> Bool[Array, "y x"]:
     """Pixels before the first one, from a side of the image, that is not black."""
     size = black.shape[axis]
     index = lax.broadcasted_iota(jnp.int32, black.shape, axis)

@@ -113,8 +113,8 @@ def vignettes(
     params: Brightness,
     *,
     least: Float[Array, ""],
+    shape: tuple[int, ...],
     moved: Float[Array, "s n"] | None = None,
-    shape: tuple[int, ...] = (1, 1),
 ) -> Float[Array, "s 4 4"]:
     """Robust fit of smooth log ratios, kept where they are no accident.
 
@@ -125,9 +125,9 @@ def vignettes(
         params: see `Brightness`.
         least: standard deviation of the log ratios over all views and the frame that scenes
             without vignettes have.
+        shape: rows and columns of the views.
         moved: what parallax adds to `radial` at each place: what a lens like the centre view's
             does to the ratio there; None where no disparity is known.
-        shape: rows and columns of the views.
 
     Returns:
         Coefficients. The constant is the gain, and left out. Exactly 0 where the ratios of all
