@@ -1,5 +1,6 @@
 """The crosshair of a light field as planes whose last axis is the epipolar one."""
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -29,6 +30,28 @@ class Arm(NamedTuple):
         return self.planes.shape[0] // 2
 
 
+class Crosshair(NamedTuple):
+    """The row and the column of views through the centre view, or through another one.
+
+    Attributes:
+        horizontal: the row.
+        vertical: the column; its images are transposed.
+    """
+
+    horizontal: Arm
+    vertical: Arm
+
+    @property
+    def centre(self) -> Float[Array, "c y x"]:
+        """The view that both have in common."""
+        return self.horizontal.planes[self.horizontal.centre]
+
+    def mapped(self, function: Callable[[Array], Array]) -> "Crosshair":
+        """The same with a function's values for the planes of either arm."""
+        horizontal, vertical = (arm._replace(planes=function(arm.planes)) for arm in self)
+        return Crosshair(horizontal, vertical)
+
+
 def view_steps(count: int, dtype: DTypeLike) -> Float[Array, " s"]:
     """What disparity is multiplied by to get from the centre view to each view of a regular arm.
 
@@ -42,7 +65,7 @@ def view_steps(count: int, dtype: DTypeLike) -> Float[Array, " s"]:
     return jnp.asarray(count // 2 - np.arange(count), dtype)
 
 
-def crosshair(light_field: LightField) -> tuple[Arm, Arm]:
+def crosshair(light_field: LightField) -> Crosshair:
     """The horizontal and the vertical arm; the vertical one holds transposed images.
 
     Views are read as if they were on the centre row and column; `LightField` sees to it that they
@@ -57,7 +80,7 @@ def crosshair(light_field: LightField) -> tuple[Arm, Arm]:
     else:
         across, down = light_field.steps[vc, :, 0], light_field.steps[:, uc, 1]
 
-    return (
+    return Crosshair(
         Arm(horizontal, across, light_field.available[vc]),
         Arm(vertical, down, light_field.available[:, uc]),
     )

@@ -120,8 +120,9 @@ def test_arguments_are_data_parameters_sizes(name, value):
 
 @_case(_CLASSES)
 def test_class_documents_its_fields(name, value):
-    doc = inspect.getdoc(value)
-    assert doc, f"{name} has no docstring"
+    assert inspect.getdoc(value), f"{name} has no docstring"
+    # What a class adds to another is described there, the rest where it comes from.
+    doc = "".join(inspect.getdoc(kind) or "" for kind in value.__mro__)
     fields = getattr(value, "__dataclass_fields__", None) or getattr(value, "_fields", ())
     missing = [f for f in fields if not f.startswith("_") and f"{f}:" not in doc]
     assert not missing, f"{name} does not describe {missing}"

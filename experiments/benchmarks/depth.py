@@ -31,7 +31,7 @@ from mvedge_jax.edges.sides import MapSides, surface_vectors
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.photometry import Calibrate
 from mvedge_jax.photometry.matching import hypotheses
-from mvedge_jax.photometry.measuring import Measuring, arm_splines, photometric_labels
+from mvedge_jax.photometry.measuring import CrosshairSplines, Measuring, labels
 
 
 def main() -> None:
@@ -149,8 +149,8 @@ def _stages(measure: Any, light_field: LightField, model: EdgeDepth) -> None:
     tried = jnp.linspace(*model.searched, calibration.hypotheses, dtype=gray.dtype)
     first = measure(
         "hypotheses",
-        lean_jit(lambda a, b, c, d, p: hypotheses(a, b, c, d, p, window=calibration.window)),
-        *arms,
+        lean_jit(lambda a, b, c, p: hypotheses(a, b, c, p, window=calibration.window)),
+        arms,
         lab,
         tried,
         calibration.matching,
@@ -163,22 +163,18 @@ def _stages(measure: Any, light_field: LightField, model: EdgeDepth) -> None:
         first,
         sides.vote,
     )
-    splines = map(arm_splines, arms)
-    labels = measure(
+    params = Measuring(radius=measurement.radius, passes=measurement.passes)
+    measured = measure(
         "dense labels",
-        lean_jit(
-            lambda a, b, c, d, p: photometric_labels(
-                a, b, c, d, p, radius=measurement.radius, passes=measurement.passes
-            )
-        ),
-        *splines,
+        lean_jit(lambda s, a, b, p: labels(s.look(b, p), a, b, p, passes=p.passes)),
+        CrosshairSplines.of(arms),
         lab,
         first,
-        Measuring(),
+        params,
     )
     tx, ty = model.smoothness(lab, first, jnp.zeros_like(first))
-    weight = 1e-4 / (1e-4 + labels.variance)
-    system = System(weight, labels.disparity, 2 * tx, 2 * ty)
+    weight = 1e-4 / (1e-4 + measured.variance)
+    system = System(weight, measured.disparity, 2 * tx, 2 * ty)
     found = measure("one diffusion", lambda s: diffuse(s), system)
     sharpen = model.refine.sharpen
     measure("sharpening", lean_jit(lambda part, d, g: part(d, g)), sharpen, found.value, guide)

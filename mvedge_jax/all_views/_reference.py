@@ -15,9 +15,9 @@ from mvedge_jax.diffusion import AutoSolver, System, diffuse
 from mvedge_jax.image import highest
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.photometry import CalibratedViews, Noise, PreparedViews, prepare_views, recentred
-from mvedge_jax.photometry.brightness import Exposure
+from mvedge_jax.photometry.brightness import Exposure, low_pass
 from mvedge_jax.photometry.matching import hypotheses
-from mvedge_jax.photometry.measuring import Look, labels, look, mismatch
+from mvedge_jax.photometry.measuring import Look, labels, mismatch
 from mvedge_jax.smoothness import edge_smoothness
 
 from ._draw import STEP, decided, drawn
@@ -75,7 +75,7 @@ class _Reference(NamedTuple):
     """A view as the centre of a crosshair of its own."""
 
     scene: CalibratedViews
-    sight: PreparedViews
+    prepared: PreparedViews
 
 
 def uncovered(
@@ -139,7 +139,7 @@ def _measured_in(
 
     def solve(state: tuple[Array, Array, Look], more: Array) -> Any:
         disparity, _, found = state
-        seen = reference.sight.params
+        seen = reference.prepared.params
         measured = labels(found, reference.scene.lab, disparity, seen, passes=seen.passes)
         sure = measured.weight(seen, precision=model.precision, trust=model.trust)
         weight = jnp.where(new, sure + _ANCHOR, 1)
@@ -169,8 +169,7 @@ def _measured_in(
 
 
 def _look(reference: _Reference, disparity: Array) -> Look:
-    seen = reference.sight
-    return look(*seen.splines, disparity, seen.params, radius=seen.params.radius).per_pixel()
+    return reference.prepared.look(disparity).per_pixel()
 
 
 def _guess(reference: _Reference, known: Array, new: Array, model: ViewDepth) -> tuple[Array, Look]:
@@ -178,12 +177,12 @@ def _guess(reference: _Reference, known: Array, new: Array, model: ViewDepth) ->
 
     The surface behind goes on, unless the views say otherwise.
     """
-    scene, seen = reference.scene, reference.sight
+    scene, seen = reference.scene, reference.prepared
     low, high = jnp.min(known), jnp.max(known)
     # Pixels of twice the size are precise enough for a guess, and shift half as far.
-    arms = tuple(arm._replace(planes=_halved(arm.planes)) for arm in seen.arms)
+    arms = scene.arms.mapped(low_pass(scene.noise)).mapped(_halved)
     tried = low / 2 + (high - low) / 2 * jnp.linspace(0, 1, model.hypotheses, dtype=known.dtype)
-    half = hypotheses(*arms, _halved(scene.lab), tried, model.matching, noise=scene.noise, window=2)
+    half = hypotheses(arms, _halved(scene.lab), tried, model.matching, noise=scene.noise, window=2)
     other = jnp.repeat(jnp.repeat(2 * half, 2, axis=0), 2, axis=1)
     height, width = known.shape
     other = jnp.pad(other, ((0, height % 2), (0, width % 2)), mode="edge")[:height, :width]

@@ -12,14 +12,7 @@ from jaxtyping import Array, Float
 
 from mvedge_jax._fence import kept, recomputed, staged
 from mvedge_jax.photometry import PreparedViews
-from mvedge_jax.photometry.measuring import (
-    Look,
-    PhotometricLabels,
-    labels,
-    look_around,
-    mismatch,
-)
-from mvedge_jax.photometry.photographs import PreparedPhotographs
+from mvedge_jax.photometry.measuring import Look, PhotometricLabels, labels, mismatch
 
 from ._diffused import diffused
 from ._refine import Given, Map, Parts, Refine, cut_edges, labeled_share
@@ -130,10 +123,10 @@ def _turns(kinds: np.ndarray, refine: Refine, dtype: DTypeLike) -> _Turn:
 
 def _every(given: Given) -> Any:
     """All views, where labels are measured in them."""
-    return given.views.grid if isinstance(given.views, PreparedViews) else None
+    return None if given.views is None else given.views.every
 
 
-def _views(given: Given) -> PreparedViews | PreparedPhotographs:
+def _views(given: Given) -> PreparedViews:
     if given.views is None:
         raise ValueError("dense labels need a `measurement` in the chain, got None.")
     return given.views
@@ -153,8 +146,7 @@ def _look(given: Given, disparity: Array) -> Look:
 
 def _around(given: Given, found: Look, disparity: Array, *, parts: Parts) -> Look:
     """What all views show around a map; beside its steps, what the crosshair does."""
-    params = _views(given).params
-    whole = look_around(_every(given), disparity, params, radius=params.radius)
+    whole = _every(given).look(disparity, _views(given).params)
     share = _share_of_all(disparity, parts.refine)
     return jax.tree.map(lambda a, c: share * a + (1 - share) * c, whole.per_pixel(), found)
 

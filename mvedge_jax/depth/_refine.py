@@ -9,7 +9,6 @@ from jaxtyping import Array, Float
 
 from mvedge_jax._params import at_least, number
 from mvedge_jax.photometry import PreparedViews
-from mvedge_jax.photometry.photographs import PreparedPhotographs
 from mvedge_jax.smoothness import Smoothness
 from mvedge_jax.warping import Outline
 
@@ -108,7 +107,7 @@ class Given(NamedTuple):
     """
 
     from_points: Labels
-    views: PreparedViews | PreparedPhotographs | None
+    views: PreparedViews | None
     lab: Float[Array, "c y x"]
     guide: Float[Array, "c y x"]
     span: Float[Array, ""]

@@ -182,7 +182,7 @@ def _measured_edges(evidence: Evidence, params: OrientedEdges) -> Edges:
     scene, measured, shown = evidence.calibrated, evidence.measured, evidence.shown
     if measured is None or shown is None:
         raise ValueError("`OrientedEdges` need a `measurement` in the chain, got None.")
-    noise, view = scene.noise, jnp.moveaxis(scene.centre, 0, -1)
+    noise, view = scene.noise, jnp.moveaxis(scene.views.centre, 0, -1)
     across, down = (srgb_to_lab(jnp.moveaxis(arm.planes, 1, -1)) for arm in scene.arms)
     params = cast(params, view.dtype)
     banks = params.banks

@@ -53,7 +53,7 @@ def _coarse(
     params = cast(Matching(), lab.dtype)
     planes = jnp.moveaxis(lab, -1, 0)
     found = best_match(
-        *crosshair(light_field), planes, disparities, params, window=window, noise=noise
+        crosshair(light_field), planes, disparities, params, window=window, noise=noise
     )
     return *found, contrast(lab).max(0)
 

@@ -1,7 +1,8 @@
 """What the colors of the views say: calibrated views, and the measurement of every pixel in them.
 
-Rooms: `brightness` (exposure, noise), `matching` (costs of hypotheses), `measuring` (disparity and
-standard error of a pixel), `photographs` (the same for posed photographs).
+Views are the crosshair of a light field, or a `ViewSet` in any places, such as posed photographs.
+Rooms: `views` (where they show a pixel), `brightness` (exposure, noise), `matching` (costs of
+hypotheses), `measuring` (disparity and standard error of a pixel).
 """
 
 from ._calibration import (

@@ -13,7 +13,7 @@ from mvedge_jax.color import srgb_to_lab
 from mvedge_jax.lightfield import LightField
 
 from ._scene import CalibratedViews, PreparedViews, first_labels, prepare, prepare_views
-from .brightness import Brightness, Exposure, Noise
+from .brightness import Brightness, Exposure, GridViews, Noise
 from .matching import Matching
 from .measuring import Measurement, PhotometricLabels
 
@@ -66,11 +66,10 @@ class Calibrate(eqx.Module):
         dtype = light_field.views.dtype
         tried = jnp.linspace(*searched, self.hypotheses, dtype=dtype)
         return prepare(
-            light_field,
+            GridViews(light_field, every=every),
             tried,
             self.matching,
             window=self.window,
-            every=every,
             brightness=self.brightness,
         )
 

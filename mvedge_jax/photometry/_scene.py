@@ -1,6 +1,5 @@
 """What is found out about a scene before anything is measured in it."""
 
-import dataclasses
 import math
 from typing import Any, NamedTuple
 
@@ -8,39 +7,41 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float, Int
 
-from mvedge_jax._crosshair import Arm, crosshair
+from mvedge_jax._crosshair import Arm, Crosshair
 from mvedge_jax._fence import recomputed, staged
 from mvedge_jax._params import cast
 from mvedge_jax.color import srgb_to_lab
 from mvedge_jax.lightfield import LightField
 
 from .brightness._brightness import Brightness, NoiseModel
-from .brightness._denoise import denoised, low_pass, soften
-from .brightness._exposure import Exposure, expose, exposed_arms, exposure_along, rough_exposure
+from .brightness._denoise import blur_of, denoised, low_pass, passed, soften
+from .brightness._exposure import Exposure, expose
 from .brightness._noise import Noise, measure_noise
-from .brightness._unlit import lit
+from .brightness._uncalibrated import Uncalibrated
 from .matching._cost import Matching, hypotheses
-from .measuring._grid import Grid, grid_of
-from .measuring._look import ArmSplines, Look, arm_splines, look, look_with_weights
+from .matching._unexplained import between_views_variance
+from .measuring._grid import ViewSplines
+from .measuring._look import CrosshairSplines, Look
 from .measuring._measure import PhotometricLabels, labels, shared
 from .measuring._measuring import Measurement, Measuring
+from .views import ViewSet, views_of
 
 
 class CalibratedViews(NamedTuple):
-    """The crosshair of a light field whose brightness and noise are known.
+    """Views whose brightness and noise are known.
 
     Attributes:
-        arms: horizontal and vertical, exposure and gains taken out.
+        views: the crosshair of a light field, or photographs; exposure and gains taken out.
         exposure: what was taken out.
         noise: of the views, in their units now.
-        guide: the centre view, denoised, `[c, y, x]`.
+        guide: the reference view, denoised, `[c, y, x]`.
         lab: the same in CIELAB.
         first: per pixel, the disparity at which the views agree best; None after `recentred`.
-        lit: 0 where the lens leaves the views dark, and around it, 1 elsewhere; None after
-            `recentred`.
+        lit: 0 where the reference shows nothing of the scene, such as where the lens leaves the
+            views dark, and around it, 1 elsewhere; None for 1 everywhere.
     """
 
-    arms: tuple[Arm, Arm]
+    views: Crosshair | ViewSet
     exposure: Exposure
     noise: Noise
     guide: Float[Array, "c y x"]
@@ -49,29 +50,29 @@ class CalibratedViews(NamedTuple):
     lit: Float[Array, "y x"] | None = None
 
     @property
-    def centre(self) -> Float[Array, "c y x"]:
-        """The centre view, exposure taken out."""
-        return self.arms[0].planes[self.arms[0].centre]
+    def arms(self) -> Crosshair:
+        """The views of a light field."""
+        if not isinstance(self.views, Crosshair):
+            raise TypeError("`views` must be a crosshair to have arms, got photographs.")
+        return self.views
 
 
 class PreparedViews(NamedTuple):
     """Views made ready for being measured in.
 
     Attributes:
-        arms: of the crosshair, low-passed as the noise asks.
-        splines: the same as coefficients of cubic splines.
+        splines: of the crosshair, or of photographs, low-passed as the noise asks.
         params: of the measurement in views of this noise.
-        grid: all views, where they are asked for.
+        every: all views of a light field, where they are asked for.
     """
 
-    arms: tuple[Arm, Arm]
-    splines: tuple[ArmSplines, ArmSplines]
+    splines: CrosshairSplines | ViewSplines
     params: Measuring
-    grid: Grid | None = None
+    every: ViewSplines | None = None
 
     def look(self, disparity: Float[Array, "y x"]) -> Look:
-        """Reads the views of the crosshair around a map, see `look`."""
-        return look(*self.splines, disparity, self.params, radius=self.params.radius)
+        """Reads the views around a map."""
+        return self.splines.look(disparity, self.params)
 
 
 def hypothesis_count(span: float, steps: int) -> int:
@@ -102,12 +103,11 @@ def occluder_radius(span: float, steps: int, shape: tuple[int, int]) -> int:
 
 
 def prepare(
-    light_field: LightField,
+    views: Uncalibrated,
     disparities: Float[Array, " d"],
     params: Matching,
     *,
     window: int,
-    every: bool = False,
     brightness: Brightness | None = None,
 ) -> CalibratedViews:
     """Measures exposure, gains and noise, and finds the first map.
@@ -116,39 +116,34 @@ def prepare(
     what shows the same. If there are vignettes, the map is searched, and both are measured, again.
 
     Args:
-        light_field: the crosshair of views is read.
+        views: `GridViews` of a light field, or `PosedViews`.
         disparities: what to try, px per view step, increasing, evenly spaced.
         params: of the hypotheses.
         window: half the width of their windows, px.
-        every: measure the gains of all views along it, not of the crosshair alone.
         brightness: how exposure, gains and noise are found; None for the defaults.
 
     Returns:
         The scene. Differentiable in views and parameters at the hypotheses chosen.
     """
-    own = crosshair(light_field)
     brightness = Brightness() if brightness is None else brightness
-    exposure = rough_exposure(light_field, params=brightness)
-    arms = exposed_arms(own, exposure)
-    centre = arms[0].planes[arms[0].centre]
-    noise = measure_noise(
-        centre, exposure.scale, arms=arms, disparities=disparities, params=brightness.noise
-    )
-    scene = _guided(arms, exposure, noise, brightness.noise)
+    exposure = views.rough_exposure(brightness)
+    own = views.exposed(exposure)
+    between = between_views_variance(own, disparities)
+    noise = measure_noise(own.centre, exposure.scale, between=between, params=brightness.noise)
+    scene = _guided(own, exposure, noise, brightness.noise)
 
     @staged
     def searched(
-        arms: tuple[Arm, Arm], lab: Array, noise: Noise, params: Matching
+        own: Crosshair | ViewSet, lab: Array, noise: Noise, params: Matching
     ) -> Float[Array, "y x"]:
         sigma = jnp.clip(0.4 + 30 * noise.deviation, 0.5, 1.0)
-        soft = low_pass(arms, noise, sigma).arms
-        return hypotheses(*soft, lab, disparities, params, noise=noise, window=window)
+        soft = own.mapped(lambda planes: soften(planes, noise, sigma))
+        return hypotheses(soft, lab, disparities, params, noise=noise, window=window)
 
     def measured(state: tuple[Exposure, Array]) -> tuple[Exposure, Array]:
-        here = _evened(scene, own, state[0])
-        first = searched(here.arms, here.lab, noise, params)
-        scale = here.exposure.scale
-        return exposure_along(light_field, scale, first, every=every, params=brightness), first
+        here = _evened(scene, views, state[0])
+        first = searched(here.views, here.lab, noise, params)
+        return views.exposure_along(here.exposure.scale, first, brightness), first
 
     def again(state: tuple[Exposure, Array], start: Array) -> tuple[tuple[Exposure, Array], None]:
         return lax.cond(start | state[0].uneven, measured, lambda state: state, state), None
@@ -156,16 +151,15 @@ def prepare(
     # A loop, so that the search is traced once; without vignettes it is left out the second time.
     start = exposure, jnp.zeros_like(scene.guide[0])
     (exposure, first), _ = lax.scan(recomputed(again), start, jnp.asarray([True, False]))
-    return _evened(scene, own, exposure)._replace(first=first, lit=lit(own, brightness))
+    return _evened(scene, views, exposure)._replace(first=first, lit=views.lit(brightness))
 
 
-def _evened(scene: CalibratedViews, own: tuple[Arm, Arm], exposure: Exposure) -> CalibratedViews:
-    """The scene after another exposure, the vignette of the centre view taken out of its guide."""
-    centre = own[1].centre, own[0].centre
-    factor = exposure.factors(centre, scene.guide.shape[1:]) / exposure.scale
+def _evened(scene: CalibratedViews, views: Uncalibrated, exposure: Exposure) -> CalibratedViews:
+    """The scene after another exposure, the reference's vignette taken out of its guide."""
+    factor = exposure.factors(views.reference, scene.guide.shape[1:]) / exposure.scale
     guide = scene.guide * factor[None]
     lab = jnp.moveaxis(srgb_to_lab(jnp.moveaxis(guide, 0, -1)), -1, 0)
-    return scene._replace(arms=exposed_arms(own, exposure), exposure=exposure, guide=guide, lab=lab)
+    return scene._replace(views=views.exposed(exposure), exposure=exposure, guide=guide, lab=lab)
 
 
 def prepare_views(
@@ -179,39 +173,29 @@ def prepare_views(
         every: the light field, if all of its views are to be measured in.
 
     Returns:
-        Views and parameters for `look` and `labels`. Differentiable.
+        Views and parameters for `labels`. Differentiable.
     """
-    sigma = jnp.minimum(30 * scene.noise.deviation, 1)
-    arms, kept, grain = low_pass(scene.arms, scene.noise, sigma)
-    measuring = measuring_in(scene.noise, scene.exposure.scale, kept, grain, params)
-    horizontal, vertical = map(arm_splines, arms)
-    grid = None if every is None else _whole_grid(scene, every, sigma)
-    return PreparedViews(arms, (horizontal, vertical), measuring, grid)
+    soft, around = scene.views.mapped(low_pass(scene.noise)), None
+    of = CrosshairSplines.of(soft) if isinstance(soft, Crosshair) else ViewSplines.of(soft)
+    if every is not None:
+        whole = views_of(expose(every, scene.exposure))
+        around = ViewSplines.of(whole.mapped(low_pass(scene.noise)))
+    return PreparedViews(of, measuring_in(scene.noise, scene.exposure.scale, params), around)
 
 
-def measuring_in(
-    noise: Noise,
-    scale: Float[Array, ""],
-    kept: Float[Array, ""],
-    grain: Float[Array, ""],
-    params: Measurement,
-) -> Measuring:
-    """What a measurement takes for granted in views that `soften` has blurred.
+def measuring_in(noise: Noise, scale: Float[Array, ""], params: Measurement) -> Measuring:
+    """What a measurement takes for granted in views of some noise.
 
     Args:
-        noise: of the views, before.
+        noise: of the views, before their low-pass.
         scale: what they were brightened by.
-        kept: of the noise, see `passed`.
-        grain: of the noise, see `passed`.
         params: of the measurement in views without noise.
 
     Returns:
-        Parameters for `look` and `labels`. Differentiable.
+        Parameters for `labels`. Differentiable.
     """
     plain, clear = cast(Measuring(), scale.dtype), 1 - noise.alpha
-    own: dict[str, Any] = {
-        field.name: getattr(params, field.name) for field in dataclasses.fields(Measurement)
-    }
+    kept, grain = passed(noise, blur_of(noise))
     changed: dict[str, Any] = {
         # Drift cannot be told from noise, nor surfaces by their colours.
         "stiffness": plain.stiffness / clear**2,
@@ -222,15 +206,7 @@ def measuring_in(
         "gradient_noise": plain.gradient_noise * grain * (1 - 0.6 * noise.alpha**4),
         "largest_step": plain.largest_step,
     }
-    return Measuring(**(own | changed))
-
-
-def _whole_grid(scene: CalibratedViews, every: LightField, sigma: Float[Array, ""]) -> Grid:
-    """All views as `prepare_views` has those of the crosshair."""
-    even = expose(every, scene.exposure).views
-    planes = jnp.moveaxis(even.reshape(-1, *even.shape[2:]), -1, 1)
-    soft = soften(planes, scene.noise, sigma)
-    return grid_of(soft, every.steps.reshape(-1, 2), every.available.reshape(-1))
+    return Measuring(**(vars(params) | changed))
 
 
 def recentred(
@@ -277,37 +253,39 @@ def recentred(
     across = arm(light_field.views[v], exposure.factors(v, shape), there[v], u, columns)
     down = arm(light_field.views[column], exposure.factors(column, shape), there[:, u], v, rows)
     down = down._replace(planes=jnp.swapaxes(down.planes, -1, -2))
-    return _guided((across, down), exposure, noise, params)
+    return _guided(Crosshair(across, down), exposure, noise, params)
 
 
 def _guided(
-    arms: tuple[Arm, Arm], exposure: Exposure, noise: Noise, params: NoiseModel | None
+    views: Crosshair | ViewSet, exposure: Exposure, noise: Noise, params: NoiseModel | None
 ) -> CalibratedViews:
-    """A scene without a first map, whose guide is the centre view without its noise."""
-    guide = denoised(arms[0].planes[arms[0].centre], noise, params=params)
+    """A scene without a first map, whose guide is the reference view without its noise."""
+    guide = denoised(views.centre, noise, params=params)
     lab = jnp.moveaxis(srgb_to_lab(jnp.moveaxis(guide, 0, -1)), -1, 0)
-    return CalibratedViews(arms, exposure, noise, guide, lab, None)
+    return CalibratedViews(views, exposure, noise, guide, lab, None)
 
 
 def first_labels(
-    scene: CalibratedViews, seen: PreparedViews
+    scene: CalibratedViews, prepared: PreparedViews
 ) -> tuple[PhotometricLabels, Float[Array, "s y x"]]:
-    """Measures every pixel around the first map.
+    """Measures every pixel around the first map of a light field.
 
     Args:
         scene: with a first map.
-        seen: its views.
+        prepared: its views.
 
     Returns:
-        Labels, shared between neighbours, and the weights of the views, see `look_with_weights`.
-        Differentiable.
+        Labels, shared between neighbours, and the weights of the views, see
+        `CrosshairSplines.look_with_weights`. Differentiable.
 
     Raises:
-        ValueError: the scene has no first map.
+        ValueError: the scene has no first map, or is none of a light field.
     """
-    first, lab, passes = scene.first, scene.lab, seen.params.passes
+    first, lab, params = scene.first, scene.lab, prepared.params
     if first is None:
         raise ValueError("`scene` has no first map; `prepare` finds one.")
-    found, weights = look_with_weights(*seen.splines, first, seen.params, radius=seen.params.radius)
-    measured = labels(found, lab, first, seen.params, passes=passes)
-    return shared(measured, lab, seen.params, passes=passes), weights
+    if not isinstance(prepared.splines, CrosshairSplines):
+        raise ValueError("`prepared` must be views of a crosshair, got photographs.")
+    found, weights = prepared.splines.look_with_weights(first, params)
+    measured = labels(found, lab, first, params, passes=params.passes)
+    return shared(measured, lab, params, passes=params.passes), weights

@@ -11,7 +11,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from mvedge_jax._params import accepts_numpy
 from mvedge_jax._product import product
-from mvedge_jax.photometry.photographs import Projection
+from mvedge_jax.photometry.views import PlaneParallax
 
 # Rotations may be off by this much: files hold six digits.
 _RIGID = 1e-3
@@ -217,7 +217,7 @@ def projections(
     intrinsics: Float[Array, "n 3 3"],
     reference: Int[Array, ""] | int,
     scale: Float[Array, ""],
-) -> Projection:
+) -> PlaneParallax:
     r"""Where photographs show the pixels of one of them.
 
     $\lambda q = K R K_r^{-1} p + d\,K t / s$, with $R$ and $t$ the motion from the reference
@@ -246,10 +246,13 @@ def projections(
         [1 / fx, nothing, -cx / fx, nothing, 1 / fy, -cy / fy, nothing, nothing, one]
     )
 
-    def of(pose: Array, matrix: Array) -> Projection:
+    def of(pose: Array, matrix: Array) -> PlaneParallax:
         turn = product(pose[:3, :3].T, own[:3, :3])
         shift = product(pose[:3, :3].T, own[:3, 3] - pose[:3, 3])
         homography = product(product(matrix, turn), inverse.reshape(3, 3))
-        return Projection(homography, product(matrix, shift) / scale)
+        return PlaneParallax(homography, product(matrix, shift) / scale)
 
-    return jax.vmap(of)(poses, intrinsics)
+    found = jax.vmap(of)(poses, intrinsics)
+    # Rounding must not move the reference's own border out of its frame.
+    identity = found.homography.at[reference].set(jnp.eye(3, dtype=poses.dtype))
+    return PlaneParallax(identity, found.epipole.at[reference].set(0))

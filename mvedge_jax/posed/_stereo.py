@@ -16,13 +16,10 @@ from mvedge_jax.color import srgb_to_lab
 from mvedge_jax.depth import map_problems
 from mvedge_jax.depth.solves import Given, Labels, Parts, refine_disparity
 from mvedge_jax.image import highest
-from mvedge_jax.photometry import Noise
-from mvedge_jax.photometry.photographs import (
-    Projection,
-    posed_hypotheses,
-    posed_sight,
-    prepare_photographs,
-)
+from mvedge_jax.photometry import Noise, prepare, prepare_views
+from mvedge_jax.photometry.brightness import PosedViews
+from mvedge_jax.photometry.matching import best_match
+from mvedge_jax.photometry.views import ViewSet
 
 from ._model import StereoDepth
 from ._photographs import Photographs, projections
@@ -145,26 +142,25 @@ def _stereo(
     photographs = Photographs(*read[:3], mask=read[3])
     model = cast(model, photographs.images.dtype)
     setup = _set_up(photographs, reference, model)
-    shown = setup.shown
-    scene = prepare_photographs(
-        *setup[:4],
+    scene = prepare(
+        PosedViews(setup.views),
+        setup.disparities,
         model.matching,
-        brightness=model.brightness,
         window=model.window,
-        shown=shown,
+        brightness=model.brightness,
     )
-    views = staged(posed_sight)(scene, model.measurement)
-    nothing = jnp.zeros_like(scene.first)
+    prepared, first, lit = staged(prepare_views)(scene, model.measurement), scene.first, scene.lit
+    assert first is not None
+    nothing = jnp.zeros_like(first)
     span = setup.disparities[-1] - setup.disparities[0]
-    lit = None if shown is None else shown[0]
-    given = Given(Labels(nothing, nothing), views, scene.lab, scene.guide, span, nothing, lit)
+    given = Given(Labels(nothing, nothing), prepared, scene.lab, scene.guide, span, nothing, lit)
     parts = Parts(model.dense, model.smoothness, model.solver, model.refine)
-    found = refine_disparity(given, scene.first, parts)
+    found = refine_disparity(given, first, parts)
     stats = StereoStats(
         found.iterations,
         found.converged,
         scene.noise,
-        jnp.ones_like(scene.gain).at[setup.order].set(scene.gain),
+        jnp.zeros_like(scene.exposure.gain).at[setup.order].set(scene.exposure.gain),
         jnp.stack([setup.disparities[0], setup.disparities[-1]]),
         found.labeled if lit is None else found.labeled / jnp.mean(lit.astype(found.error.dtype)),
     )
@@ -176,7 +172,7 @@ def _stereo(
         _where_opaque(error, mask, jnp.inf),
         _where_opaque(found.disparity, mask, jnp.nan),
         _where_opaque(disparity_error, mask, jnp.inf),
-        scene.first,
+        first,
         stats,
         mask,
     )
@@ -200,23 +196,17 @@ class _SetUp(NamedTuple):
     """The photographs with the reference first, and what to try.
 
     Attributes:
-        images: the reference first.
-        places: where each of them shows the reference's pixels.
-        available: those that are to be read.
+        views: the reference first; shown where all that a pixel is interpolated from is opaque.
         disparities: what to try.
         scale: disparity times depth.
         order: indices of the photographs.
-        shown: 1 where a photograph, and all that it is interpolated from, is opaque.
-        mask: the opaque pixels of the reference; None, like `shown`, where all are.
+        mask: the opaque pixels of the reference; None where all are.
     """
 
-    images: Array
-    places: Projection
-    available: Array
+    views: ViewSet
     disparities: Array
     scale: Array
     order: Array
-    shown: Array | None
     mask: Array | None
 
 
@@ -224,18 +214,20 @@ def _set_up(photographs: Photographs, reference: Reference, model: StereoDepth) 
     count, dtype = photographs.images.shape[0], photographs.images.dtype
     scale = reference.scale(photographs)
     order = (jnp.arange(count, dtype=jnp.int32) + reference.index) % count
-    places = projections(photographs.poses[order], photographs.intrinsics[order], 0, scale)
+    parallax = projections(photographs.poses[order], photographs.intrinsics[order], 0, scale)
     # A photograph from the reference's own place knows nothing about depth.
-    apart = jnp.sqrt(jnp.sum(lax.stop_gradient(places.epipole) ** 2, axis=1))
+    apart = lax.stop_gradient(parallax.apart)
     available = (apart > 1e-3 * jnp.max(apart)) | (jnp.arange(count) == 0)
     limits = reference.disparity_range.astype(dtype)
     shares = jnp.linspace(0, 1, model.hypotheses, dtype=dtype)
     disparities = limits[0] + (limits[1] - limits[0]) * shares
-    images, mask, shown = photographs.images[order], photographs.mask, None
+    mask, shown = photographs.mask, None
     if mask is not None:
         clear = (~mask[order]).astype(dtype)
         shown, mask = 1 - jax.vmap(partial(highest, radius=_INTERPOLATED))(clear), mask[order[0]]
-    return _SetUp(images, places, available, disparities, scale, order, shown, mask)
+    planes = jnp.moveaxis(photographs.images[order], -1, 1)
+    views = ViewSet(planes, parallax, available, shown)
+    return _SetUp(views, disparities, scale, order, mask)
 
 
 class PosedSweep(NamedTuple):
@@ -265,20 +257,9 @@ def posed_sweep(photographs: Photographs, reference: Reference, model: StereoDep
     Source: not in the thesis; the plane sweep of Collins (1996) with the better half of the views.
     """
     given = _set_up(photographs, reference, model)
-    images = jnp.moveaxis(given.images, -1, 1)
-    dtype = images.dtype
-    lab = jnp.moveaxis(srgb_to_lab(jnp.moveaxis(images[0], 0, -1)), -1, 0)
-    disparity = posed_hypotheses(
-        images,
-        given.places,
-        given.available,
-        lab,
-        given.disparities,
-        cast(model.matching, dtype),
-        noise=Noise.of(jnp.zeros((), dtype)),
-        window=model.window,
-        paths=False,
-        shown=given.shown,
+    lab = jnp.moveaxis(srgb_to_lab(photographs.images[reference.index]), -1, 0)
+    disparity, _ = best_match(
+        given.views, lab, given.disparities, model.matching, window=model.window
     )
     depth, _ = _depth(disparity, jnp.zeros_like(disparity), given.scale, reference)
     depth, disparity = (_where_opaque(v, given.mask, jnp.nan) for v in (depth, disparity))

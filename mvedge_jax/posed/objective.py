@@ -11,7 +11,7 @@ from mvedge_jax.losses import LossTerms, LossWeights
 from mvedge_jax.losses.terms import edge_aware_smoothness, gradient_reward, ssim
 from mvedge_jax.model import DepthModel, Renderer, render_model
 from mvedge_jax.model.objectives import Trust
-from mvedge_jax.photometry.photographs import Projection
+from mvedge_jax.photometry.views import PlaneParallax
 
 
 class PosedReprojection(eqx.Module):
@@ -19,14 +19,14 @@ class PosedReprojection(eqx.Module):
 
     Attributes:
         images: the reference first, sRGB.
-        places: where each of them shows the reference's pixels.
+        parallax: where each of them shows the reference's pixels.
         trust: limits of the parameters.
         renderer: of the model.
         weights: of the terms.
     """
 
     images: Float[Array, "s c y x"]
-    places: Projection
+    parallax: PlaneParallax
     trust: Trust
     renderer: Renderer
     weights: LossWeights
@@ -36,7 +36,7 @@ class PosedReprojection(eqx.Module):
     ) -> tuple[Float[Array, ""], Float[Array, "y x"]]:
         """Loss and map."""
         disparity = render_model(model, self.renderer, start=start).disparity
-        return posed_loss(disparity, self.images, self.places, self.weights), disparity
+        return posed_loss(disparity, self.images, self.parallax, self.weights), disparity
 
     def project(self, model: DepthModel) -> DepthModel:
         """The nearest model within the limits."""
@@ -46,7 +46,7 @@ class PosedReprojection(eqx.Module):
 def posed_loss(
     disparity: Float[Array, "y x"],
     images: Float[Array, "s c y x"],
-    places: Projection,
+    parallax: PlaneParallax,
     weights: LossWeights,
 ) -> Float[Array, ""]:
     """The loss (7.16) of a photograph's map: `self_supervised_loss`, for posed photographs.
@@ -54,26 +54,26 @@ def posed_loss(
     Args:
         disparity: of the first photograph, px per baseline.
         images: sRGB, the reference first.
-        places: where each of them shows the reference's pixels.
+        parallax: where each of them shows the reference's pixels.
         weights: of the terms.
 
     Returns:
-        The loss. What a photograph shows, by `Projection.seen`, is a selection; differentiable in
-        all arguments.
+        The loss. What a photograph shows, by `PlaneParallax.seen`, is a selection; differentiable
+        in all arguments.
 
     Source: Thesis 7.1.4, Eq. 7.15-7.16, with the homographies of posed photographs.
     """
     weights = cast(weights, disparity.dtype)
     centre = images[0]
 
-    def one(image: Array, place: Projection) -> tuple[Array, Array]:
-        x, y = place.positions(disparity)
-        seen = place.seen(disparity, 1)
+    def one(image: Array, parallax: PlaneParallax) -> tuple[Array, Array]:
+        x, y = parallax.positions(disparity)
+        seen = parallax.seen(disparity, 1)
         shown = jax.vmap(lambda plane: map_coordinates(plane, [y, x], order=1, mode="nearest"))
         return jnp.where(seen[None], shown(image), centre), seen
 
-    others = Projection(places.homography[1:], places.epipole[1:])
-    warped, seen = jax.vmap(one)(images[1:], others)
+    others = jax.tree.map(lambda leaf: leaf[1:], (images, parallax))
+    warped, seen = jax.vmap(one)(*others)
     # Hidden pixels show the reference itself: their difference is 0.
     total = jnp.sum(jnp.mean(jnp.abs(warped - centre[None]), axis=1), axis=0)
     count = jnp.maximum(jnp.sum(seen, axis=0).astype(disparity.dtype), 1)

@@ -213,9 +213,9 @@ def posed_reprojection(
     count = photographs.images.shape[0]
     order = (jnp.arange(count, dtype=jnp.int32) + reference.index) % count
     scale = reference.scale(photographs)
-    places = projections(photographs.poses[order], photographs.intrinsics[order], 0, scale)
+    parallax = projections(photographs.poses[order], photographs.intrinsics[order], 0, scale)
     images = jnp.moveaxis(photographs.images[order], -1, 1)
-    return PosedReprojection(images, places, unlimited(model), method.renderer, method.weights)
+    return PosedReprojection(images, parallax, unlimited(model), method.renderer, method.weights)
 
 
 def _model_of(seen: SeenPoints, image: Float[Array, "y x c"]) -> DepthModel:

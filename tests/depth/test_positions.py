@@ -20,8 +20,7 @@ from mvedge_jax.edges.thesis import ThesisEdges
 from mvedge_jax.metrics import depth_scores
 from mvedge_jax.photometry import Noise, gather_evidence, recentred
 from mvedge_jax.photometry.brightness import Exposure
-from mvedge_jax.photometry.measuring import Measuring, photometric_labels
-from mvedge_jax.photometry.measuring._look import arm_splines
+from mvedge_jax.photometry.measuring import CrosshairSplines, Measuring, labels
 
 
 def grid(rows, columns):
@@ -85,12 +84,12 @@ def test_the_gradient_in_the_positions():
     light_field = plane(_UNEVEN)
     lab = jnp.moveaxis(srgb_to_lab(light_field.centre_view), -1, 0)
     first = jnp.full(lab.shape[1:], 0.36, lab.dtype)
-    params = cast(Measuring(), first.dtype)
+    params = cast(Measuring(radius=2), first.dtype)
 
     def mean(positions):
         moved = eqx.tree_at(lambda s: s.positions, light_field, positions)
-        arms = map(arm_splines, crosshair(moved))
-        found = photometric_labels(*arms, lab, first, params, radius=2, passes=1)
+        found = CrosshairSplines.of(crosshair(moved)).look(first, params)
+        found = labels(found, lab, first, params, passes=1)
         return jnp.mean(found.disparity[3:-3, 4:-4])
 
     positions = light_field.positions

@@ -1,12 +1,14 @@
 """Light fields of one plane, whose disparity is known."""
 
+from dataclasses import replace
+
 import jax.numpy as jnp
 import numpy as np
 from scipy import ndimage
 
 from mvedge_jax._crosshair import crosshair
 from mvedge_jax.lightfield import LightField
-from mvedge_jax.photometry.measuring import arm_splines
+from mvedge_jax.photometry.measuring import CrosshairSplines, labels
 
 
 def plane_views(disparity, *, views=(5, 5), size=(20, 28), noise=0.0, seed=0):
@@ -32,5 +34,15 @@ def plane_arms(disparity, **choices):
 
 def plane_splines(disparity, **choices):
     """The arms of `plane_views`, ready for being looked at."""
-    across, down = plane_arms(disparity, **choices)
-    return arm_splines(across), arm_splines(down)
+    return CrosshairSplines.of(plane_arms(disparity, **choices))
+
+
+def look(across, down, disparity, params, *, radius):
+    """What two arms show around a map."""
+    return CrosshairSplines(across, down).look(disparity, replace(params, radius=radius))
+
+
+def photometric_labels(across, down, lab, disparity, params, *, radius, passes):
+    """Labels measured in two arms."""
+    found = look(across, down, disparity, params, radius=radius)
+    return labels(found, lab, disparity, params, passes=passes)

@@ -8,7 +8,7 @@ from helpers import check_gradient, random_like
 from photometry.planes import plane_arms
 from scipy import ndimage
 
-from mvedge_jax._crosshair import crosshair
+from mvedge_jax._crosshair import Crosshair, crosshair
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.photometry.matching import Matching, hypotheses
 from mvedge_jax.photometry.matching._paths import aggregate
@@ -33,7 +33,7 @@ def test_hypotheses_find_both_sides_of_an_occlusion_edge():
     truth = np.where((x >= 12) & (x < 28) & (y >= 8) & (y < 24), 1.0, -0.5)
     lab = 100 * jnp.moveaxis(jnp.asarray(views[2, 2]), -1, 0)
     tried = jnp.linspace(-1, 1.5, 11)
-    found = hypotheses(*arms, lab, tried, Matching(), window=2)
+    found = hypotheses(arms, lab, tried, Matching(), window=2)
     assert float(found.min()) >= -1
     assert float(found.max()) <= 1.5
     inner = (slice(4, -4), slice(4, -4))
@@ -48,8 +48,9 @@ def test_hypotheses_do_not_see_a_missing_view():
     tried = jnp.linspace(-1, 1, 41)
     found = [
         hypotheses(
-            across._replace(planes=across.planes.at[0].set(value), available=there),
-            down,
+            Crosshair(
+                across._replace(planes=across.planes.at[0].set(value), available=there), down
+            ),
             lab,
             tried,
             Matching(),
@@ -95,27 +96,26 @@ def test_a_plain_surface_follows_its_surroundings():
     across, down = plane_arms(0.5)
     hole = np.s_[..., 6:14, 10:18]
     planes = across.planes.at[hole].set(0.5), down.planes.at[..., 10:18, 6:14].set(0.5)
-    arms = across._replace(planes=planes[0]), down._replace(planes=planes[1])
+    arms = Crosshair(across._replace(planes=planes[0]), down._replace(planes=planes[1]))
     # Colours alike, so that nothing but the neighbours can fill the hole in the texture.
-    found = hypotheses(*arms, jnp.zeros((3, 20, 28)), jnp.linspace(-1, 1, 9), Matching(), window=1)
+    found = hypotheses(arms, jnp.zeros((3, 20, 28)), jnp.linspace(-1, 1, 9), Matching(), window=1)
     assert float(jnp.median(jnp.abs(found[6:14, 10:18] - 0.5))) < 0.1
 
 
 def test_gloss_does_not_move_the_best_hypothesis():
     # Faint texture under a change of colour from view to view that is larger than the texture.
-    across, down = plane_arms(0.5)
-    faint = tuple(
+    across, down = (
         a._replace(planes=0.5 + 0.02 * (a.planes - 0.5) + 0.002 * a.steps[:, None, None, None])
-        for a in (across, down)
+        for a in plane_arms(0.5)
     )
-    lab = 100 * faint[0].planes[2]
+    lab = 100 * across.planes[2]
     tried = jnp.linspace(-1, 1, 17)
 
     def wrong(drift):
         # Costs saturate at what the faint texture differs by.
         truncation = jnp.asarray(4 * (1e-4 * 255) ** 2)
         params = Matching(drift=jnp.asarray(drift), truncation=truncation)
-        found = hypotheses(*faint, lab, tried, params, window=2)
+        found = hypotheses(Crosshair(across, down), lab, tried, params, window=2)
         return float((jnp.abs(found - 0.5)[4:-4, 4:-4] > 0.07).mean())
 
     assert wrong(6.0 / 255) < 0.02
@@ -128,7 +128,7 @@ def test_no_drift_is_granted_beside_an_outline():
     lab = jnp.zeros((3, 20, 28)).at[0, ::4].set(1e4)
     tried = jnp.linspace(-1, 1, 9)
     found = [
-        hypotheses(across, down, lab, tried, Matching(drift=jnp.asarray(d)), window=1)
+        hypotheses(Crosshair(across, down), lab, tried, Matching(drift=jnp.asarray(d)), window=1)
         for d in (0.0, 6.0 / 255)
     ]
     np.testing.assert_allclose(found[0], found[1], atol=1e-6)
@@ -142,9 +142,8 @@ def test_derivatives_of_the_hypotheses_match_differences():
 
     def loss(tree):
         planes, lab, params = tree
-        return jnp.sum(
-            hypotheses(across._replace(planes=planes), down, lab, tried, params, window=1) ** 2
-        )
+        arms = Crosshair(across._replace(planes=planes), down)
+        return jnp.sum(hypotheses(arms, lab, tried, params, window=1) ** 2)
 
     tree = (across.planes, lab, Matching())
     check_gradient(loss, tree, rtol=1e-4, step=1e-7, key=jax.random.key(3))

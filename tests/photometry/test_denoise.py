@@ -11,7 +11,7 @@ from scipy import interpolate, ndimage
 from mvedge_jax._crosshair import crosshair
 from mvedge_jax.image import box_mean, gaussian, highest
 from mvedge_jax.photometry import Noise
-from mvedge_jax.photometry.brightness._denoise import denoised, low_pass
+from mvedge_jax.photometry.brightness._denoise import denoised, passed, soften
 from mvedge_jax.photometry.matching._pooling import Pooling, pooled
 
 NONE = Noise.of(jnp.zeros(()))
@@ -51,9 +51,9 @@ def test_without_noise_nothing_changes():
     field = textured(size=(20, 24), dtype=np.float64)
     image = jnp.moveaxis(field.centre_view, -1, 0)
     np.testing.assert_array_equal(denoised(image, NONE), image)
-    arms = crosshair(field)
-    same, kept, grain = low_pass(arms, NONE, jnp.asarray(1.0))
-    np.testing.assert_array_equal(same[0].planes, arms[0].planes)
+    planes = crosshair(field).horizontal.planes
+    np.testing.assert_array_equal(soften(planes, NONE, jnp.asarray(1.0)), planes)
+    kept, grain = passed(NONE, jnp.asarray(1.0))
     assert float(kept) == float(grain) == 1
     cost = jax.random.uniform(jax.random.key(0), (4, 20, 24), jnp.float64)
     np.testing.assert_array_equal(pooled(cost, image, NONE, Pooling()), cost)
@@ -61,13 +61,10 @@ def test_without_noise_nothing_changes():
 
 @pytest.mark.parametrize("sigma", [0.3, 0.6, 1.0])
 def test_a_low_pass_keeps_the_share_of_noise_that_it_says(sigma):
-    field = textured(size=(64, 64), dtype=np.float64)
-    arms = crosshair(field)
-    white = arms[0]._replace(
-        planes=jax.random.normal(jax.random.key(0), arms[0].planes.shape, jnp.float64)
-    )
-    (soft, _), kept, grain = low_pass((white, arms[1]), STRONG, jnp.asarray(sigma))
-    assert float(soft.planes[..., 4:-4, 4:-4].var()) == pytest.approx(float(kept), rel=0.03)
+    white = jax.random.normal(jax.random.key(0), (5, 3, 64, 64), jnp.float64)
+    soft = soften(white, STRONG, jnp.asarray(sigma))
+    kept, grain = passed(STRONG, jnp.asarray(sigma))
+    assert float(soft[..., 4:-4, 4:-4].var()) == pytest.approx(float(kept), rel=0.03)
 
     def roughness(planes):
         """Energy of the derivative of the splines along x over that of the splines."""
@@ -76,7 +73,7 @@ def test_a_low_pass_keeps_the_share_of_noise_that_it_says(sigma):
         x = np.arange(8, 56, 0.125)
         return (spline.derivative()(x) ** 2).mean() / (spline(x) ** 2).mean()
 
-    found = roughness(soft.planes) / roughness(white.planes)
+    found = roughness(soft) / roughness(white)
     assert found == pytest.approx(float(grain), rel=0.03)
 
 
@@ -103,9 +100,10 @@ def test_gradients_in_both_modes_jit_and_vmap():
         image, cost, deviation, length = tree
         noise = Noise.of(deviation)
         guide = denoised(image, noise)
-        (soft, _), kept, grain = low_pass(crosshair(field), noise, 10 * deviation)
+        soft = soften(crosshair(field).horizontal.planes, noise, 10 * deviation)
+        kept, grain = passed(noise, 10 * deviation)
         total = jnp.sum(weights * pooled(cost, 100 * guide, noise, Pooling(length=length)))
-        return total + jnp.sum(guide[0] * weights[0]) + kept * grain * jnp.sum(soft.planes[1] ** 3)
+        return total + jnp.sum(guide[0] * weights[0]) + kept * grain * jnp.sum(soft[1] ** 3)
 
     tree = (image, cost, jnp.asarray(0.03), jnp.asarray(6.0))
     check_gradient(loss, tree, rtol=1e-4, step=1e-7, key=jax.random.key(2))

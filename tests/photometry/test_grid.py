@@ -1,24 +1,19 @@
 """All views read around a map: against brute force, and against the crosshair."""
 
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from helpers import check_modes, with_values
-from photometry.planes import plane_views
+from photometry.planes import photometric_labels, plane_views
 from scipy import ndimage
 
 from mvedge_jax._crosshair import crosshair
 from mvedge_jax.lightfield import LightField
-from mvedge_jax.photometry.measuring import (
-    Grid,
-    Measuring,
-    arm_splines,
-    grid_of,
-    labels,
-    look_around,
-    photometric_labels,
-)
+from mvedge_jax.photometry.measuring import CrosshairSplines, Measuring, ViewSplines, labels
+from mvedge_jax.photometry.views import views_of
 
 SHAPE = (14, 17)
 LAB = jnp.zeros((3, *SHAPE))
@@ -35,8 +30,11 @@ PLAIN = with_values(
 
 
 def grid(field):
-    views = jnp.moveaxis(field.views.reshape(-1, *field.views.shape[2:]), -1, 1)
-    return grid_of(views, field.steps.reshape(-1, 2), field.available.reshape(-1))
+    return ViewSplines.of(views_of(field))
+
+
+def look_around(views, disparity, params, *, radius):
+    return views.look(disparity, replace(params, radius=radius))
 
 
 def regressed(field, disparity, y, x, stiffness):
@@ -89,7 +87,7 @@ def test_finds_a_plane_better_than_the_crosshair_does():
     found = look_around(grid(field), start, Measuring(), radius=2)
     lab = jnp.zeros((3, 20, 28))
     every = labels(found, lab, start, Measuring(), passes=2)
-    arms = map(arm_splines, crosshair(field))
+    arms = CrosshairSplines.of(crosshair(field))
     cross = photometric_labels(*arms, lab, start, Measuring(), radius=2, passes=2)
     inner = (slice(4, -4), slice(4, -4))
     errors = [float(jnp.sqrt(jnp.mean((m.disparity - truth)[inner] ** 2))) for m in (every, cross)]
@@ -168,17 +166,16 @@ def test_gradients_in_both_modes():
     field = plane_views(0.2, views=(3, 3), size=(8, 9))
     rows = 0.15 + 0.01 * jnp.sin(jnp.arange(72.0).reshape(8, 9))
     lab = 8 * jax.random.normal(jax.random.key(0), (3, 8, 9))
-    made = grid(field)
+    made = views_of(field)
 
     def loss(tree):
-        views, disparity, params = tree
-        own = grid_of(views, made.steps, made.available)
+        planes, disparity, params = tree
+        own = ViewSplines.of(made._replace(planes=planes))
         found = look_around(own, disparity, params, radius=2)
         label = labels(found, lab, disparity, params, passes=1)
         return jnp.sum(label.disparity**2) + jnp.sum(1 / (1 + 1e4 * label.variance))
 
-    views = jnp.moveaxis(field.views.reshape(-1, 8, 9, 3), -1, 1)
-    check_modes(loss, (views, rows, Measuring()), rtol=1e-4, step=1e-6, key=jax.random.key(1))
+    check_modes(loss, (made.planes, rows, Measuring()), rtol=1e-4, step=1e-6, key=jax.random.key(1))
 
 
 def test_jit_and_single_precision_change_little():
@@ -186,8 +183,8 @@ def test_jit_and_single_precision_change_little():
     made = grid(field)
     start = jnp.full(SHAPE, 0.28)
 
-    def disparity(grid: Grid, start):
-        found = look_around(grid, start, Measuring(), radius=2)
+    def disparity(views, start):
+        found = look_around(views, start, Measuring(), radius=2)
         return labels(found, LAB.astype(start.dtype), start, Measuring(), passes=2).disparity
 
     exact = disparity(made, start)

@@ -5,18 +5,16 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from helpers import check_gradient, random_like, with_values
-from photometry.planes import plane_arms, plane_splines
+from photometry.planes import look, photometric_labels, plane_arms, plane_splines
 
 from mvedge_jax.photometry.measuring import (
     Look,
     Measuring,
     PhotometricLabels,
-    arm_splines,
     labels,
-    look,
     mismatch,
-    photometric_labels,
 )
+from mvedge_jax.photometry.measuring._look import ArmSplines
 from mvedge_jax.photometry.measuring._measure import shared
 
 # Of one colour, so that no neighbour is left out for its own.
@@ -240,7 +238,7 @@ def test_noise_is_no_information():
     noisy = plane_splines(truth, noise=0.02, seed=1)
     rng = np.random.default_rng(2)
     plain = tuple(
-        arm_splines(
+        ArmSplines.of(
             a._replace(planes=jnp.asarray(0.5 + 0.02 * rng.standard_normal(a.planes.shape)))
         )
         for a in plane_arms(truth)

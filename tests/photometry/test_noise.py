@@ -7,23 +7,21 @@ import pytest
 from helpers import check_gradient
 from photometry.scenes import changed, textured
 
-from mvedge_jax._crosshair import crosshair
+from mvedge_jax._crosshair import Crosshair, crosshair
 from mvedge_jax.photometry import Noise
 from mvedge_jax.photometry.brightness import measure_noise
+from mvedge_jax.photometry.matching._unexplained import between_views_variance
 
 TRIED = jnp.linspace(-1, 1, 17)
 
 
 def _measured(light_field, scale=1.0):
     views = light_field.views * np.float32(scale)
-    across, down = (
-        arm._replace(planes=arm.planes * np.float32(scale)) for arm in crosshair(light_field)
-    )
+    arms = crosshair(light_field).mapped(lambda planes: planes * np.float32(scale))
     centre = jnp.moveaxis(views[2, 2], -1, 0)
     tried = TRIED.astype(views.dtype)
-    return measure_noise(
-        centre, jnp.asarray(scale, views.dtype), arms=(across, down), disparities=tried
-    )
+    between = between_views_variance(arms, tried)
+    return measure_noise(centre, jnp.asarray(scale, views.dtype), between=between)
 
 
 @pytest.mark.parametrize("sigma", [0.01, 0.02, 0.05])
@@ -79,9 +77,8 @@ def test_a_missing_view_is_not_seen():
         arm = arms[0]._replace(
             planes=arms[0].planes.at[0].set(value), available=arms[0].available.at[0].set(False)
         )
-        noise = measure_noise(
-            centre, jnp.float32(1), arms=(arm, arm), disparities=TRIED.astype(jnp.float32)
-        )
+        between = between_views_variance(Crosshair(arm, arm), TRIED.astype(jnp.float32))
+        noise = measure_noise(centre, jnp.float32(1), between=between)
         found.append(float(noise.deviation))
     assert found[0] == found[1]
     assert abs(found[0] / 0.02 - 1) < 0.15
@@ -101,9 +98,8 @@ def test_gradient_and_jit():
     def deviation(views):
         arms = crosshair(type(field)(views))
         centre = jnp.moveaxis(views[2, 2], -1, 0)
-        return measure_noise(
-            centre, jnp.ones(()), arms=arms, disparities=TRIED[::4].astype(views.dtype)
-        ).deviation
+        between = between_views_variance(arms, TRIED[::4].astype(views.dtype))
+        return measure_noise(centre, jnp.ones(()), between=between).deviation
 
     check_gradient(deviation, views, rtol=1e-4, step=1e-7, key=jax.random.key(0))
     np.testing.assert_allclose(deviation(views), jax.jit(deviation)(views), rtol=1e-10)

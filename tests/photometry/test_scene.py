@@ -14,21 +14,21 @@ from mvedge_jax.photometry import (
     prepare,
     prepare_views,
 )
+from mvedge_jax.photometry.brightness import GridViews
 from mvedge_jax.photometry.matching import Matching, best_match
 from mvedge_jax.photometry.measuring import (
     Measurement,
     Measuring,
     PhotometricLabels,
-    look_with_weights,
 )
 from mvedge_jax.photometry.measuring._measure import shared
 
 
-def _prepared(light_field, low, high):
+def _prepared(light_field, low, high, *, radius=3):
     tried = jnp.linspace(low, high, hypothesis_count(high - low, max(light_field.centre)))
     tried = tried.astype(light_field.views.dtype)
-    scene = prepare(light_field, tried, cast(Matching(), tried.dtype), window=2)
-    return scene, prepare_views(scene, cast(Measurement(radius=3), tried.dtype)), tried
+    scene = prepare(GridViews(light_field), tried, cast(Matching(), tried.dtype), window=2)
+    return scene, prepare_views(scene, cast(Measurement(radius=radius), tried.dtype)), tried
 
 
 def test_the_first_measurement_finds_a_plane():
@@ -66,10 +66,10 @@ def test_neighbours_share_labels_on_their_surface_only():
 
 def test_views_that_a_nearer_surface_hides_or_that_differ_weigh_little():
     light_field = two_planes(0.8, -0.6, edge=30.2)
-    _, seen, _ = _prepared(light_field, -0.9, 1.1)
+    _, seen, _ = _prepared(light_field, -0.9, 1.1, radius=12)
     truth = jnp.where(jnp.arange(64) < 30, 0.8, -0.6)[None] * jnp.ones((16, 1))
     truth = truth.astype(jnp.float32)
-    _, weights = look_with_weights(*seen.splines, truth, seen.params, radius=12)
+    _, weights = seen.splines.look_with_weights(truth, seen.params)
     assert weights.shape == (18, 16, 64)
     # Right of the border, the near plane comes over the pixel in views of one side only.
     across = np.asarray(weights[9:, 4:12, 33]).mean(1)
@@ -77,8 +77,9 @@ def test_views_that_a_nearer_surface_hides_or_that_differ_weigh_little():
     assert hidden.max() == 0
     assert shown.min() > 0.3
     painted = light_field.views.at[4, 0].set(0.9)
-    _, seen, _ = _prepared(type(light_field)(painted, disparity_range=(-0.9, 1.1)), -0.9, 1.1)
-    weights = np.asarray(look_with_weights(*seen.splines, truth, seen.params, radius=12)[1])
+    spoilt = type(light_field)(painted, disparity_range=(-0.9, 1.1))
+    _, seen, _ = _prepared(spoilt, -0.9, 1.1, radius=12)
+    weights = np.asarray(seen.splines.look_with_weights(truth, seen.params)[1])
     inner = weights[9:, 4:12, 10:24].mean((1, 2))
     assert inner[0] < 0.3
     assert inner[1:].min() > 0.5
@@ -87,11 +88,11 @@ def test_views_that_a_nearer_surface_hides_or_that_differ_weigh_little():
 def test_the_best_match_is_the_least_of_its_costs():
     scene, _, tried = _prepared(plane(0.5, views=5), 0.0, 1.0)
     params = cast(Matching(), tried.dtype)
-    disparity, cost = best_match(*scene.arms, scene.lab, tried, params, window=2)
+    disparity, cost = best_match(scene.arms, scene.lab, tried, params, window=2)
     assert float(jnp.median(jnp.abs(disparity - 0.5))) < 0.02
     for shift in (-1, 1):
         other = tried + shift * 0.37
-        worse = best_match(*scene.arms, scene.lab, other[-2:], params, window=2)[1]
+        worse = best_match(scene.arms, scene.lab, other[-2:], params, window=2)[1]
         assert float(jnp.mean(cost <= worse + 1e-6)) > 0.99
     assert 0 <= float(cost.min()) <= float(cost.max()) <= 2
 

@@ -7,10 +7,10 @@ import pytest
 from posed.walls import MATRIX, POSES, wall
 
 from mvedge_jax.photometry import Noise
-from mvedge_jax.photometry._places import shown_at
 from mvedge_jax.photometry._scene import measuring_in
-from mvedge_jax.photometry.measuring import Measurement, look_around
-from mvedge_jax.photometry.measuring._grid import posed_grid
+from mvedge_jax.photometry.measuring import Measurement, ViewSplines
+from mvedge_jax.photometry.views import ViewSet
+from mvedge_jax.photometry.views._parallax import shown_at
 from mvedge_jax.posed import (
     Photographs,
     StereoDepth,
@@ -43,19 +43,16 @@ def test_what_is_transparent_is_read_in_no_photograph():
     shown = jnp.asarray(MASK, jnp.float64)
     reference = reference_of(cut(0.0), 0, depth_range=RANGE)
     scale = reference.scale(cut(0.0))
-    places = projections(jnp.asarray(POSES), cut(0.0).intrinsics, 0, scale)
+    parallax = projections(jnp.asarray(POSES), cut(0.0).intrinsics, 0, scale)
     disparity = scale / jnp.asarray(DEPTHS[0])
-    params = measuring_in(
-        Noise.of(jnp.asarray(0.002)), jnp.asarray(1.0), jnp.asarray(1.0), jnp.asarray(1.0),
-        Measurement(),
-    )  # fmt: skip
+    params = measuring_in(Noise.of(jnp.asarray(0.002)), jnp.asarray(1.0), Measurement())
     # Splines reach far, though hardly: what is next to the mask is left out of it here.
     inner = jax.vmap(lambda m: jnp.asarray(np.hypot(X - 24, Y - 18) < 5) & (m > 0))(shown)
     both = []
     for color in (0.0, 0.7):
         images = jnp.moveaxis(jnp.asarray(cut(color).images), -1, 1)
-        grid = posed_grid(images, places, jnp.ones(4, bool), inner.astype(jnp.float64))
-        both.append(look_around(grid, disparity, params, radius=4))
+        views = ViewSet(images, parallax, jnp.ones(4, bool), inner.astype(jnp.float64))
+        both.append(ViewSplines.of(views).look(disparity, params))
     for name in ("right", "information", "power", "freedom"):
         one, other = (np.asarray(getattr(each, name)) for each in both)
         assert np.isfinite(one).all()

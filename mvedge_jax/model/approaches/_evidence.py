@@ -1,5 +1,6 @@
 """What the views say about a map: a correction per pixel, and how far the views agree on it."""
 
+from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
 
@@ -14,7 +15,8 @@ from mvedge_jax.color import srgb_to_lab
 from mvedge_jax.diffusion import AutoSolver, System, diffuse
 from mvedge_jax.image import gaussian
 from mvedge_jax.losses import Views
-from mvedge_jax.photometry.measuring import Grid, Measuring, grid_of, labels, look_around
+from mvedge_jax.photometry.measuring import Measuring, ViewSplines, labels
+from mvedge_jax.photometry.views import GridShift, ViewSet
 from mvedge_jax.smoothness import ColorAndDepth, edge_smoothness
 
 # Gaussians over regions are cut here, px.
@@ -82,7 +84,7 @@ def agreed_correction(
         disparity: the map, px per view step, finite.
         params: see `ViewAgreement`.
         radius: how far occluders are looked for, px.
-        passes: over the neighbours whose measurements are shared, see `photometric_labels`.
+        passes: over the neighbours whose measurements are shared, see `labels`.
         margin: how far depth steps spoil measurements, px: windows and neighbours that share theirs
             reach across.
 
@@ -94,15 +96,17 @@ def agreed_correction(
     tx, ty = edge_smoothness(lab, disparity, params.edges)
     solver = AutoSolver(tolerance=jnp.asarray(1e-4, disparity.dtype))
     clear = _unbent(disparity, params.depth_step, margin)
-    grid = _grid(views)
+    steps = jnp.pad(views.steps, ((1, 0), (0, 0))).astype(views.centre.dtype)
+    splines = _splines(views, GridShift(steps))
     # A view's step is odd or even; the centre view belongs to both halves.
-    odd = jnp.mod(jnp.round(jnp.sum(grid.steps, axis=1)), 2) == 1
-    centre = jnp.all(grid.steps == 0, axis=1)
+    odd = jnp.mod(jnp.round(jnp.sum(steps, axis=1)), 2) == 1
+    centre = jnp.all(steps == 0, axis=1)
+    measuring = replace(params.measuring, radius=radius)
 
     def propose(half: Bool[Array, "k"]) -> tuple[Array, Array, Array]:
-        part = grid._replace(available=grid.available & (half | centre))
-        found = look_around(part, disparity, params.measuring, radius=radius)
-        measured = labels(found, lab, disparity, params.measuring, passes=passes)
+        part = splines._replace(available=splines.available & (half | centre))
+        found = part.look(disparity, measuring)
+        measured = labels(found, lab, disparity, measuring, passes=passes)
         # A pixel that measured nothing says nothing, not that there is no change.
         known = jnp.where(clear, 1 / measured.variance, 0)
         told = known / (known + 1 / params.largest**2)
@@ -123,11 +127,11 @@ def agreed_correction(
     return Correction(change, jnp.mean(weight, axis=0), jnp.mean(share, axis=0))
 
 
-def _grid(views: Views) -> Grid:
+def _splines(views: Views, shifts: GridShift) -> ViewSplines:
     """All views with the centre one first."""
     images = jnp.concatenate([views.centre[None], views.others])
-    steps = jnp.concatenate([jnp.zeros((1, 2), views.steps.dtype), views.steps])
-    return grid_of(images, steps, jnp.concatenate([jnp.ones(1, bool), views.available]))
+    there = jnp.pad(views.available, (1, 0), constant_values=True)
+    return ViewSplines.of(ViewSet(images, shifts, there))
 
 
 def _unbent(disparity: Array, step: Array, margin: int) -> Bool[Array, "y x"]:

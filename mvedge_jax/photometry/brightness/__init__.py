@@ -1,10 +1,15 @@
 """How bright and how noisy the views are, measured once and taken out before they are compared."""
 
 from ._brightness import Brightness as Brightness, NoiseModel as NoiseModel
-from ._denoise import denoised as denoised
+from ._denoise import denoised as denoised, low_pass as low_pass
 from ._exposure import Exposure as Exposure, expose as expose, rough_exposure as rough_exposure
 from ._noise import (
     Noise as Noise,
     measure_noise as measure_noise,
     rough_brightness as rough_brightness,
+)
+from ._uncalibrated import (
+    GridViews as GridViews,
+    PosedViews as PosedViews,
+    Uncalibrated as Uncalibrated,
 )

@@ -1,6 +1,6 @@
 """What noisy views need before they are compared: a denoised guide, low-passed views."""
 
-from typing import NamedTuple
+from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
@@ -8,26 +8,11 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float
 
-from mvedge_jax._crosshair import Arm
 from mvedge_jax._params import cast
 from mvedge_jax.image import box_mean, gaussian, gaussian_taps
 
 from ._brightness import NoiseModel
 from ._noise import Noise
-
-
-class Smoothed(NamedTuple):
-    """Arms after a low-pass.
-
-    Attributes:
-        arms: horizontal and vertical.
-        kept: share of the variance of white noise that is left, 0..1.
-        grain: share that is left of the energy of its derivative per variance, 0..1.
-    """
-
-    arms: tuple[Arm, Arm]
-    kept: Float[Array, ""]
-    grain: Float[Array, ""]
 
 
 def denoised(
@@ -69,44 +54,62 @@ def denoised(
     return lax.cond(noise.alpha > 0, jax.checkpoint(filtered), lambda image: image, image)
 
 
-def low_pass(arms: tuple[Arm, Arm], noise: Noise, sigma: Float[Array, ""]) -> Smoothed:
-    """Views blurred as far as the noise rules.
+def soften(
+    images: Float[Array, "s c y x"], noise: Noise, sigma: Float[Array, ""]
+) -> Float[Array, "s c y x"]:
+    """Images blurred as far as the noise rules.
 
     Interpolation between pixels averages noise and whole shifts do not, which would prefer shifts
     by half a pixel; after a blur both keep nearly the same.
 
     Args:
-        arms: of the crosshair.
-        noise: mixes the blurred views in by its `alpha`.
+        images: in any order.
+        noise: mixes the blurred images in by its `alpha`.
         sigma: standard deviation of the Gaussian, px, at most about 1.
 
     Returns:
-        The arms, the same ones where `noise.alpha` is 0, and what they keep of the noise.
-        Differentiable.
+        The images, the same ones where `noise.alpha` is 0. Differentiable.
     """
-    planes = tuple(soften(arm.planes, noise, sigma) for arm in arms)
-    horizontal, vertical = (arm._replace(planes=p) for arm, p in zip(arms, planes, strict=True))
-    return Smoothed((horizontal, vertical), *passed(noise, sigma))
-
-
-def passed(noise: Noise, sigma: Float[Array, ""]) -> tuple[Float[Array, ""], Float[Array, ""]]:
-    """What `soften` leaves of the noise: `Smoothed.kept` and `Smoothed.grain`."""
-    alpha, taps = noise.alpha, gaussian_taps(sigma, 3)
-    middle, energy = taps[3] ** 2, jnp.sum(taps**2) ** 2
-    kept = (1 - alpha) ** 2 + 2 * alpha * (1 - alpha) * middle + alpha**2 * energy
-    white = _derivative_energy(taps, jnp.zeros_like(alpha))
-    return kept, _derivative_energy(taps, alpha) / white
-
-
-def soften(
-    images: Float[Array, "s c y x"], noise: Noise, sigma: Float[Array, ""]
-) -> Float[Array, "s c y x"]:
-    """`low_pass` for images in any order."""
 
     def blurred(images: Array) -> Array:
         return images + noise.alpha * (gaussian(images, sigma, 3) - images)
 
     return lax.cond(noise.alpha > 0, jax.checkpoint(blurred), lambda images: images, images)
+
+
+def low_pass(noise: Noise) -> Callable[[Float[Array, "s c y x"]], Float[Array, "s c y x"]]:
+    """The blur that views need before they are measured in.
+
+    Args:
+        noise: of the views.
+
+    Returns:
+        `soften` by as much as this noise asks for.
+    """
+    return lambda planes: soften(planes, noise, blur_of(noise))
+
+
+def blur_of(noise: Noise) -> Float[Array, ""]:
+    """Standard deviation of `low_pass`, px."""
+    return jnp.minimum(30 * noise.deviation, 1)
+
+
+def passed(noise: Noise, sigma: Float[Array, ""]) -> tuple[Float[Array, ""], Float[Array, ""]]:
+    """What `soften` leaves of white noise.
+
+    Args:
+        noise: see `soften`.
+        sigma: see `soften`.
+
+    Returns:
+        Share that is left of its variance, and share that is left of the energy of its derivative
+        per variance, 0..1. Differentiable.
+    """
+    alpha, taps = noise.alpha, gaussian_taps(sigma, 3)
+    middle, energy = taps[3] ** 2, jnp.sum(taps**2) ** 2
+    kept = (1 - alpha) ** 2 + 2 * alpha * (1 - alpha) * middle + alpha**2 * energy
+    white = _derivative_energy(taps, jnp.zeros_like(alpha))
+    return kept, _derivative_energy(taps, alpha) / white
 
 
 def _derivative_energy(taps: Float[Array, " k"], alpha: Float[Array, ""]) -> Float[Array, ""]:

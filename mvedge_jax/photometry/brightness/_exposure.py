@@ -7,12 +7,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from mvedge_jax._crosshair import Arm
+from mvedge_jax._crosshair import Crosshair
 from mvedge_jax._params import cast
 from mvedge_jax._root import root
 from mvedge_jax.lightfield import LightField
 
-from .._places import Shift
+from ..views._parallax import GridShift
 from ._brightness import Brightness
 from ._gains import block_means, brightening, earned, ratios_along, rough_ratios
 from ._vignette import SIZE, falloff
@@ -24,10 +24,11 @@ class Exposure(NamedTuple):
     Attributes:
         scale: factor for all views, which makes dark ones as bright as floors and weights expect,
             from 1 to `Brightness.brightest`.
-        gain: brightness of each view relative to the centre view, `[v, u]`, by which it is divided;
-            1 for views that were not asked for.
+        gain: brightness of each view relative to the centre view, `[v, u]`, or of each photograph
+            relative to the first, `[s]`, by which it is divided; 1 for views that were not asked
+            for.
         vignette: how the log of that brightness varies over the frame of the view: coefficients
-            `[v, u, i, j]` of the products of Legendre polynomials of degree `i` down and `j` across
+            `[..., i, j]` of the products of Legendre polynomials of degree `i` down and `j` across
             the frame, each of mean square 1; 0 where the views show no more of it than scenes do;
             None for 0 everywhere. Only ratios to the centre view are seen, so that its own
             vignette shows in nothing but parallax: a pixel that its disparity moves outwards is
@@ -38,18 +39,19 @@ class Exposure(NamedTuple):
     """
 
     scale: Float[Array, ""]
-    gain: Float[Array, "v u"]
-    vignette: Float[Array, "v u 4 4"] | None = None
+    gain: Float[Array, "*views"]
+    vignette: Float[Array, "*views 4 4"] | None = None
 
     @property
-    def unevenness(self) -> Float[Array, "v u"]:
+    def unevenness(self) -> Float[Array, "*views"]:
         """Standard deviation over the frame of the log of each vignette over the centre view's."""
         if self.vignette is None:
             return jnp.zeros_like(self.gain)
+        shape = self.gain.shape
+        own = self.vignette[tuple(n // 2 for n in shape) if len(shape) == 2 else 0]
         # Of orthonormal polynomials.
-        rows, columns = self.gain.shape
-        own = self.vignette[rows // 2, columns // 2]
-        return root(jnp.sum((self.vignette - own[None, None]) ** 2, axis=(-2, -1)))
+        change = self.vignette - jnp.broadcast_to(own, self.vignette.shape)
+        return root(jnp.sum(change**2, axis=(-2, -1)))
 
     @property
     def uneven(self) -> Bool[Array, ""]:
@@ -115,7 +117,7 @@ def expose(light_field: LightField, exposure: Exposure) -> LightField:
     return eqx.tree_at(lambda field: field.views, light_field, light_field.views * factor)
 
 
-def exposed_arms(arms: tuple[Arm, Arm], exposure: Exposure) -> tuple[Arm, Arm]:
+def exposed_arms(arms: Crosshair, exposure: Exposure) -> Crosshair:
     """`expose` for the crosshair alone.
 
     Args:
@@ -129,7 +131,7 @@ def exposed_arms(arms: tuple[Arm, Arm], exposure: Exposure) -> tuple[Arm, Arm]:
     shape = horizontal.planes.shape[2:]
     across = exposure.factors(vertical.centre, shape)[:, None]
     down = exposure.factors((slice(None), horizontal.centre), shape).swapaxes(-1, -2)[:, None]
-    return (
+    return Crosshair(
         horizontal._replace(planes=horizontal.planes * across),
         vertical._replace(planes=vertical.planes * down),
     )
@@ -219,7 +221,7 @@ def exposure_along(
     v, u = (np.asarray(axis) for axis in zip(*places, strict=True))
     found = ratios_along(
         views[v, u],
-        Shift(light_field.steps[v, u].astype(views.dtype)),
+        GridShift(light_field.steps[v, u].astype(views.dtype)),
         light_field.available[v, u],
         places.index(own),
         disparity,

@@ -6,11 +6,10 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float
 
-from mvedge_jax._params import cast
 from mvedge_jax._product import FULL, product
 from mvedge_jax.image import gaussian_taps
 
-from .._places import Projection, Shift
+from ..views._parallax import Parallax, inside
 from ._brightness import Brightness
 from ._vignette import SIZE, basis_at, basis_of_blocks, falloff, falloff_at, radial, vignettes
 
@@ -27,48 +26,6 @@ class Ratios(NamedTuple):
     gain: Float[Array, " s"]
     variance: Float[Array, " s"]
     vignette: Float[Array, "s 4 4"]
-
-
-def rough_gains(
-    images: Float[Array, "s y x c"], available: Bool[Array, " s"], params: Brightness
-) -> tuple[Float[Array, ""], Float[Array, " s"]]:
-    """`rough_exposure` for photographs, the first of which is the reference.
-
-    Args:
-        images: sRGB, as they came.
-        available: which of them are to be read.
-        params: see `Brightness`.
-
-    Returns:
-        What all views are multiplied by, see `Exposure.scale`, and the gain of each. Differentiable
-        in the images.
-    """
-    params = cast(params, images.dtype)
-    found = _ratios(_flat(block_means(images)), available, 0, params)
-    return brightening(images[0], params), earned(found, params)
-
-
-def gains_along(
-    images: Float[Array, "s y x c"],
-    places: Projection,
-    available: Bool[Array, " s"],
-    disparity: Float[Array, "y x"],
-    params: Brightness,
-) -> Float[Array, " s"]:
-    """`exposure_along` for photographs, the first of which is the reference.
-
-    Args:
-        images: sRGB, as they came.
-        places: where each shows the pixels of the first one.
-        available: which of them are to be read.
-        disparity: of the first one, `[y, x]`.
-        params: see `Brightness`.
-
-    Returns:
-        The gain of each. Differentiable.
-    """
-    params = cast(params, images.dtype)
-    return earned(ratios_along(images, places, available, 0, disparity, params), params)
 
 
 def brightening(centre: Float[Array, "y x c"], params: Brightness) -> Float[Array, ""]:
@@ -103,6 +60,8 @@ def rough_ratios(
     own: int,
     shape: tuple[int, ...],
     params: Brightness,
+    *,
+    uneven: bool = True,
 ) -> Ratios:
     """Gains and vignettes of views whose disparities nobody knows.
 
@@ -112,10 +71,13 @@ def rough_ratios(
         own: the view that the others are compared with.
         shape: rows and columns of the views.
         params: see `Brightness`.
+        uneven: fit vignettes.
 
     Returns:
         See `Ratios`. Differentiable.
     """
+    if not uneven:
+        return _ratios(_flat(means), there, own, params)
     block, (rows, columns) = _block(shape), means.shape[1:]
     cell = max(1, min(rows, columns) // 16)
     down, across = rows // cell, columns // cell
@@ -183,7 +145,7 @@ def _median(values: Float[Array, "s n"], known: Array) -> Float[Array, " s"]:
 
 def ratios_along(
     views: Float[Array, "s y x c"],
-    places: Shift | Projection,
+    parallax: Parallax,
     available: Bool[Array, " s"],
     centre: int,
     disparity: Float[Array, "y x"],
@@ -198,14 +160,13 @@ def ratios_along(
     height, width = disparity.shape
     stride = min(16, max(1, min(height, width) // 24))
 
-    def look(item: tuple[Array, Shift | Projection, Array]) -> tuple[Array, ...]:
+    def look(item: tuple[Array, Parallax, Array]) -> tuple[Array, ...]:
         view, place, there = item
         x, y = (position[::stride, ::stride] for position in place.positions(disparity))
-        inside = (x >= 0) & (x <= width - 1) & (y >= 0) & (y <= height - 1)
         basis = (basis_at(y, x, (height, width)),) if uneven is not None else ()
-        return _blurred_at(view, x, y, params), inside & there, *basis
+        return _blurred_at(view, x, y, params), inside(x, y, (height, width)) & there, *basis
 
-    seen, known, *basis = lax.map(look, (views, places, available))
+    seen, known, *basis = lax.map(look, (views, parallax, available))
     own = seen[centre]
     known = known[..., None] & _shown(own, 0.97)[None] & (seen < 0.97)
     count = seen.shape[0]

@@ -2,16 +2,12 @@
 
 from typing import Any, NamedTuple
 
-import jax
 import jax.numpy as jnp
-from jax import lax
 from jaxtyping import Array, Float
 
 from mvedge_jax._compiler import lean_jit
-from mvedge_jax._crosshair import Arm
 from mvedge_jax._params import accepts_numpy, cast
 from mvedge_jax.image import window_sum
-from mvedge_jax.interpolation import keys_taps
 from mvedge_jax.lightfield import LightField
 
 from ._brightness import Brightness, NoiseModel
@@ -91,8 +87,6 @@ def measure_noise(
     centre: Float[Array, "c y x"],
     exposure: Float[Array, ""],
     *,
-    arms: tuple[Arm, Arm] | None = None,
-    disparities: Float[Array, " d"] | None = None,
     between: Float[Array, ""] | None = None,
     params: NoiseModel | None = None,
 ) -> Noise:
@@ -106,9 +100,7 @@ def measure_noise(
     Args:
         centre: the centre view, `[c, y, x]`, multiplied by `exposure`.
         exposure: see `Exposure.scale`.
-        arms: the arms of the crosshair in the same units; None leaves the second measurement out.
-        disparities: those to try, px per view step; None likewise.
-        between: the second measurement, where it was made already (`posed_variance`).
+        between: the second measurement, see `between_views_variance`; None leaves it out.
         params: see `NoiseModel`; None for the defaults.
 
     Returns:
@@ -123,9 +115,6 @@ def measure_noise(
     """
     params = cast(NoiseModel() if params is None else params, centre.dtype)
     variance = params.single**2 * single_view_variance(centre, exposure)
-    if arms is not None and disparities is not None:
-        longer = max(arms, key=lambda arm: arm.planes.shape[0])
-        between = between_views_variance(longer, disparities)
     if between is not None:
         variance = jnp.minimum(variance, params.between**2 * between)
     rounding = _rounding(centre / exposure, params.finest)
@@ -185,47 +174,3 @@ def single_view_variance(
     values = jnp.take_along_axis(ordered, place[:, None], axis=1)[:, 0]
     values = jnp.where(found > 0, jnp.where(found > 0, values, 0), 0)
     return jnp.sort(values)[values.shape[0] // 2]
-
-
-def between_views_variance(arm: Arm, disparities: Float[Array, " d"]) -> Float[Array, ""]:
-    """Variance of a channel that the best disparity of the better half arm leaves unexplained.
-
-    Of every eighth row, over windows of 7 px; a fifth of the windows stays below it. Differences
-    of interpolated views are normalised by the noise that the interpolation keeps.
-    """
-    rows = arm.planes[:, :, ::8]
-    channels, _, width = rows.shape[1:]
-    centre = rows[arm.centre]
-    views = {0, arm.centre - arm.centre // 2, arm.centre + arm.centre // 2, rows.shape[0] - 1}
-    halves = tuple(
-        tuple(sorted(v for v in views if (v - arm.centre) * sign > 0)) for sign in (-1, 1)
-    )
-    padded = jnp.pad(rows, ((0, 0), (0, 0), (0, 0), (width, width + 3)), mode="edge")
-
-    def unexplained(disparity: Array) -> Array:
-        parts = []
-        for half in halves:
-            total, known = jnp.zeros_like(centre[0]), jnp.zeros((), rows.dtype)
-            for view in half:
-                shift = arm.steps[view] * disparity
-                whole = jnp.floor(shift)
-                weights = keys_taps(shift - whole)
-                first = jnp.clip(whole.astype(jnp.int32), -width, width) + width - 1
-                window = lax.dynamic_slice_in_dim(padded[view], first, width + 3, axis=2)
-                kept = 1 + sum(w * w for w in weights)
-                there = arm.available[view].astype(rows.dtype)
-                known = known + there
-                for c in range(channels):
-                    value = sum(w * window[c, :, j : j + width] for j, w in enumerate(weights))
-                    total = total + there / (channels * kept) * (value - centre[c]) ** 2
-            total = jnp.where(known > 0, total / jnp.maximum(known, 1), jnp.inf)
-            parts.append(window_sum(total, 3, 1) / 7)
-        return jnp.minimum(*parts)
-
-    def consider(best: Array, disparity: Array) -> tuple[Array, None]:
-        return jnp.minimum(best, unexplained(disparity)), None
-
-    start = jnp.full_like(centre[0], jnp.inf)
-    best, _ = lax.scan(jax.checkpoint(consider), start, disparities)
-    ordered = jnp.sort(best.reshape(-1))
-    return ordered[int(0.2 * ordered.shape[0])]

@@ -6,13 +6,13 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float
 
-from mvedge_jax._crosshair import Arm
+from mvedge_jax._crosshair import Crosshair
 from mvedge_jax._params import cast
 
 from ._brightness import Brightness
 
 
-def lit(arms: tuple[Arm, Arm], params: Brightness) -> Float[Array, "y x"]:
+def lit(arms: Crosshair, params: Brightness) -> Float[Array, "y x"]:
     """Where light of the scene arrived: 0 in what is dark from the frame inwards, and around it.
 
     A mask of the lens stays where it is from view to view. So a pixel is unlit if it is black in
@@ -26,9 +26,8 @@ def lit(arms: tuple[Arm, Arm], params: Brightness) -> Float[Array, "y x"]:
     Returns:
         0 or 1, a constant for derivatives.
     """
-    horizontal, _ = arms
-    params = cast(params, horizontal.planes.dtype)
-    centre = jnp.max(horizontal.planes[horizontal.centre], axis=0)
+    params = cast(params, arms.centre.dtype)
+    centre = jnp.max(arms.centre, axis=0)
     dark = [
         jnp.sum(jnp.max(arm.planes, axis=1) < params.dark, axis=0, dtype=jnp.int32) for arm in arms
     ]

@@ -78,7 +78,7 @@ def swept(arm: Arm, lab: Array, share: Array, same_color: Array, window: int) ->
     """
     return Swept(
         arm.planes[arm.centre],
-        _halves(arm),
+        halves_of(arm),
         colour_weights(lab, same_color, reach=window),
         colour_weights(lab, same_color, reach=window, spacing=2),
         share,
@@ -96,7 +96,7 @@ def arm_cost(arm: Swept, disparity: Float[Array, ""], limits: Limits) -> Float[A
     size = arm.centre.shape[1], arm.centre.shape[2]
 
     def moved(half: Half, centre: Array, disparity: Array) -> list[Array]:
-        return _changes(shifted(half, disparity, (0, 0), size), half.steps, centre, disparity)
+        return changes_of(shifted(half, disparity, (0, 0), size), half.steps, centre, disparity)
 
     # Stored, because both the drift and the cost read them.
     changes = [fenced(moved, half, arm.centre, disparity) for half in arm.halves]
@@ -115,7 +115,7 @@ def moved_cost(
         limits: see `Limits`.
     """
     changes = [
-        fenced(_changes, parts, half.steps, arm.centre, disparity)
+        fenced(changes_of, parts, half.steps, arm.centre, disparity)
         for parts, half in zip(moved, arm.halves, strict=True)
     ]
     return _better_half(arm, changes, limits)
@@ -174,7 +174,7 @@ def shifted_to(half: Half, disparity: Array, view: int, corner: Corner) -> list[
     return [jnp.asarray(at, jnp.int32) for at in (view, 0, corner[0], first)]
 
 
-def _changes(moved: list[Array], steps: Array, centre: Array, disparity: Array) -> list[Array]:
+def changes_of(moved: list[Array], steps: Array, centre: Array, disparity: Array) -> list[Array]:
     """Colours of every view of a half at a disparity, less those of the centre view."""
     width = centre.shape[2]
     result = []
@@ -229,7 +229,8 @@ def _per_view(half: Half, changes: list[Array]) -> Iterator[tuple[Array, Array, 
     return zip(changes, unstack(half.steps), unstack(half.there), strict=True)
 
 
-def _halves(arm: Arm) -> tuple[Half, Half]:
+def halves_of(arm: Arm) -> tuple[Half, Half]:
+    """The views of an arm that a sweep looks at, on either side of the centre."""
     width = arm.planes.shape[3]
     indices = sweep_views(arm.planes.shape[0])
 

@@ -7,16 +7,18 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from mvedge_jax._crosshair import Arm
+from mvedge_jax._crosshair import Crosshair
 from mvedge_jax._fence import kept
 from mvedge_jax._params import at_least, cast, number
 from mvedge_jax.interpolation import vertex
 
-from .._window import contrast
+from .._window import colour_weights, contrast
 from ..brightness._noise import Noise
+from ..views import ViewSet
 from ._arm import Limits, swept
 from ._paths import aggregate
 from ._pooling import Pooling, pooled
+from ._stack import stack_costs
 from ._volume import Sweep, volume
 
 
@@ -58,8 +60,7 @@ class Matching(eqx.Module):
 
 @partial(jax.jit, static_argnames="window")
 def hypotheses(
-    horizontal: Arm,
-    vertical: Arm,
+    views: Crosshair | ViewSet,
     lab: Float[Array, "c y x"],
     disparities: Float[Array, " d"],
     params: Matching,
@@ -83,8 +84,7 @@ def hypotheses(
     of the half, and has costs pooled along surfaces first.
 
     Args:
-        horizontal: the horizontal arm, low-passed as the noise asks.
-        vertical: the vertical arm, likewise, transposed.
+        views: low-passed as the noise asks.
         lab: the centre view in CIELAB, denoised, `[c, y, x]`.
         disparities: what to try, px per view step, increasing, evenly spaced.
         params: see `Matching`.
@@ -97,14 +97,13 @@ def hypotheses(
     """
     params = cast(params, lab.dtype)
     noise = Noise.of(jnp.zeros((), lab.dtype)) if noise is None else noise
-    costs = kept(_costs(horizontal, vertical, lab, disparities, params, noise, window))
+    costs = kept(_costs(views, lab, disparities, params, noise, window))
     return cheapest(along_paths(costs, lab, noise, params), disparities)
 
 
 @partial(jax.jit, static_argnames="window")
 def best_match(
-    horizontal: Arm,
-    vertical: Arm,
+    views: Crosshair | ViewSet,
     lab: Float[Array, "c y x"],
     disparities: Float[Array, " d"],
     params: Matching,
@@ -115,8 +114,7 @@ def best_match(
     """The cheapest hypothesis of every pixel by itself: `hypotheses` without paths and pooling.
 
     Args:
-        horizontal: the horizontal arm.
-        vertical: the vertical arm, transposed.
+        views: exposure and gains taken out.
         lab: the centre view in CIELAB, `[c, y, x]`.
         disparities: what to try, px per view step, increasing, evenly spaced.
         params: see `Matching`.
@@ -129,25 +127,27 @@ def best_match(
     """
     params = cast(params, lab.dtype)
     noise = Noise.of(jnp.zeros((), lab.dtype)) if noise is None else noise
-    total = _costs(horizontal, vertical, lab, disparities, params, noise, window)
+    total = _costs(views, lab, disparities, params, noise, window)
     return cheapest(total, disparities), jnp.min(total, axis=0)
 
 
 def _costs(
-    horizontal: Arm,
-    vertical: Arm,
+    views: Crosshair | ViewSet,
     lab: Array,
     disparities: Array,
     params: Matching,
     noise: Noise,
     window: int,
 ) -> Float[Array, "d y x"]:
-    """The cost of every disparity at every pixel over both arms."""
-    truncation = params.truncation * horizontal.planes.shape[1] * noise_variance(noise, params)
-    share = shared_drift(noise, lab, params)
-    across = swept(horizontal, lab, share, params.same_color, window)
-    down = swept(vertical, jnp.swapaxes(lab, 1, 2), share.T, params.same_color, window)
+    """The cost of every disparity at every pixel."""
+    truncation = params.truncation * views.centre.shape[0] * noise_variance(noise, params)
     limits = Limits(truncation, params.drift, noise.alpha)
+    share, alike = shared_drift(noise, lab, params), params.same_color
+    if isinstance(views, ViewSet):
+        support, wide = (colour_weights(lab, alike, reach=window, spacing=s) for s in (1, 2))
+        return stack_costs(views, disparities, (support, wide), share, limits)
+    across = swept(views.horizontal, lab, share, alike, window)
+    down = swept(views.vertical, jnp.swapaxes(lab, 1, 2), share.T, alike, window)
     return volume(window, Sweep(across, down, disparities, limits))
 
 

@@ -93,4 +93,4 @@ def _sweep(
 ) -> PlaneSweep:
     lab = jnp.moveaxis(srgb_to_lab(light_field.centre_view), -1, 0)
     arms, tried = crosshair(light_field), jnp.linspace(limits[0], limits[1], planes)
-    return PlaneSweep(*best_match(*arms, lab, tried, params, window=window))
+    return PlaneSweep(*best_match(arms, lab, tried, params, window=window))

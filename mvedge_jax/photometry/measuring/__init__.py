@@ -1,18 +1,8 @@
 """The measurement: disparity and standard error of a pixel around a map, in the views it shows."""
 
-from ._grid import Grid as Grid, grid_of as grid_of, look_around as look_around
-from ._look import (
-    Look as Look,
-    arm_splines as arm_splines,
-    look as look,
-    look_with_weights as look_with_weights,
-)
-from ._measure import (
-    PhotometricLabels as PhotometricLabels,
-    labels as labels,
-    mismatch as mismatch,
-    photometric_labels as photometric_labels,
-)
+from ._grid import ViewSplines as ViewSplines
+from ._look import CrosshairSplines as CrosshairSplines, Look as Look
+from ._measure import PhotometricLabels as PhotometricLabels, labels as labels, mismatch as mismatch
 from ._measuring import (
     Measurement as Measurement,
     Measuring as Measuring,

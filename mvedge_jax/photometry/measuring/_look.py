@@ -1,7 +1,6 @@
 """Reading the views of the crosshair around a map."""
 
 from collections.abc import Sequence
-from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -9,7 +8,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float
 
-from mvedge_jax._crosshair import Arm
+from mvedge_jax._crosshair import Arm, Crosshair
 from mvedge_jax._fence import fenced
 from mvedge_jax._params import cast
 from mvedge_jax._unstack import plane_sum
@@ -35,22 +34,15 @@ class ArmSplines(NamedTuple):
     steps: Float[Array, " s"]
     available: Bool[Array, " s"]
 
+    @staticmethod
+    def of(arm: Arm) -> "ArmSplines":
+        """Coefficients of an arm. Differentiable in the colours."""
+        planes, own = spline_coefficients(arm.planes, axis=-1), arm.centre
 
-def arm_splines(arm: Arm) -> ArmSplines:
-    """Makes an arm ready for being looked at.
+        def others(of: Array) -> Array:
+            return jnp.concatenate([of[:own], of[own + 1 :]])
 
-    Args:
-        arm: of the crosshair.
-
-    Returns:
-        Its coefficients. Differentiable in the colours.
-    """
-    planes, own = spline_coefficients(arm.planes, axis=-1), arm.centre
-
-    def others(of: Array) -> Array:
-        return jnp.concatenate([of[:own], of[own + 1 :]])
-
-    return ArmSplines(planes[own], others(planes), others(arm.steps), others(arm.available))
+        return ArmSplines(planes[own], others(planes), others(arm.steps), others(arm.available))
 
 
 class Look(NamedTuple):
@@ -113,88 +105,85 @@ class _Moments(NamedTuple):
     gradient: list[Array]
 
 
-@partial(jax.jit, static_argnames="radius")
-def look(
-    horizontal: ArmSplines,
-    vertical: ArmSplines,
-    disparity: Float[Array, "y x"],
-    params: Measuring,
-    *,
-    radius: int,
-) -> Look:
-    """Reads colours and gradients of all views around a map.
+class CrosshairSplines(NamedTuple):
+    """The views of a crosshair, ready for being read between their pixels.
 
-    Args:
+    Attributes:
         horizontal: the horizontal arm.
         vertical: the vertical arm, transposed.
-        disparity: px per view step, `[y, x]`.
-        params: see `Measuring`.
-        radius: how far occluders are looked for, px.
-
-    Returns:
-        What `labels` and `mismatch` read. Differentiable.
     """
-    params = cast(params, disparity.dtype)
-    # Stored, or the vertical arm is summed up across the rows in memory.
-    across, down = (
-        fenced(lambda a, d: _sums(_arm_views(a, d, params, radius), a.steps), arm, turned)
-        for arm, turned in ((horizontal, disparity), (vertical, disparity.T))
-    )
-    return _joined(across, down, horizontal, vertical)
 
+    horizontal: ArmSplines
+    vertical: ArmSplines
 
-@partial(jax.jit, static_argnames="radius")
-def look_with_weights(
-    horizontal: ArmSplines,
-    vertical: ArmSplines,
-    disparity: Float[Array, "y x"],
-    params: Measuring,
-    *,
-    radius: int,
-) -> tuple[Look, Float[Array, "s y x"]]:
-    """`look`, and how far each view shows what the centre view shows.
+    @staticmethod
+    def of(arms: Crosshair) -> "CrosshairSplines":
+        """Coefficients of both arms. Differentiable in the colours."""
+        return CrosshairSplines(*map(ArmSplines.of, arms))
 
-    Args:
-        horizontal: the horizontal arm.
-        vertical: the vertical arm, transposed.
-        disparity: px per view step, `[y, x]`.
-        params: see `Measuring`.
-        radius: how far occluders are looked for, px.
+    @jax.jit
+    def look(self, disparity: Float[Array, "y x"], params: Measuring) -> Look:
+        """Reads colours and gradients of all views around a map.
 
-    Returns:
-        What `look` returns; the weights of the views, those of the vertical arm first, in [0, 1]: 0
-        where a nearer surface of the map hides a pixel or the image ends, less than one half where
-        colours are further from those of the other views than these are from each other.
-        Differentiable at the occlusions found.
-    """
-    params = cast(params, disparity.dtype)
+        Args:
+            disparity: px per view step, `[y, x]`.
+            params: see `Measuring`.
 
-    def arm_look(arm: ArmSplines, disparity: Array) -> tuple[_ArmLook, Array]:
-        found = _arm_views(arm, disparity, params, radius)
-        weights = jnp.insert(found.weight, arm.others.shape[0] // 2, found.own, axis=0)
-        return _sums(found, arm.steps), weights
+        Returns:
+            What `labels` and `mismatch` read. Differentiable.
+        """
+        params = cast(params, disparity.dtype)
 
-    across, own = fenced(arm_look, horizontal, disparity)
-    down, turned = fenced(arm_look, vertical, disparity.T)
-    weights = jnp.concatenate([jnp.swapaxes(turned, 1, 2), own])
-    return _joined(across, down, horizontal, vertical), weights
+        def sums(arm: ArmSplines, disparity: Array) -> _ArmLook:
+            return _sums(_arm_views(arm, disparity, params), arm.steps)
 
+        # Stored, or the vertical arm is summed up across the rows in memory.
+        turned = fenced(sums, self.vertical, disparity.T)
+        return self._joined(fenced(sums, self.horizontal, disparity), turned)
 
-def _joined(across: _ArmLook, down: _ArmLook, horizontal: ArmSplines, vertical: ArmSplines) -> Look:
-    """The sums of both arms, of which the vertical one is transposed."""
-    down = jax.tree.map(jnp.transpose, down)
-    there = jnp.concatenate([horizontal.available, vertical.available]).astype(across.right.dtype)
-    return Look(
-        across.right + down.right,
-        across.information + down.information,
-        across.power + down.power,
-        across.freedom + down.freedom,
-        1 + 0.5 * jnp.sum(there),  # and the centre view
-        (across.spread, down.spread),
-        None,
-        (across.slope, down.slope),
-        (across.trend, down.trend),
-    )
+    @jax.jit
+    def look_with_weights(
+        self, disparity: Float[Array, "y x"], params: Measuring
+    ) -> tuple[Look, Float[Array, "s y x"]]:
+        """`look`, and how far each view shows what the centre view shows.
+
+        Args:
+            disparity: px per view step, `[y, x]`.
+            params: see `Measuring`.
+
+        Returns:
+            What `look` returns; the weights of the views, those of the vertical arm first, in
+            [0, 1]: 0 where a nearer surface of the map hides a pixel or the image ends, less than
+            one half where colours are further from those of the other views than these are from
+            each other. Differentiable at the occlusions found.
+        """
+        params = cast(params, disparity.dtype)
+
+        def arm_look(arm: ArmSplines, disparity: Array) -> tuple[_ArmLook, Array]:
+            found = _arm_views(arm, disparity, params)
+            weights = jnp.insert(found.weight, arm.others.shape[0] // 2, found.own, axis=0)
+            return _sums(found, arm.steps), weights
+
+        across, own = fenced(arm_look, self.horizontal, disparity)
+        down, turned = fenced(arm_look, self.vertical, disparity.T)
+        weights = jnp.concatenate([jnp.swapaxes(turned, 1, 2), own])
+        return self._joined(across, down), weights
+
+    def _joined(self, across: _ArmLook, down: _ArmLook) -> Look:
+        """The sums of both arms, of which the vertical one is transposed."""
+        down = jax.tree.map(jnp.transpose, down)
+        there = jnp.concatenate([self.horizontal.available, self.vertical.available])
+        return Look(
+            across.right + down.right,
+            across.information + down.information,
+            across.power + down.power,
+            across.freedom + down.freedom,
+            1 + 0.5 * jnp.sum(there.astype(across.right.dtype)),  # and the centre view
+            (across.spread, down.spread),
+            None,
+            (across.slope, down.slope),
+            (across.trend, down.trend),
+        )
 
 
 class _ArmViews(NamedTuple):
@@ -207,8 +196,8 @@ class _ArmViews(NamedTuple):
     slopes: list[Array]
 
 
-def _arm_views(arm: ArmSplines, disparity: Array, params: Measuring, radius: int) -> _ArmViews:
-    negative, positive = occlusion_reach(disparity, radius=radius, step=params.slant)
+def _arm_views(arm: ArmSplines, disparity: Array, params: Measuring) -> _ArmViews:
+    negative, positive = occlusion_reach(disparity, radius=params.radius, step=params.slant)
     columns = jnp.arange(disparity.shape[1], dtype=disparity.dtype)[None, :]
     last = disparity.shape[1] - 1
     centre, slopes = _sample_whole(arm.centre)

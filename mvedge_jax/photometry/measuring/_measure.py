@@ -15,7 +15,7 @@ from mvedge_jax._unstack import unstack
 from mvedge_jax.image import box_mean
 
 from .._window import weighted_sum
-from ._look import ArmSplines, Look, look
+from ._look import Look
 from ._measuring import Measuring
 
 _Tree = TypeVar("_Tree")
@@ -54,49 +54,6 @@ class PhotometricLabels(NamedTuple):
         return precision**2 / (precision**2 + self.variance) / (1 + excess**2)
 
 
-@partial(jax.jit, static_argnames=("radius", "passes"))
-def photometric_labels(
-    horizontal: ArmSplines,
-    vertical: ArmSplines,
-    lab: Float[Array, "c y x"],
-    disparity: Float[Array, "y x"],
-    params: Measuring,
-    *,
-    radius: int,
-    passes: int,
-) -> PhotometricLabels:
-    r"""One Gauss-Newton step of every pixel's disparity towards photo-consistency.
-
-    Around the map given, the colour of a surface point changes from view to view by
-    $k\,(\bar g\,\delta + h)$: the view step, the mean gradient along the arm, the error of the
-    disparity, and a drift of the colour itself, as gloss and shading have it. Regressing the
-    colours on the view steps, over the views that see the point and over the neighbours on the
-    same surface, gives $\delta$ with its standard error; the drift, one per channel and arm for a
-    window, is eliminated. Views that the map itself hides are left out, those that disagree with
-    the others are weighed down.
-
-    The gradient of noise is no information about disparity. What the residual says about the
-    noise is therefore subtracted from the information, so that plain surfaces have none.
-
-    Args:
-        horizontal: the horizontal arm.
-        vertical: the vertical arm, transposed.
-        lab: the centre view in CIELAB, `[c, y, x]`.
-        disparity: the map to improve, px per view step, `[y, x]`.
-        params: see `Measuring`.
-        radius: how far occluders are looked for, px.
-        passes: over the neighbourhood: 1 for 3x3 pixels, 2 for 7x7, 3 for 15x15.
-
-    Returns:
-        Labels with their variances. Differentiable with respect to views, disparity, parameters.
-
-    Source: not in the thesis; Lucas and Kanade (1981), "An iterative image registration technique",
-        for one step along a line of views.
-    """
-    found = look(horizontal, vertical, disparity, params, radius=radius)
-    return labels(found, lab, disparity, params, passes=passes)
-
-
 @partial(jax.jit, static_argnames="passes")
 def labels(
     found: Look,
@@ -106,17 +63,31 @@ def labels(
     *,
     passes: int,
 ) -> PhotometricLabels:
-    """Labels from what the views show; see `photometric_labels`.
+    r"""One Gauss-Newton step of every pixel's disparity towards photo-consistency.
+
+    Around the map given, the colour of a surface point changes from view to view by
+    $k\,(\bar g\,\delta + h)$: the view step, the mean gradient along the step, the error of the
+    disparity, and a drift of the colour itself, as gloss and shading have it. Regressing the
+    colours on the view steps, over the views that see the point and over the neighbours on the
+    same surface, gives $\delta$ with its standard error; the drift, one per channel and axis for a
+    window, is eliminated. Views that the map itself hides are left out, those that disagree with
+    the others are weighed down.
+
+    The gradient of noise is no information about disparity. What the residual says about the
+    noise is therefore subtracted from the information, so that plain surfaces have none.
 
     Args:
-        found: of `look`, around `disparity`.
+        found: what the views show around `disparity`, see `CrosshairSplines.look`.
         lab: the centre view in CIELAB, `[c, y, x]`.
-        disparity: px per view step, `[y, x]`.
+        disparity: the map to improve, px per view step, `[y, x]`.
         params: see `Measuring`.
-        passes: over the neighbourhood.
+        passes: over the neighbourhood: 1 for 3x3 pixels, 2 for 7x7, 3 for 15x15.
 
     Returns:
         Labels with their variances. Differentiable.
+
+    Source: not in the thesis; Lucas and Kanade (1981), "An iterative image registration technique",
+        for one step along a line of views.
     """
     params = cast(params, disparity.dtype)
     unlike = _unlike(lab, disparity, params, _uncertain(found, params))

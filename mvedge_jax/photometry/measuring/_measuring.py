@@ -33,7 +33,7 @@ class Measurement(eqx.Module):
             move the map.
         slant: differences of disparity below this are slant, not occlusion.
         radius: how far occluders are looked for, px.
-        passes: over the neighbors whose measurements are shared, see `photometric_labels`.
+        passes: over the neighbors whose measurements are shared, see `labels`.
         views: which of them labels are measured in: `"crosshair"`, or, in two more solves at the
             end, `"all"`.
     """
@@ -59,25 +59,11 @@ class Measurement(eqx.Module):
 
 
 class Measuring(Measurement):
-    """The same in views of a certain noise, see `prepare_views`.
+    """The same in views of a certain noise, which may hide the colours of surfaces.
 
     Attributes:
-        drift: see `Measurement`.
         stiffness: how sure it is from the start that colours do not drift: 1 says nothing; larger
             where noise would pass for drift.
-        same_surface: see there.
-        same_colour: see there; larger where noise hides the colours of surfaces.
-        outlier: see there.
-        error_floor: see there.
-        plain: see there.
-        scatter: see there.
-        surest: see there.
-        least_noise: see there.
-        least_share: see there.
-        slant: see there.
-        radius: see there.
-        passes: see there.
-        views: see there.
         noise: standard deviation of the images' noise, quantisation and interpolation included, in
             units of sRGB; the floor of what residuals are taken to mean.
         rounding: standard deviation of what the images were rounded by, as much larger as they

@@ -8,10 +8,8 @@ from helpers import check_modes, with_values
 from photometry.planes import plane_views
 from posed.walls import MATRIX, POSES, SIZE, places, turned, wall
 
-from mvedge_jax.photometry._places import Shift
-from mvedge_jax.photometry.measuring import Measuring, grid_of, labels, look_around
-from mvedge_jax.photometry.measuring._grid import posed_grid
-from mvedge_jax.photometry.photographs import Projection
+from mvedge_jax.photometry.measuring import Measuring, ViewSplines, labels
+from mvedge_jax.photometry.views import GridShift, PlaneParallax, ViewSet, views_of
 from mvedge_jax.posed import projections
 
 MATRICES = jnp.broadcast_to(jnp.asarray(MATRIX), (len(POSES), 3, 3))
@@ -22,7 +20,14 @@ def of_pose(pose, scale=2.0):
     both = projections(
         jnp.stack([jnp.eye(4), jnp.asarray(pose)]), MATRICES[:2], 0, jnp.asarray(scale)
     )
-    return Projection(both.homography[1], both.epipole[1])
+    return PlaneParallax(both.homography[1], both.epipole[1])
+
+
+def projected(shift):
+    """The same as a homography and an epipole."""
+    step = shift.step
+    eye = jnp.broadcast_to(jnp.eye(3, dtype=step.dtype), (*step.shape[:-1], 3, 3))
+    return PlaneParallax(eye, jnp.concatenate([step, jnp.zeros_like(step[..., :1])], axis=-1))
 
 
 def test_positions_are_those_of_the_points():
@@ -56,30 +61,25 @@ def test_steps_and_slopes_are_derivatives():
 
 def test_a_grid_of_views_is_a_case_of_photographs():
     field = plane_views(0.3, views=(3, 3), size=(14, 17))
-    planes = jnp.moveaxis(field.views.reshape(-1, *field.views.shape[2:]), -1, 1)
-    order = np.array([4, 0, 1, 2, 3, 5, 6, 7, 8])
-    steps, planes = field.steps.reshape(-1, 2)[order], planes[order]
-    there = jnp.ones(9, bool)
-    place = Projection(jnp.broadcast_to(jnp.eye(3), (9, 3, 3)), jnp.pad(steps, ((0, 0), (0, 1))))
-    start = jnp.full((14, 17), 0.27)
-    found = [
-        look_around(grid, start, Measuring(), radius=2)
-        for grid in (grid_of(planes, steps, there), posed_grid(planes, place, there))
-    ]
-    for shifted, projected in zip(*(jax.tree.leaves(f) for f in found), strict=True):
-        np.testing.assert_allclose(projected, shifted, atol=1e-12)
+    views, start = views_of(field), jnp.full((14, 17), 0.27)
+    assert isinstance(views.parallax, GridShift)
+    posed = views._replace(parallax=projected(views.parallax))
+    found = [ViewSplines.of(of).look(start, Measuring(radius=2)) for of in (views, posed)]
+    for shift, plane in zip(*(jax.tree.leaves(f) for f in found), strict=True):
+        np.testing.assert_allclose(plane, shift, atol=1e-12)
 
 
 def test_measures_a_slanted_wall():
     scale = 2.0
     place = projections(jnp.asarray(POSES), MATRICES, 0, jnp.asarray(scale))
-    grid = posed_grid(jnp.moveaxis(jnp.asarray(IMAGES), -1, 1), place, jnp.ones(4, bool))
+    views = ViewSet(jnp.moveaxis(jnp.asarray(IMAGES), -1, 1), place, jnp.ones(4, bool))
     truth = scale / jnp.asarray(DEPTHS[0])
     lab = jnp.zeros((3, *SIZE))
     params = with_values(Measuring, noise=0.5 / 255)
     for wrong in (0.05, -0.08):
         start = truth + wrong
-        found = labels(look_around(grid, start, params, radius=1), lab, start, params, passes=1)
+        found = ViewSplines.of(views).look(start, params)
+        found = labels(found, lab, start, params, passes=1)
         error = np.abs(np.asarray(found.disparity - truth))[3:-3, 3:-3]
         assert np.median(error) < 0.12 * abs(wrong)
 
@@ -153,14 +153,14 @@ def test_behind_the_camera_is_masked_and_never_nan():
     assert not np.asarray(place.seen(disparity, 1))[x < 24].any()
     for values in (place.positions(disparity), place.steps(disparity)):
         assert all(bool(jnp.isfinite(v).all()) for v in values)
-    both = Projection(
+    both = PlaneParallax(
         jnp.stack([jnp.eye(3), place.homography]), jnp.stack([jnp.zeros(3), place.epipole])
     )
     images = jnp.moveaxis(jnp.asarray(IMAGES[:2]), -1, 1)
 
-    def total(disparity, places):
-        grid = posed_grid(images, places, jnp.ones(2, bool))
-        found = look_around(grid, disparity, Measuring(), radius=1)
+    def total(disparity, parallax):
+        views = ViewSet(images, parallax, jnp.ones(2, bool))
+        found = ViewSplines.of(views).look(disparity, Measuring())
         return sum(jnp.sum(leaf) for leaf in jax.tree.leaves(found))
 
     value, gradients = jax.value_and_grad(total, argnums=(0, 1))(disparity, both)
@@ -177,11 +177,9 @@ def test_gradients_of_a_measurement_in_photographs():
     def total(tree):
         images, poses, disparity = tree
         place = projections(poses, MATRICES[:3], 0, jnp.asarray(2.0))
-        grid = posed_grid(jnp.moveaxis(images, -1, 1), place, jnp.ones(3, bool))
-        found = labels(
-            look_around(grid, disparity, Measuring(), radius=1), lab, disparity, Measuring(),
-            passes=1,
-        )  # fmt: skip
+        views = ViewSet(jnp.moveaxis(images, -1, 1), place, jnp.ones(3, bool))
+        found = ViewSplines.of(views).look(disparity, Measuring())
+        found = labels(found, lab, disparity, Measuring(), passes=1)
         return jnp.mean(found.disparity**2) + jnp.mean(jnp.log(found.variance))
 
     tree = (jnp.asarray(IMAGES[:3]), jnp.asarray(POSES[:3]), start)
@@ -189,6 +187,6 @@ def test_gradients_of_a_measurement_in_photographs():
 
 
 def test_a_shift_needs_no_turning():
-    place = Shift(jnp.asarray([2.0, -1.0]))
+    place = GridShift(jnp.asarray([2.0, -1.0]))
     slopes = jnp.ones((3, *SIZE)), jnp.zeros((3, *SIZE))
     assert place.pulled(jnp.zeros(SIZE), slopes) is slopes

@@ -1,16 +1,55 @@
 """Where the other views show a pixel: by a step of a grid, or by a homography and an epipole."""
 
-from typing import NamedTuple
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float
 
+from mvedge_jax._root import root
+
 # Guards divisions: what views show that look almost across the line of sight is not worth one.
 _BEHIND = 1e-3
 
 
-class Shift(NamedTuple):
+@runtime_checkable
+class Parallax(Protocol):
+    """Where a view, or each of a stack of views, shows the pixels of the reference view.
+
+    A pytree of arrays; with a leading axis for a stack, of which loops take one view at a time.
+    Differentiable but for `seen`.
+    """
+
+    @property
+    def apart(self) -> Float[Array, "*s"]:
+        """Distance from the reference view, in view steps or likewise; 0 for the reference."""
+        ...
+
+    def positions(self, disparity: Float[Array, "y x"]) -> tuple[Array, Array]:
+        """Columns and rows at which the view shows the pixels, px, `[y, x]` each."""
+        ...
+
+    def steps(self, disparity: Float[Array, "y x"]) -> tuple[Array, Array]:
+        """How far the pixel itself would have to move to move as a change of disparity does."""
+        ...
+
+    def pulled(
+        self, disparity: Float[Array, "y x"], slopes: tuple[Array, Array]
+    ) -> tuple[Array, Array]:
+        """Derivatives along the view's axes as such along the reference view's."""
+        ...
+
+    def seen(
+        self, disparity: Float[Array, "y x"], radius: int, *, slant: Float[Array, ""] | float = 0.05
+    ) -> Bool[Array, "y x"]:
+        """Pixels that the view shows: within its frame, not behind others up to `radius` px away.
+
+        Differences of disparity below `slant`, px, hide nothing.
+        """
+        ...
+
+
+class GridShift(NamedTuple):
     """A view of a grid: a pixel moves there by its disparity times the step of the view.
 
     Attributes:
@@ -19,27 +58,32 @@ class Shift(NamedTuple):
 
     step: Float[Array, "*s 2"]
 
+    @property
+    def apart(self) -> Float[Array, "*s"]:
+        """See `Parallax`."""
+        return root(jnp.sum(self.step**2, axis=-1))
+
     def positions(self, disparity: Float[Array, "y x"]) -> tuple[Array, Array]:
-        """Columns and rows at which the view shows the pixels, px, `[y, x]` each."""
+        """See `Parallax`."""
         height, width = disparity.shape
         x = jnp.arange(width, dtype=disparity.dtype)[None] + self.step[0] * disparity
         y = jnp.arange(height, dtype=disparity.dtype)[:, None] + self.step[1] * disparity
         return x, y
 
     def steps(self, disparity: Float[Array, "y x"]) -> tuple[Array, Array]:
-        """How far the pixel itself would have to move to move as a change of disparity does."""
+        """See `Parallax`."""
         return self.step[0], self.step[1]
 
     def pulled(
         self, disparity: Float[Array, "y x"], slopes: tuple[Array, Array]
     ) -> tuple[Array, Array]:
-        """Derivatives along the view's axes as such along the reference view's."""
+        """See `Parallax`."""
         return slopes
 
     def seen(
         self, disparity: Float[Array, "y x"], radius: int, *, slant: Float[Array, ""] | float = 0.05
     ) -> Bool[Array, "y x"]:
-        """Pixels that the view shows: within its frame, and not behind anything nearer.
+        """See `Parallax`.
 
         What lies `j` px away against the direction of the view's step hides a pixel if it is nearer
         by `j` over the length of the step; half a pixel and half a step are the pixels' own size.
@@ -60,15 +104,10 @@ class Shift(NamedTuple):
 
         nothing = jnp.zeros(disparity.shape, bool)
         hidden, _ = lax.scan(nearer, nothing, jnp.arange(1, radius + 1))
-        return self._inside(disparity) & ~(hidden & (length > 0))
-
-    def _inside(self, disparity: Array) -> Array:
-        height, width = disparity.shape
-        x, y = self.positions(disparity)
-        return (x >= 0) & (x <= width - 1) & (y >= 0) & (y <= height - 1)
+        return inside(*self.positions(disparity), disparity.shape) & ~(hidden & (length > 0))
 
 
-class Projection(NamedTuple):
+class PlaneParallax(NamedTuple):
     """A posed photograph: the pixel `p` at disparity `d` is at `H p + d e`, homogeneous.
 
     The third coordinate is depth in the view over depth in the reference view, as it is with
@@ -82,11 +121,13 @@ class Projection(NamedTuple):
     homography: Float[Array, "*s 3 3"]
     epipole: Float[Array, "*s 3"]
 
-    def positions(self, disparity: Float[Array, "y x"]) -> tuple[Array, Array]:
-        """Columns and rows at which the view shows the pixels, px, `[y, x]` each.
+    @property
+    def apart(self) -> Float[Array, "*s"]:
+        """See `Parallax`."""
+        return root(jnp.sum(self.epipole**2, axis=-1))
 
-        What is behind the view's camera has a place far outside of the frame.
-        """
+    def positions(self, disparity: Float[Array, "y x"]) -> tuple[Array, Array]:
+        """See `Parallax`; what is behind the view's camera is far outside of its frame."""
         (x, y), depth = self._homogeneous(disparity)
         ahead = depth > _BEHIND
         safe = jnp.where(ahead, depth, 1)
@@ -94,10 +135,7 @@ class Projection(NamedTuple):
         return jnp.where(ahead, x / safe, away), jnp.where(ahead, y / safe, away)
 
     def steps(self, disparity: Float[Array, "y x"]) -> tuple[Array, Array]:
-        """How far the pixel itself would have to move to move as a change of disparity does.
-
-        Not the movement in the view: turned and magnified as the view is against the reference.
-        """
+        """See `Parallax`: not the movement in the view, which is turned and magnified."""
         (xx, xy, yx, yy), (along_x, along_y) = self._jacobian(disparity)
         determinant = xx * yy - xy * yx
         # Where a view sees the pixels from behind, or edge-on, it tells nothing.
@@ -109,7 +147,7 @@ class Projection(NamedTuple):
     def pulled(
         self, disparity: Float[Array, "y x"], slopes: tuple[Array, Array]
     ) -> tuple[Array, Array]:
-        """Derivatives along the view's axes as such along the reference view's."""
+        """See `Parallax`."""
         (xx, xy, yx, yy), _ = self._jacobian(disparity)
         x, y = slopes
         return xx[None] * x + yx[None] * y, xy[None] * x + yy[None] * y
@@ -117,7 +155,7 @@ class Projection(NamedTuple):
     def seen(
         self, disparity: Float[Array, "y x"], radius: int, *, slant: Float[Array, ""] | float = 0.05
     ) -> Bool[Array, "y x"]:
-        """Pixels that the view shows: ahead of it, within its frame, nothing nearer before them.
+        """See `Parallax`.
 
         Nearer is what is nearer to the view's own camera: seen from elsewhere, larger disparities
         may be farther away. All pixels are drawn into the view, which keeps the nearest; gaps of a
@@ -128,10 +166,10 @@ class Projection(NamedTuple):
         height, width = disparity.shape
         _, depth = self._homogeneous(disparity)
         x, y = self.positions(disparity)
-        inside = (x >= 0) & (x <= width - 1) & (y >= 0) & (y <= height - 1) & (depth > _BEHIND)
-        near = disparity / jnp.where(inside, depth, 1)
+        ahead = inside(x, y, (height, width)) & (depth > _BEHIND)
+        near = disparity / jnp.where(ahead, depth, 1)
         column, row = (jnp.floor(p + 0.5).astype(jnp.int32) for p in (x, y))
-        place = jnp.where(inside, row * width + column, height * width).reshape(-1)
+        place = jnp.where(ahead, row * width + column, height * width).reshape(-1)
         empty = jnp.full(height * width, -jnp.inf, disparity.dtype)
         front = empty.at[place].max(near.reshape(-1), mode="drop").reshape(height, width)
         front = _closed(_closed(front).T).T
@@ -140,7 +178,7 @@ class Projection(NamedTuple):
         length = jnp.maximum(jnp.abs(along_x), jnp.abs(along_y))
         slack = 0.5 / (length + 0.5) + slant
         # From the same place, everything is seen.
-        return inside & ~(((shown - near) * depth > slack) & (length > 0))
+        return ahead & ~(((shown - near) * depth > slack) & (length > 0))
 
     def _homogeneous(self, disparity: Array) -> tuple[tuple[Array, Array], Array]:
         height, width = disparity.shape
@@ -165,6 +203,12 @@ class Projection(NamedTuple):
             (h[i, j] - place * h[2, j]) * over for i, place in enumerate((x, y)) for j in (0, 1)
         )
         return moved, ((e[0] - x * e[2]) * over, (e[1] - y * e[2]) * over)
+
+
+def inside(x: Array, y: Array, shape: tuple[int, ...]) -> Bool[Array, "*p"]:
+    """Whether positions are within a frame of `shape` px."""
+    height, width = shape
+    return (x >= 0) & (x <= width - 1) & (y >= 0) & (y <= height - 1)
 
 
 def shown_at(

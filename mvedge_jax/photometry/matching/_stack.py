@@ -1,0 +1,101 @@
+"""The cost of a disparity over views in any places: the half of them that agrees better."""
+
+import jax
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Float
+
+from mvedge_jax._unstack import plane_sum, unstack
+
+from .._window import weighted_sum
+from ..views import ViewSet
+from ._arm import Limits, truncated
+
+
+def stack_costs(
+    views: ViewSet,
+    disparities: Float[Array, " d"],
+    weights: tuple[Float[Array, "o y x"], Float[Array, "o y x"]],
+    share: Float[Array, "y x"],
+    limits: Limits,
+) -> Float[Array, "d y x"]:
+    """The costs of all disparities, as `volume` has those of two arms.
+
+    What hides a pixel hides it from one side, as a rule, so that of all views only the better half
+    counts: its mean of truncated squared colour differences over a colour-weighted window. Of each,
+    a change of the window's mean colour within limits, which grow with the distance from the
+    reference, is taken out first. A view in whose frame a pixel is not, or behind whose camera,
+    confirms nothing.
+
+    Args:
+        views: low-passed, gains taken out.
+        disparities: what to try.
+        weights: of the windows of the cost and of the drift, see `Swept`.
+        share: how much of the drift is granted.
+        limits: see `Limits`.
+
+    Returns:
+        Costs, at most 2. Differentiable.
+    """
+    support, wide = weights
+    reference, shape = views.centre, views.planes.shape[2:]
+    own = None if views.shown is None else views.shown[0]
+    others = views.mapped(lambda planes: jnp.moveaxis(planes, 1, -1)).others
+    apart = others.parallax.apart
+    most = limits.drift * apart / jnp.max(apart)
+
+    @jax.checkpoint
+    def cost(disparity: Array) -> Array:
+        everywhere = jnp.full(shape, disparity)
+
+        def one(item: tuple[ViewSet, Array]) -> Array:
+            view, limit = item
+            x, y = view.parallax.positions(everywhere)
+            there = view.readable(x, y, shape, own)
+            change = jnp.stack(linear(view.planes, x, y)) - reference
+            gray = plane_sum(change) / change.shape[0]
+            # What is far beyond any drift is another surface, and says nothing about this one.
+            gray = jnp.where(there, jnp.clip(gray, -3 * limit, 3 * limit), 0)
+            drift = weighted_sum(gray[None], wide, spacing=2)[0]
+            drift = share * jnp.clip(drift, -limit, limit)
+            return jnp.where(there, truncated(change - drift[None], limits.truncation), 1)
+
+        return 2 * better_half(weighted_sum(lax.map(one, (others, most)), support))
+
+    return lax.map(cost, disparities)
+
+
+def better_half(costs: Float[Array, "s y x"]) -> Float[Array, "y x"]:
+    """Mean of the smaller half of the costs, by exchanges: XLA on CPU vectorises these, no sort."""
+    planes = unstack(costs)
+    kept = (len(planes) + 1) // 2
+    for first in range(kept):
+        for other in range(first + 1, len(planes)):
+            low = jnp.minimum(planes[first], planes[other])
+            planes[other] = jnp.maximum(planes[first], planes[other])
+            planes[first] = low
+    return sum(planes[1:kept], planes[0]) / kept
+
+
+def linear(image: Float[Array, "y x c"], x: Array, y: Array) -> list[Array]:
+    """Colours between pixels, by linear interpolation; the border is repeated."""
+    height, width, channels = image.shape
+    x, y = jnp.clip(x, 0, width - 1), jnp.clip(y, 0, height - 1)
+    column = jnp.minimum(jnp.floor(x), width - 2).astype(jnp.int32)
+    row = jnp.minimum(jnp.floor(y), height - 2).astype(jnp.int32)
+    right, down = x - column.astype(x.dtype), y - row.astype(y.dtype)
+    first = (row * width + column) * channels
+    # Both pixels of a row and their channels lie side by side: one gather for all of them.
+    slices = lax.GatherDimensionNumbers(
+        offset_dims=(2,), collapsed_slice_dims=(), start_index_map=(0,)
+    )
+    flat, result = image.reshape(-1), []
+    upper, lower = (
+        lax.gather(flat, start[..., None], slices, (2 * channels,), mode="promise_in_bounds")
+        for start in (first, first + width * channels)
+    )
+    for c in range(channels):
+        above = upper[..., c] + right * (upper[..., c + channels] - upper[..., c])
+        below = lower[..., c] + right * (lower[..., c + channels] - lower[..., c])
+        result.append(above + down * (below - above))
+    return result

@@ -1,0 +1,8 @@
+"""Views in any places: posed photographs, or those of a light field; where they show a pixel."""
+
+from ._parallax import (
+    GridShift as GridShift,
+    Parallax as Parallax,
+    PlaneParallax as PlaneParallax,
+)
+from ._views import ViewSet as ViewSet, views_of as views_of

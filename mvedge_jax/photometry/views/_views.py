@@ -1,0 +1,80 @@
+"""Views in any places, the reference among them."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from mvedge_jax.lightfield import LightField
+
+from ._parallax import GridShift, Parallax, inside, shown_at
+
+
+class ViewSet(NamedTuple):
+    """Views of one size, the reference first: posed photographs, or all views of a light field.
+
+    Attributes:
+        planes: sRGB, as they came or what is left of them, `[s, c, y, x]`.
+        parallax: where each of them shows the reference's pixels.
+        available: those that are to be read.
+        shown: 1 where a view shows the scene, 0 where it is transparent; None for everywhere.
+    """
+
+    planes: Float[Array, "s c y x"]
+    parallax: Parallax
+    available: Bool[Array, " s"]
+    shown: Float[Array, "s y x"] | None = None
+
+    @property
+    def centre(self) -> Float[Array, "c y x"]:
+        """The reference view."""
+        return self.planes[0]
+
+    @property
+    def others(self) -> "ViewSet":
+        """All views but the reference."""
+        return jax.tree.map(lambda leaf: leaf[1:], self)
+
+    def mapped(self, function: Callable[[Array], Array]) -> "ViewSet":
+        """The same with a function's values for the planes."""
+        return self._replace(planes=function(self.planes))
+
+    def readable(
+        self, x: Array, y: Array, shape: tuple[int, ...], own: Array | None
+    ) -> Bool[Array, "*p"]:
+        """Whether one view, taken from a set, shows something of the scene at positions.
+
+        Args:
+            x: columns, px.
+            y: rows, px.
+            shape: of the views, px.
+            own: what of the pixels the reference shows, where views are transparent in places.
+        """
+        there = inside(x, y, shape) & self.available
+        if self.shown is None or own is None:
+            return there
+        return there & shown_at(self.shown, x, y) & (own > 0)
+
+
+def views_of(light_field: LightField) -> ViewSet:
+    """All views of a light field, the centre view first.
+
+    Args:
+        light_field: the views.
+
+    Returns:
+        The set. Differentiable.
+    """
+    views = light_field.views
+    rows, columns = views.shape[:2]
+    own = light_field.centre[0] * columns + light_field.centre[1]
+    order = np.concatenate([[own], np.delete(np.arange(rows * columns), own)])
+
+    def stack(values: Array) -> Array:
+        return values.reshape(rows * columns, *values.shape[2:])[order]
+
+    shifts = GridShift(stack(light_field.steps).astype(views.dtype))
+    return ViewSet(jnp.moveaxis(stack(views), -1, 1), shifts, stack(light_field.available))
