@@ -12,6 +12,7 @@ from mvedge_jax._params import cast
 from mvedge_jax._root import root
 from mvedge_jax.depth import DepthResult
 from mvedge_jax.lightfield import LightField
+from mvedge_jax.photometry.brightness import GridViews
 
 from ._draw import decided, drawn
 from ._model import ViewDepth
@@ -96,8 +97,9 @@ def depth_of_views(light_field: LightField, result: DepthResult, model: ViewDept
     # Where nothing is known, infinities would make derivatives that are no numbers.
     error = jnp.where(jnp.isfinite(result.error), result.error, root(jnp.var(result.disparity)))
     samples = samples_of(result.disparity, error, capacity=model.capacity)
-    exposure = result.stats.exposure.everywhere(
-        light_field, result.disparity, params=model.brightness
+    exposure = result.stats.exposure
+    exposure = GridViews(light_field, every=True).exposure_along(
+        exposure.scale, result.disparity, model.brightness, uneven=exposure.uneven
     )
     samples, count = uncovered(samples, light_field, exposure, result.stats.noise, model)
 

@@ -134,11 +134,6 @@ def gather_evidence(
         return Evidence(calibration(light_field, searched), None, None)
     every = light_field if measurement.views == "all" else None
     scene = calibration(light_field, searched, every=every is not None)
-
-    def prepared(
-        scene: CalibratedViews, params: Measurement, every: LightField | None
-    ) -> PreparedViews:
-        return prepare_views(scene, params, every=every)
-
-    views = staged(prepared)(scene, cast(measurement, scene.lab.dtype), every)
+    prepared = staged(lambda s, m, every: prepare_views(s, m, every=every))
+    views = prepared(scene, cast(measurement, scene.lab.dtype), every)
     return Evidence(scene, views, *staged(first_labels)(scene, views))

@@ -1,17 +1,25 @@
 """The photograph whose depth is asked for."""
 
 import math
+from functools import partial
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import lax
 from jaxtyping import Array, Float, Int
 
-from ._photographs import Photographs
+from mvedge_jax.image import highest
+from mvedge_jax.photometry.views import ViewSet
+
+from ._photographs import Photographs, projections
 
 # The farthest photograph is this many view steps away, as in a light field of 9x9 views: the
 # parameters' px per view step then mean the same.
 STEPS = 4.0
+# How far from a pixel a color between pixels is mostly made of, px.
+_INTERPOLATED = 2
 # Depths below this share of the distance to the farthest camera are no photograph's.
 _LEAST = 1e-6
 # Without points or a range, no surface is nearer than this many times the largest baseline.
@@ -45,6 +53,33 @@ class Reference(eqx.Module):
         """
         matrix = photographs.intrinsics[self.index]
         return jnp.sqrt(matrix[0, 0] * matrix[1, 1]) * self.baseline.astype(matrix.dtype)
+
+    def order(self, photographs: Photographs) -> Int[Array, " n"]:
+        """Indices of the photographs, this one's first."""
+        count = photographs.images.shape[0]
+        return (jnp.arange(count, dtype=jnp.int32) + self.index) % count
+
+    def views(self, photographs: Photographs) -> ViewSet:
+        """The photographs in this order.
+
+        Those from the reference's own place, which know nothing about depth, are not to be read;
+        shown is a pixel where all is opaque that colors beside it are interpolated from.
+
+        Args:
+            photographs: two or more.
+
+        Returns:
+            The views. Differentiable.
+        """
+        order, scale = self.order(photographs), self.scale(photographs)
+        parallax = projections(photographs.poses[order], photographs.intrinsics[order], 0, scale)
+        apart, shown = lax.stop_gradient(parallax.apart), None
+        available = (apart > 1e-3 * jnp.max(apart)) | (jnp.arange(order.size) == 0)
+        planes = jnp.moveaxis(photographs.images[order], -1, 1)
+        if photographs.mask is not None:
+            clear = (~photographs.mask[order]).astype(planes.dtype)
+            shown = 1 - jax.vmap(partial(highest, radius=_INTERPOLATED))(clear)
+        return ViewSet(planes, parallax, available, shown)
 
 
 def reference_of(

@@ -1,12 +1,10 @@
 """Dense depth of a photograph from others around it: the light field's measurement, posed."""
 
-from functools import partial
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import lax
+from jax.typing import DTypeLike
 from jaxtyping import Array, Bool, Float, Int
 
 from mvedge_jax._compiler import lean_jit
@@ -15,21 +13,17 @@ from mvedge_jax._params import cast, readable
 from mvedge_jax.color import srgb_to_lab
 from mvedge_jax.depth import map_problems
 from mvedge_jax.depth.solves import Given, Labels, Parts, refine_disparity
-from mvedge_jax.image import highest
 from mvedge_jax.photometry import Noise, prepare, prepare_views
 from mvedge_jax.photometry.brightness import PosedViews
 from mvedge_jax.photometry.matching import best_match
-from mvedge_jax.photometry.views import ViewSet
 
 from ._model import StereoDepth
-from ._photographs import Photographs, projections
+from ._photographs import Photographs
 from ._problems import depth_problems
 from ._reference import Reference
 
 # The least disparity that depth is made of, as a share of the range's upper end.
 _FARTHEST = 1e-6
-# How far from a pixel a color between pixels is mostly made of, px.
-_INTERPOLATED = 2
 
 
 class StereoStats(NamedTuple):
@@ -140,11 +134,11 @@ def _stereo(
     model: StereoDepth,
 ) -> StereoResult:
     photographs = Photographs(*read[:3], mask=read[3])
-    model = cast(model, photographs.images.dtype)
-    setup = _set_up(photographs, reference, model)
+    model, dtype = cast(model, photographs.images.dtype), photographs.images.dtype
+    tried = _tried(reference, model, dtype)
     scene = prepare(
-        PosedViews(setup.views),
-        setup.disparities,
+        PosedViews(reference.views(photographs)),
+        tried,
         model.matching,
         window=model.window,
         brightness=model.brightness,
@@ -152,21 +146,22 @@ def _stereo(
     prepared, first, lit = staged(prepare_views)(scene, model.measurement), scene.first, scene.lit
     assert first is not None
     nothing = jnp.zeros_like(first)
-    span = setup.disparities[-1] - setup.disparities[0]
+    span = tried[-1] - tried[0]
     given = Given(Labels(nothing, nothing), prepared, scene.lab, scene.guide, span, nothing, lit)
     parts = Parts(model.dense, model.smoothness, model.solver, model.refine)
     found = refine_disparity(given, first, parts)
+    gain = scene.exposure.gain
     stats = StereoStats(
         found.iterations,
         found.converged,
         scene.noise,
-        jnp.zeros_like(scene.exposure.gain).at[setup.order].set(scene.exposure.gain),
-        jnp.stack([setup.disparities[0], setup.disparities[-1]]),
+        jnp.zeros_like(gain).at[reference.order(photographs)].set(gain),
+        jnp.stack([tried[0], tried[-1]]),
         found.labeled if lit is None else found.labeled / jnp.mean(lit.astype(found.error.dtype)),
     )
     disparity_error = model.refine.error(found.error, found.disparity)
-    depth, error = _depth(found.disparity, disparity_error, setup.scale, reference)
-    mask = setup.mask
+    scale, mask = reference.scale(photographs), _opaque(photographs, reference)
+    depth, error = _depth(found.disparity, disparity_error, scale, reference)
     return StereoResult(
         _where_opaque(depth, mask, jnp.nan),
         _where_opaque(error, mask, jnp.inf),
@@ -187,47 +182,20 @@ def _depth(
     return depth, error * depth**2 / scale
 
 
+def _opaque(photographs: Photographs, reference: Reference) -> Bool[Array, "y x"] | None:
+    """Pixels of the reference that are not transparent; None where all are."""
+    return None if photographs.mask is None else photographs.mask[reference.index]
+
+
 def _where_opaque(values: Array, mask: Array | None, nothing: float) -> Array:
     """Values of a map, and what stands for none where the photograph is transparent."""
     return values if mask is None else jnp.where(mask, values, nothing)
 
 
-class _SetUp(NamedTuple):
-    """The photographs with the reference first, and what to try.
-
-    Attributes:
-        views: the reference first; shown where all that a pixel is interpolated from is opaque.
-        disparities: what to try.
-        scale: disparity times depth.
-        order: indices of the photographs.
-        mask: the opaque pixels of the reference; None where all are.
-    """
-
-    views: ViewSet
-    disparities: Array
-    scale: Array
-    order: Array
-    mask: Array | None
-
-
-def _set_up(photographs: Photographs, reference: Reference, model: StereoDepth) -> _SetUp:
-    count, dtype = photographs.images.shape[0], photographs.images.dtype
-    scale = reference.scale(photographs)
-    order = (jnp.arange(count, dtype=jnp.int32) + reference.index) % count
-    parallax = projections(photographs.poses[order], photographs.intrinsics[order], 0, scale)
-    # A photograph from the reference's own place knows nothing about depth.
-    apart = lax.stop_gradient(parallax.apart)
-    available = (apart > 1e-3 * jnp.max(apart)) | (jnp.arange(count) == 0)
-    limits = reference.disparity_range.astype(dtype)
-    shares = jnp.linspace(0, 1, model.hypotheses, dtype=dtype)
-    disparities = limits[0] + (limits[1] - limits[0]) * shares
-    mask, shown = photographs.mask, None
-    if mask is not None:
-        clear = (~mask[order]).astype(dtype)
-        shown, mask = 1 - jax.vmap(partial(highest, radius=_INTERPOLATED))(clear), mask[order[0]]
-    planes = jnp.moveaxis(photographs.images[order], -1, 1)
-    views = ViewSet(planes, parallax, available, shown)
-    return _SetUp(views, disparities, scale, order, mask)
+def _tried(reference: Reference, model: StereoDepth, dtype: DTypeLike) -> Float[Array, " d"]:
+    """The disparities of the hypotheses."""
+    low, high = reference.disparity_range.astype(dtype)
+    return low + (high - low) * jnp.linspace(0, 1, model.hypotheses, dtype=dtype)
 
 
 class PosedSweep(NamedTuple):
@@ -256,11 +224,10 @@ def posed_sweep(photographs: Photographs, reference: Reference, model: StereoDep
 
     Source: not in the thesis; the plane sweep of Collins (1996) with the better half of the views.
     """
-    given = _set_up(photographs, reference, model)
     lab = jnp.moveaxis(srgb_to_lab(photographs.images[reference.index]), -1, 0)
-    disparity, _ = best_match(
-        given.views, lab, given.disparities, model.matching, window=model.window
-    )
-    depth, _ = _depth(disparity, jnp.zeros_like(disparity), given.scale, reference)
-    depth, disparity = (_where_opaque(v, given.mask, jnp.nan) for v in (depth, disparity))
+    views, tried = reference.views(photographs), _tried(reference, model, lab.dtype)
+    disparity, _ = best_match(views, lab, tried, model.matching, window=model.window)
+    scale, mask = reference.scale(photographs), _opaque(photographs, reference)
+    depth, _ = _depth(disparity, jnp.zeros_like(disparity), scale, reference)
+    depth, disparity = (_where_opaque(v, mask, jnp.nan) for v in (depth, disparity))
     return PosedSweep(depth, disparity)

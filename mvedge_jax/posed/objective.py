@@ -11,22 +11,20 @@ from mvedge_jax.losses import LossTerms, LossWeights
 from mvedge_jax.losses.terms import edge_aware_smoothness, gradient_reward, ssim
 from mvedge_jax.model import DepthModel, Renderer, render_model
 from mvedge_jax.model.objectives import Trust
-from mvedge_jax.photometry.views import PlaneParallax
+from mvedge_jax.photometry.views import ViewSet
 
 
 class PosedReprojection(eqx.Module):
     """How badly a model's map explains the photographs: an objective for `optimise`.
 
     Attributes:
-        images: the reference first, sRGB.
-        parallax: where each of them shows the reference's pixels.
+        views: the reference first.
         trust: limits of the parameters.
         renderer: of the model.
         weights: of the terms.
     """
 
-    images: Float[Array, "s c y x"]
-    parallax: PlaneParallax
+    views: ViewSet
     trust: Trust
     renderer: Renderer
     weights: LossWeights
@@ -36,7 +34,7 @@ class PosedReprojection(eqx.Module):
     ) -> tuple[Float[Array, ""], Float[Array, "y x"]]:
         """Loss and map."""
         disparity = render_model(model, self.renderer, start=start).disparity
-        return posed_loss(disparity, self.images, self.parallax, self.weights), disparity
+        return posed_loss(disparity, self.views, self.weights), disparity
 
     def project(self, model: DepthModel) -> DepthModel:
         """The nearest model within the limits."""
@@ -45,35 +43,32 @@ class PosedReprojection(eqx.Module):
 
 def posed_loss(
     disparity: Float[Array, "y x"],
-    images: Float[Array, "s c y x"],
-    parallax: PlaneParallax,
+    views: ViewSet,
     weights: LossWeights,
 ) -> Float[Array, ""]:
     """The loss (7.16) of a photograph's map: `self_supervised_loss`, for posed photographs.
 
     Args:
         disparity: of the first photograph, px per baseline.
-        images: sRGB, the reference first.
-        parallax: where each of them shows the reference's pixels.
+        views: the reference first; all of them count.
         weights: of the terms.
 
     Returns:
-        The loss. What a photograph shows, by `PlaneParallax.seen`, is a selection; differentiable
+        The loss. What a photograph shows, by `Parallax.seen`, is a selection; differentiable
         in all arguments.
 
     Source: Thesis 7.1.4, Eq. 7.15-7.16, with the homographies of posed photographs.
     """
     weights = cast(weights, disparity.dtype)
-    centre = images[0]
+    centre = views.centre
 
-    def one(image: Array, parallax: PlaneParallax) -> tuple[Array, Array]:
-        x, y = parallax.positions(disparity)
-        seen = parallax.seen(disparity, 1)
+    def one(view: ViewSet) -> tuple[Array, Array]:
+        x, y = view.parallax.positions(disparity)
+        seen = view.parallax.seen(disparity, 1)
         shown = jax.vmap(lambda plane: map_coordinates(plane, [y, x], order=1, mode="nearest"))
-        return jnp.where(seen[None], shown(image), centre), seen
+        return jnp.where(seen[None], shown(view.planes), centre), seen
 
-    others = jax.tree.map(lambda leaf: leaf[1:], (images, parallax))
-    warped, seen = jax.vmap(one)(*others)
+    warped, seen = jax.vmap(one)(views.others)
     # Hidden pixels show the reference itself: their difference is 0.
     total = jnp.sum(jnp.mean(jnp.abs(warped - centre[None]), axis=1), axis=0)
     count = jnp.maximum(jnp.sum(seen, axis=0).astype(disparity.dtype), 1)

@@ -24,7 +24,7 @@ from mvedge_jax.model import (
 from mvedge_jax.model.objectives import unlimited
 from mvedge_jax.model.optimisation import Progress, Rates, Routine, begin, one_at_a_time, optimise
 
-from ._photographs import Photographs, projections
+from ._photographs import Photographs
 from ._reference import Reference
 from .objective import PosedReprojection
 
@@ -210,12 +210,8 @@ def posed_reprojection(
     Returns:
         The objective. Differentiable in images, poses and intrinsics.
     """
-    count = photographs.images.shape[0]
-    order = (jnp.arange(count, dtype=jnp.int32) + reference.index) % count
-    scale = reference.scale(photographs)
-    parallax = projections(photographs.poses[order], photographs.intrinsics[order], 0, scale)
-    images = jnp.moveaxis(photographs.images[order], -1, 1)
-    return PosedReprojection(images, parallax, unlimited(model), method.renderer, method.weights)
+    views = reference.views(photographs)
+    return PosedReprojection(views, unlimited(model), method.renderer, method.weights)
 
 
 def _model_of(seen: SeenPoints, image: Float[Array, "y x c"]) -> DepthModel:

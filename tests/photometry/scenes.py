@@ -5,6 +5,7 @@ import numpy as np
 from scipy import ndimage
 
 from mvedge_jax.lightfield import LightField
+from mvedge_jax.photometry.brightness import Brightness, GridViews
 
 
 def textured(
@@ -48,3 +49,13 @@ def cross_gains(views=5, spread=0.08, seed=2):
     gain[:, middle] = 1 + rng.uniform(-spread, spread, views)
     gain[middle, middle] = 1
     return gain
+
+
+def rough_exposure(light_field, *, params=None):
+    """What is measured without a map."""
+    return GridViews(light_field).rough_exposure(Brightness() if params is None else params)
+
+
+def exposure_along(light_field, scale, disparity, *, every=False):
+    """What is measured along a map."""
+    return GridViews(light_field, every=every).exposure_along(scale, disparity, Brightness())

@@ -8,13 +8,13 @@ from helpers import check_gradient, random_like, with_values
 from photometry.planes import look, photometric_labels, plane_arms, plane_splines
 
 from mvedge_jax.photometry.measuring import (
+    CrosshairSplines,
     Look,
     Measuring,
     PhotometricLabels,
     labels,
     mismatch,
 )
-from mvedge_jax.photometry.measuring._look import ArmSplines
 from mvedge_jax.photometry.measuring._measure import shared
 
 # Of one colour, so that no neighbour is left out for its own.
@@ -144,7 +144,8 @@ def test_forward_mode_of_the_measurement_agrees():
 def drifting(arms, drift):
     """Views whose colours change by `drift`, one number per channel, from each to the next."""
     change = jnp.asarray(drift)[None, :, None, None]
-    return tuple(a._replace(others=a.others + a.steps[:, None, None, None] * change) for a in arms)
+    moved = (a._replace(others=a.others + a.steps[:, None, None, None] * change) for a in arms)
+    return CrosshairSplines(*moved)
 
 
 def test_drift_does_not_move_a_label():
@@ -237,11 +238,8 @@ def test_noise_is_no_information():
     truth = 0.2
     noisy = plane_splines(truth, noise=0.02, seed=1)
     rng = np.random.default_rng(2)
-    plain = tuple(
-        ArmSplines.of(
-            a._replace(planes=jnp.asarray(0.5 + 0.02 * rng.standard_normal(a.planes.shape)))
-        )
-        for a in plane_arms(truth)
+    plain = CrosshairSplines.of(
+        plane_arms(truth).mapped(lambda p: jnp.asarray(0.5 + 0.02 * rng.standard_normal(p.shape)))
     )
     disparity = jnp.full((20, 28), truth)
     weights = []

@@ -9,7 +9,7 @@ from photometry.planes import plane_views
 from posed.walls import MATRIX, POSES, SIZE, places, turned, wall
 
 from mvedge_jax.photometry.measuring import Measuring, ViewSplines, labels
-from mvedge_jax.photometry.views import GridShift, PlaneParallax, ViewSet, views_of
+from mvedge_jax.photometry.views import GridShift, Parallax, PlaneParallax, ViewSet, views_of
 from mvedge_jax.posed import projections
 
 MATRICES = jnp.broadcast_to(jnp.asarray(MATRIX), (len(POSES), 3, 3))
@@ -37,26 +37,6 @@ def test_positions_are_those_of_the_points():
         x, y = of_pose(pose).positions(jnp.asarray(2.0 / DEPTHS[0]))
         np.testing.assert_allclose(x, local[..., 0] / local[..., 2], atol=1e-9)
         np.testing.assert_allclose(y, local[..., 1] / local[..., 2], atol=1e-9)
-
-
-def test_steps_and_slopes_are_derivatives():
-    place, disparity = of_pose(POSES[1]), jnp.asarray(2.0 / DEPTHS[0])
-    _, moved = jax.jvp(place.positions, (disparity,), (jnp.ones_like(disparity),))
-    steps = place.steps(disparity)
-    # Moving the pixel by the steps moves it in the view as a change of disparity does.
-    still = jnp.full(SIZE, 1.1)
-    x, y = (np.asarray(p) for p in place.positions(still))
-    (xx, yx), (xy, yy) = ([np.gradient(p, axis=axis)[5, 7] for p in (x, y)] for axis in (1, 0))
-    sx, sy = (np.asarray(s)[5, 7] for s in place.steps(still))
-    _, wanted = jax.jvp(place.positions, (still,), (jnp.ones_like(still),))
-    np.testing.assert_allclose(xx * sx + xy * sy, wanted[0][5, 7], rtol=1e-4)
-    np.testing.assert_allclose(yx * sx + yy * sy, wanted[1][5, 7], rtol=1e-4)
-    # So a slope of the view along its movement is the pulled slope along the steps.
-    slopes = jnp.ones((1, *SIZE)), jnp.full((1, *SIZE), -0.5)
-    pulled = place.pulled(disparity, slopes)
-    np.testing.assert_allclose(
-        pulled[0][0] * steps[0] + pulled[1][0] * steps[1], moved[0] - 0.5 * moved[1], rtol=1e-9
-    )
 
 
 def test_a_grid_of_views_is_a_case_of_photographs():
@@ -186,7 +166,109 @@ def test_gradients_of_a_measurement_in_photographs():
     check_modes(total, tree, rtol=2e-4, step=1e-7, key=jax.random.key(0))
 
 
-def test_a_shift_needs_no_turning():
-    place = GridShift(jnp.asarray([2.0, -1.0]))
-    slopes = jnp.ones((3, *SIZE)), jnp.zeros((3, *SIZE))
-    assert place.pulled(jnp.zeros(SIZE), slopes) is slopes
+# What every `Parallax` has to keep: a new one is added here.
+STEPS = np.array([[0.0, 0.0], [1.0, 0.0], [-2.0, 1.0], [0.5, -1.5]])
+STACKS = {
+    "shift": GridShift(jnp.asarray(STEPS)),
+    "plane": projections(jnp.asarray(POSES), MATRICES, 0, jnp.asarray(4.0)),
+}
+Y, X = np.mgrid[: SIZE[0], : SIZE[1]].astype(float)
+BOWL = jnp.asarray(1.2 + 0.3 * np.sin(0.2 * X) * np.cos(0.15 * Y))
+CARD = jnp.asarray(np.where((np.abs(X - 22) < 7) & (np.abs(Y - 16) < 6), 3.0, 1.0))
+
+
+def one_of(stack, index):
+    return jax.tree.map(lambda leaf: leaf[index], stack)
+
+
+@pytest.fixture(params=STACKS)
+def stack(request):
+    return STACKS[request.param]
+
+
+def test_the_reference_shows_every_pixel_at_its_own_place(stack):
+    assert isinstance(stack, Parallax)
+    own = one_of(stack, 0)
+    assert float(own.apart) == 0
+    assert float(stack.apart[1:].min()) > 0
+    np.testing.assert_array_equal(own.positions(BOWL), np.broadcast_arrays(X, Y))
+    assert bool(own.seen(CARD, 9).all())
+
+
+def test_steps_and_pulled_slopes_are_those_of_differences(stack):
+    """Of a pixel of a plane, whose positions and its neighbours' are known without derivatives."""
+    flat, tiny, slopes = jnp.full(SIZE, 1.1), 1e-5, (0.7, -0.4)
+    inner = (slice(1, -1), slice(1, -1))
+    for index in range(1, 4):
+        place = one_of(stack, index)
+        x, y = (np.broadcast_to(p, SIZE) for p in place.positions(flat))
+        (xx, yx), (xy, yy) = ([np.gradient(p, axis=axis) for p in (x, y)] for axis in (1, 0))
+        after, before = (place.positions(flat + t) for t in (tiny, -tiny))
+        moved = [np.asarray(a - b) / (2 * tiny) for a, b in zip(after, before, strict=True)]
+        sx, sy = place.steps(flat)
+        for found, wanted in ((xx * sx + xy * sy, moved[0]), (yx * sx + yy * sy, moved[1])):
+            np.testing.assert_allclose(found[inner], wanted[inner], rtol=2e-3, atol=1e-6)
+        along = place.pulled(flat, tuple(jnp.full((1, *SIZE), s) for s in slopes))
+        for found, (dx, dy) in zip(along, ((xx, yx), (xy, yy)), strict=True):
+            wanted = slopes[0] * dx + slopes[1] * dy
+            np.testing.assert_allclose(found[0][inner], wanted[inner], rtol=2e-3, atol=1e-6)
+
+
+def test_seen_is_what_no_nearer_pixel_lands_on(stack):
+    """By brute force: of all pixels that land within half a pixel, the nearest is seen."""
+    near = np.asarray(CARD).ravel()
+    for index in range(1, 4):
+        place = one_of(stack, index)
+        x, y = (np.broadcast_to(p, SIZE).ravel() for p in place.positions(CARD))
+        inside = (x >= 0) & (x <= SIZE[1] - 1) & (y >= 0) & (y <= SIZE[0] - 1)
+        over = (np.abs(x[:, None] - x) <= 0.5) & (np.abs(y[:, None] - y) <= 0.5)
+        hidden = (over & (near[None] > near[:, None] + 0.5)).any(1)
+        found = np.asarray(place.seen(CARD, 12)).ravel()
+        # Half a pixel of doubt about the outline.
+        assert (found != (inside & ~hidden)).mean() < 0.04
+        assert (~found[inside & hidden]).mean() > 0.8
+        assert not found[~inside].any()
+
+
+def test_positions_have_derivatives_in_both_modes_and_programs_agree(stack):
+    place, slopes = one_of(stack, 2), (jnp.ones((1, *SIZE)), jnp.full((1, *SIZE), -0.5))
+
+    def values(tree):
+        place, disparity = tree
+        steps = (jnp.broadcast_to(s, SIZE) for s in place.steps(disparity))
+        return (*place.positions(disparity), *steps, *place.pulled(disparity, slopes))
+
+    def loss(tree):
+        return sum(jnp.sum(jnp.sin(0.1 * value)) for value in values(tree))
+
+    check_modes(loss, (place, BOWL), rtol=1e-6, key=jax.random.key(0))
+    for eager, compiled in zip(values((place, BOWL)), jax.jit(values)((place, BOWL)), strict=True):
+        np.testing.assert_allclose(compiled, eager, rtol=1e-12, atol=1e-12)
+
+
+def test_a_stack_is_a_loop(stack):
+    def of(place):
+        return (*place.positions(CARD), place.seen(CARD, 9))
+
+    found = jax.vmap(of)(stack)
+    for index in range(4):
+        for batched, alone in zip(found, of(one_of(stack, index)), strict=True):
+            np.testing.assert_allclose(batched[index], alone, rtol=1e-12, atol=1e-12)
+
+
+def test_a_shift_is_a_case_of_a_plane_and_its_epipole():
+    shifts = STACKS["shift"]
+    planes = projected(shifts)
+    np.testing.assert_allclose(planes.apart, shifts.apart)
+    for index in range(4):
+        shift, plane = one_of(shifts, index), one_of(planes, index)
+        for name in ("positions", "steps"):
+            pair = zip(getattr(shift, name)(BOWL), getattr(plane, name)(BOWL), strict=True)
+            for one, other in pair:
+                np.testing.assert_allclose(*np.broadcast_arrays(one, other), atol=1e-12)
+        slopes = jnp.ones((3, *SIZE)), jnp.zeros((3, *SIZE))
+        assert shift.pulled(BOWL, slopes) is slopes
+        for one, other in zip(slopes, plane.pulled(BOWL, slopes), strict=True):
+            np.testing.assert_allclose(other, one, atol=1e-12)
+        # One looks along its step, the other draws all pixels: outlines differ by half a pixel.
+        assert float(jnp.mean(shift.seen(CARD, 9) != plane.seen(CARD, 9))) < 0.04

@@ -17,6 +17,7 @@ from mvedge_jax.photometry import (
 from mvedge_jax.photometry.brightness import GridViews
 from mvedge_jax.photometry.matching import Matching, best_match
 from mvedge_jax.photometry.measuring import (
+    CrosshairSplines,
     Measurement,
     Measuring,
     PhotometricLabels,
@@ -69,6 +70,7 @@ def test_views_that_a_nearer_surface_hides_or_that_differ_weigh_little():
     _, seen, _ = _prepared(light_field, -0.9, 1.1, radius=12)
     truth = jnp.where(jnp.arange(64) < 30, 0.8, -0.6)[None] * jnp.ones((16, 1))
     truth = truth.astype(jnp.float32)
+    assert isinstance(seen.splines, CrosshairSplines)
     _, weights = seen.splines.look_with_weights(truth, seen.params)
     assert weights.shape == (18, 16, 64)
     # Right of the border, the near plane comes over the pixel in views of one side only.
@@ -79,6 +81,7 @@ def test_views_that_a_nearer_surface_hides_or_that_differ_weigh_little():
     painted = light_field.views.at[4, 0].set(0.9)
     spoilt = type(light_field)(painted, disparity_range=(-0.9, 1.1))
     _, seen, _ = _prepared(spoilt, -0.9, 1.1, radius=12)
+    assert isinstance(seen.splines, CrosshairSplines)
     weights = np.asarray(seen.splines.look_with_weights(truth, seen.params)[1])
     inner = weights[9:, 4:12, 10:24].mean((1, 2))
     assert inner[0] < 0.3

@@ -6,15 +6,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from helpers import check_gradient
-from photometry.scenes import changed, cross_gains, textured
+from photometry.scenes import changed, cross_gains, exposure_along, rough_exposure, textured
 
-from mvedge_jax._crosshair import crosshair
 from mvedge_jax.datasets import synthetic
 from mvedge_jax.depth import EdgeDepth
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.metrics import depth_scores
-from mvedge_jax.photometry.brightness import Exposure, expose, rough_exposure
-from mvedge_jax.photometry.brightness._exposure import exposed_arms, exposure_along
+from mvedge_jax.photometry.brightness import Exposure, GridViews, expose
 
 SIZE = (96, 112)
 FLAT = jnp.full(SIZE, 0.5, jnp.float32)
@@ -87,8 +85,8 @@ def test_views_without_vignettes_are_not_touched(sigma):
         np.testing.assert_array_equal(exposure.unevenness, 0)
         without = exposure._replace(vignette=None)
         for one, other in zip(
-            exposed_arms(crosshair(field), exposure),
-            exposed_arms(crosshair(field), without),
+            GridViews(field).exposed(exposure),
+            GridViews(field).exposed(without),
             strict=True,
         ):
             np.testing.assert_array_equal(one.planes, other.planes)

@@ -8,7 +8,7 @@ from helpers import check_gradient
 from posed.walls import MATRIX, POSES, places, wall
 
 from mvedge_jax.model import DepthModel, Renderer
-from mvedge_jax.posed import Photographs, projections, reference_of
+from mvedge_jax.posed import Photographs, reference_of
 from mvedge_jax.posed.objective import posed_loss
 from mvedge_jax.posed.scores import depth_errors
 from mvedge_jax.posed.sparse import (
@@ -62,12 +62,10 @@ def test_only_points_that_the_photograph_saw():
 def test_the_truth_explains_the_photographs_best():
     view, wanted = photographs(), WANTED
     scale = wanted.scale(view)
-    order = np.roll(np.arange(4), -INDEX)
-    where = projections(view.poses[order], view.intrinsics[order], 0, scale)
-    images = jnp.moveaxis(view.images[order], -1, 1)
     truth = scale / jnp.asarray(DEPTHS[INDEX])
     weights = SparseStereoDepth().weights
-    loss = jax.jit(lambda d: posed_loss(truth + d, images, where, weights))
+    views = wanted.views(view)
+    loss = jax.jit(lambda d: posed_loss(truth + d, views, weights))
     losses = [float(loss(d)) for d in (-0.2, -0.1, -0.05, 0.0, 0.05, 0.1, 0.2)]
     assert losses == sorted(losses[:4], reverse=True) + sorted(losses[4:])
 

@@ -5,10 +5,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from helpers import check_gradient, count_traces, shared_data
-from posed.walls import MATRIX, POSES, places, texture, turned, wall
+from posed.walls import MATRIX, POSES, SIZE, falloff, places, texture, turned, wall
 
 from mvedge_jax.datasets import synthetic
 from mvedge_jax.datasets.photographs import load_photographs
+from mvedge_jax.photometry.brightness import Brightness, PosedViews
 from mvedge_jax.posed import (
     Photographs,
     StereoDepth,
@@ -107,6 +108,30 @@ def test_exposures_that_differ_do_not_matter(small):
     found = run(dimmed, reference_of(dimmed, 0, depth_range=RANGE))
     np.testing.assert_allclose(found.stats.gain, gain, rtol=0.03)
     assert float(depth_errors(found.depth, jnp.asarray(DEPTHS[0])).median) < 0.6
+
+
+def test_corners_that_the_lens_darkens_do_not_matter(small):
+    run, _ = small
+    dark = IMAGES * falloff((0.0, 0.6, 0.3, 0.0), SIZE)
+    view = Photographs(jnp.asarray(dark), POSES, MATRIX)
+    found = run(view, reference_of(view, 0, depth_range=RANGE))
+    assert float(depth_errors(found.depth, jnp.asarray(DEPTHS[0])).median) < 0.6
+
+
+@pytest.mark.parametrize("losses", [(0.0, 0.0, 0.0, 0.0), (0.0, 0.4, 0.2, 0.0)])
+def test_vignettes_are_measured_along_the_map_and_not_invented(losses):
+    size, matrix = (72, 96), np.array([[80.0, 0, 47.5], [0, 80.0, 35.5], [0, 0, 1]])
+    images, depths = wall(POSES, matrix=matrix, size=size)
+    dark = falloff(losses, size)
+    view = Photographs(jnp.asarray((0.1 + 0.7 * images) * dark), POSES, matrix)
+    wanted, part = reference_of(view, 0, depth_range=RANGE), Brightness()
+    views = PosedViews(wanted.views(view))
+    rough, truth = views.rough_exposure(part), wanted.scale(view) / jnp.asarray(depths[0])
+    found = views.exposure_along(rough.scale, truth, part)
+    taken_out = np.log(np.asarray(found.factors(..., size)) * dark[..., 0])
+    assert taken_out.std((1, 2)).max() < 0.015
+    assert bool(found.uneven) == any(losses)
+    assert not bool(rough.uneven)
 
 
 def test_a_photograph_that_looks_elsewhere_is_ignored(small):

@@ -53,6 +53,14 @@ def wall(poses, *, normal=(0.15, -0.1, 1.0), offset=2.0, matrix=MATRIX, size=SIZ
     return np.stack(images), np.stack(depths)
 
 
+def falloff(losses, size):
+    """What lenses leave of every photograph: all in the middle, `1 - loss` in the corners."""
+    height, width = size
+    y, x = np.mgrid[:height, :width] - np.reshape([height - 1, width - 1], (2, 1, 1)) / 2
+    distance = (y**2 + x**2) / (y**2 + x**2).max()
+    return 1 - np.reshape(losses, (-1, 1, 1, 1)) * distance[None, ..., None]
+
+
 POSES = np.stack(
     [
         turned(),

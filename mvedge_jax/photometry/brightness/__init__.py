@@ -2,7 +2,7 @@
 
 from ._brightness import Brightness as Brightness, NoiseModel as NoiseModel
 from ._denoise import denoised as denoised, low_pass as low_pass
-from ._exposure import Exposure as Exposure, expose as expose, rough_exposure as rough_exposure
+from ._exposure import Exposure as Exposure, expose as expose
 from ._noise import (
     Noise as Noise,
     measure_noise as measure_noise,

@@ -11,7 +11,8 @@ from mvedge_jax.image import window_sum
 from mvedge_jax.lightfield import LightField
 
 from ._brightness import Brightness, NoiseModel
-from ._exposure import Exposure, rough_exposure
+from ._exposure import Exposure
+from ._uncalibrated import GridViews
 
 # Of 8-bit views, the rule: a number format.
 _STEP = 1.0 / 255
@@ -66,7 +67,7 @@ def rough_brightness(
         params: see `Brightness`; None for the defaults.
 
     Returns:
-        `rough_exposure`, and the noise that the centre view alone shows. Differentiable.
+        `Uncalibrated.rough_exposure`, and the noise of the centre view alone. Differentiable.
 
     Example:
         >>> import jax, jax.numpy as jnp
@@ -76,7 +77,7 @@ def rough_brightness(
         (1.0, True)
     """
     params = Brightness() if params is None else params
-    exposure = rough_exposure(light_field, params=params)
+    exposure = GridViews(light_field).rough_exposure(params)
     centre = jnp.moveaxis(light_field.centre_view, -1, 0)
     noise = measure_noise(exposure.scale * centre, exposure.scale, params=params.noise)
     return exposure, noise
