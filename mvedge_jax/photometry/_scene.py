@@ -239,19 +239,17 @@ def recentred(
     v, u = view.astype(jnp.int32)
     shape = light_field.views.shape[2:4]
 
-    def arm(views: Array, factors: Array, there: Array, own: Array, at: Array | None) -> Arm:
+    def arm(views: Array, factors: Array, there: Array, own: Array, steps: Array) -> Arm:
         count = views.shape[0]
         # An arm has its centre in the middle; the order of the other views does not matter.
         order = (jnp.arange(count, dtype=jnp.int32) - count // 2 + own) % count
         planes = jnp.moveaxis((views * factors[..., None])[order], -1, 1)
-        steps = own - order if at is None else at[own] - at[order]
-        return Arm(planes, steps.astype(views.dtype), there[order])
+        return Arm(planes, (steps[order] - steps[own]).astype(views.dtype), there[order])
 
-    places, there = light_field.positions, light_field.available
-    columns, rows = (None, None) if places is None else (places[v, :, 0], places[:, u, 1])
+    views, there, steps = light_field.views, light_field.available, light_field.steps
     column = slice(None), u
-    across = arm(light_field.views[v], exposure.factors(v, shape), there[v], u, columns)
-    down = arm(light_field.views[column], exposure.factors(column, shape), there[:, u], v, rows)
+    across = arm(views[v], exposure.factors(v, shape), there[v], u, steps[v, :, 0])
+    down = arm(views[column], exposure.factors(column, shape), there[:, u], v, steps[:, u, 1])
     down = down._replace(planes=jnp.swapaxes(down.planes, -1, -2))
     return _guided(Crosshair(across, down), exposure, noise, params)
 

@@ -88,7 +88,7 @@ def stereo(photographs: Photographs, reference: Reference, model: StereoDepth) -
     As `EdgeDepth` without edge points, and with another way for a pixel to move into a view, a
     homography and an epipole:
 
-    1. Gains of the photographs are measured and taken out, noise is measured.
+    1. Gains and vignettes of the photographs are measured and taken out, noise is measured.
     2. Hypotheses: per pixel, the disparity at which the better half of the photographs agrees best,
        along paths through the image.
     3. Every pixel is measured in the photographs that show it, repeatedly, and the labels are
@@ -160,36 +160,28 @@ def _stereo(
         found.labeled if lit is None else found.labeled / jnp.mean(lit.astype(found.error.dtype)),
     )
     disparity_error = model.refine.error(found.error, found.disparity)
-    scale, mask = reference.scale(photographs), _opaque(photographs, reference)
-    depth, error = _depth(found.disparity, disparity_error, scale, reference)
-    return StereoResult(
-        _where_opaque(depth, mask, jnp.nan),
-        _where_opaque(error, mask, jnp.inf),
-        _where_opaque(found.disparity, mask, jnp.nan),
-        _where_opaque(disparity_error, mask, jnp.inf),
-        first,
-        stats,
-        mask,
-    )
+    maps = _in_depth(found.disparity, disparity_error, photographs, reference)
+    mask = None if photographs.mask is None else photographs.mask[reference.index]
+    return StereoResult(*maps, first, stats, mask)
 
 
-def _depth(
-    disparity: Array, error: Array, scale: Array, reference: Reference
-) -> tuple[Array, Array]:
-    """Depth and its standard error; no disparity is beyond infinity."""
+def _in_depth(
+    disparity: Array, error: Array, photographs: Photographs, reference: Reference
+) -> tuple[Array, Array, Array, Array]:
+    """Depth, its standard error, disparity, its standard error; none where it is transparent."""
+    scale = reference.scale(photographs)
+    # No disparity is beyond infinity.
     least = _FARTHEST * jnp.max(jnp.abs(reference.disparity_range))
     depth = scale / jnp.maximum(disparity, least.astype(disparity.dtype))
-    return depth, error * depth**2 / scale
-
-
-def _opaque(photographs: Photographs, reference: Reference) -> Bool[Array, "y x"] | None:
-    """Pixels of the reference that are not transparent; None where all are."""
-    return None if photographs.mask is None else photographs.mask[reference.index]
-
-
-def _where_opaque(values: Array, mask: Array | None, nothing: float) -> Array:
-    """Values of a map, and what stands for none where the photograph is transparent."""
-    return values if mask is None else jnp.where(mask, values, nothing)
+    maps = depth, error * depth**2 / scale, disparity, error
+    if photographs.mask is None:
+        return maps
+    mask = photographs.mask[reference.index]
+    depth, error, disparity, disparity_error = (
+        jnp.where(mask, values, nothing)
+        for values, nothing in zip(maps, 2 * (jnp.nan, jnp.inf), strict=True)
+    )
+    return depth, error, disparity, disparity_error
 
 
 def _tried(reference: Reference, model: StereoDepth, dtype: DTypeLike) -> Float[Array, " d"]:
@@ -227,7 +219,6 @@ def posed_sweep(photographs: Photographs, reference: Reference, model: StereoDep
     lab = jnp.moveaxis(srgb_to_lab(photographs.images[reference.index]), -1, 0)
     views, tried = reference.views(photographs), _tried(reference, model, lab.dtype)
     disparity, _ = best_match(views, lab, tried, model.matching, window=model.window)
-    scale, mask = reference.scale(photographs), _opaque(photographs, reference)
-    depth, _ = _depth(disparity, jnp.zeros_like(disparity), scale, reference)
-    depth, disparity = (_where_opaque(v, mask, jnp.nan) for v in (depth, disparity))
+    nothing = jnp.zeros_like(disparity)
+    depth, _, disparity, _ = _in_depth(disparity, nothing, photographs, reference)
     return PosedSweep(depth, disparity)

@@ -151,41 +151,33 @@ def ratios_along(
     disparity: Float[Array, "y x"],
     params: Brightness,
     *,
-    uneven: Bool[Array, ""] | bool | None = None,
+    uneven: Bool[Array, ""] | bool,
 ) -> Ratios:
-    """Gains of views along the disparity map of one of them, and vignettes where they are `uneven`.
-
-    None leaves the fit of vignettes out of the program; False fits them and takes none.
-    """
-    height, width = disparity.shape
-    stride = min(16, max(1, min(height, width) // 24))
+    """Gains of views along the disparity map of one of them, and vignettes if they are `uneven`."""
+    shape = disparity.shape[0], disparity.shape[1]
+    stride = min(16, max(1, min(shape) // 24))
 
     def look(item: tuple[Array, Parallax, Array]) -> tuple[Array, ...]:
         view, place, there = item
         x, y = (position[::stride, ::stride] for position in place.positions(disparity))
-        basis = (basis_at(y, x, (height, width)),) if uneven is not None else ()
-        return _blurred_at(view, x, y, params), inside(x, y, (height, width)) & there, *basis
+        known = inside(x, y, shape) & there
+        return _blurred_at(view, x, y, params), known, basis_at(y, x, shape)
 
-    seen, known, *basis = lax.map(look, (views, parallax, available))
-    own = seen[centre]
+    seen, known, basis = lax.map(look, (views, parallax, available))
+    own, count = seen[centre], seen.shape[0]
     known = known[..., None] & _shown(own, 0.97)[None] & (seen < 0.97)
-    count = seen.shape[0]
-    vignette = jnp.zeros((count, SIZE, SIZE), seen.dtype)
-    if uneven is not None:
-        usable = jnp.all(known & (seen > 0), axis=-1)
-        logs = _logs(jnp.mean(seen, axis=-1), jnp.mean(own, axis=-1)[None], usable)
-        of_view = basis[0].reshape(count, -1, SIZE**2)
-        weight = _flat(usable.astype(logs.dtype))
-        flat = jnp.asarray(radial((height, width)).ravel(), seen.dtype)
-        moved = product(of_view - of_view[centre][None], flat)
-        vignette = vignettes(
-            _flat(logs), weight, of_view, params,
-            least=params.vignette_prior * _narrow((height, width), params),
-            moved=moved, shape=(height, width),
-        )  # fmt: skip
-        vignette = jnp.where(uneven, vignette, 0)
-        seen = seen * falloff_at(vignette, of_view).reshape(*usable.shape, 1)
-        own = seen[centre]
+    usable = jnp.all(known & (seen > 0), axis=-1)
+    logs = _logs(jnp.mean(seen, axis=-1), jnp.mean(own, axis=-1)[None], usable)
+    of_view = basis.reshape(count, -1, SIZE**2)
+    flat = jnp.asarray(radial(shape).ravel(), seen.dtype)
+    vignette = vignettes(
+        _flat(logs), _flat(usable.astype(logs.dtype)), of_view, params,
+        least=params.vignette_prior * _narrow(shape, params),
+        moved=product(of_view - of_view[centre][None], flat), shape=shape,
+    )  # fmt: skip
+    vignette = jnp.where(uneven, vignette, 0)
+    seen = seen * falloff_at(vignette, of_view).reshape(*usable.shape, 1)
+    own = seen[centre]
     seen, known = seen.reshape(count, -1), known.reshape(count, -1)
     own = jnp.broadcast_to(own.reshape(1, -1), seen.shape)
     gain = _median(seen / jnp.where(known, own, 1), known)

@@ -36,18 +36,13 @@ class Uncalibrated(Protocol):
         ...
 
     def exposure_along(
-        self,
-        scale: Float[Array, ""],
-        disparity: Float[Array, "y x"],
-        params: Brightness,
-        *,
-        uneven: Bool[Array, ""] | bool = True,
+        self, scale: Float[Array, ""], disparity: Float[Array, "y x"], params: Brightness
     ) -> Exposure:
         """Gains and vignettes by robust regression on the reference, along a map of it.
 
         To about 0.2 %. Of the blurred views, every sixteenth pixel either way takes part: blurring
         keeps noise from shrinking the gains, and what the map or an occlusion gets wrong is an
-        outlier. Without `uneven` there are no vignettes: what a map gets wrong could pass for some.
+        outlier.
         """
         ...
 
@@ -116,7 +111,7 @@ class GridViews(eqx.Module):
         *,
         uneven: Bool[Array, ""] | bool = True,
     ) -> Exposure:
-        """See `Uncalibrated`."""
+        """See `Uncalibrated`; not `uneven`, no vignettes: a map's errors could pass for some."""
         of, views, own = self.light_field, self.light_field.views, self.reference
         params, grid = cast(params, views.dtype), views.shape[:2]
         asked = [at for at in np.ndindex(grid) if self.every or at[0] == own[0] or at[1] == own[1]]
@@ -172,17 +167,12 @@ class PosedViews(eqx.Module):
         return Exposure(brightening(images[0], params), earned(found, params), found.vignette)
 
     def exposure_along(
-        self,
-        scale: Float[Array, ""],
-        disparity: Float[Array, "y x"],
-        params: Brightness,
-        *,
-        uneven: Bool[Array, ""] | bool = True,
+        self, scale: Float[Array, ""], disparity: Float[Array, "y x"], params: Brightness
     ) -> Exposure:
         """See `Uncalibrated`."""
         params, of = cast(params, disparity.dtype), self.views
         found = ratios_along(
-            self._images, of.parallax, of.available, 0, disparity, params, uneven=uneven
+            self._images, of.parallax, of.available, 0, disparity, params, uneven=True
         )
         return Exposure(scale, earned(found, params), found.vignette)
 

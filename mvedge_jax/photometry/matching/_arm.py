@@ -96,7 +96,7 @@ def arm_cost(arm: Swept, disparity: Float[Array, ""], limits: Limits) -> Float[A
     size = arm.centre.shape[1], arm.centre.shape[2]
 
     def moved(half: Half, centre: Array, disparity: Array) -> list[Array]:
-        return changes_of(shifted(half, disparity, (0, 0), size), half.steps, centre, disparity)
+        return _changes(shifted(half, disparity, (0, 0), size), half.steps, centre, disparity)
 
     # Stored, because both the drift and the cost read them.
     changes = [fenced(moved, half, arm.centre, disparity) for half in arm.halves]
@@ -115,7 +115,7 @@ def moved_cost(
         limits: see `Limits`.
     """
     changes = [
-        fenced(changes_of, parts, half.steps, arm.centre, disparity)
+        fenced(_changes, parts, half.steps, arm.centre, disparity)
         for parts, half in zip(moved, arm.halves, strict=True)
     ]
     return _better_half(arm, changes, limits)
@@ -174,7 +174,7 @@ def shifted_to(half: Half, disparity: Array, view: int, corner: Corner) -> list[
     return [jnp.asarray(at, jnp.int32) for at in (view, 0, corner[0], first)]
 
 
-def changes_of(moved: list[Array], steps: Array, centre: Array, disparity: Array) -> list[Array]:
+def _changes(moved: list[Array], steps: Array, centre: Array, disparity: Array) -> list[Array]:
     """Colours of every view of a half at a disparity, less those of the centre view."""
     width = centre.shape[2]
     result = []

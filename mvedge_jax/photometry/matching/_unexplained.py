@@ -13,7 +13,7 @@ from mvedge_jax.image import window_sum
 from mvedge_jax.interpolation import keys_taps
 
 from ..views import ViewSet
-from ._arm import Half, changes_of, halves_of, shifted
+from ._arm import Half, halves_of, shifted
 from ._stack import better_half, linear
 
 # Of so many rows, one is looked at: a sample, for speed.
@@ -60,12 +60,13 @@ def _of_arm(arm: Arm) -> Callable[[Array], Array]:
     centre, halves = rows.planes[rows.centre], halves_of(rows)
 
     def of_half(half: Half, disparity: Array) -> Array:
-        moved = shifted(half, disparity, (0, 0), (centre.shape[1], centre.shape[2]))
-        total = jnp.zeros_like(centre[0])
-        for i, change in enumerate(changes_of(moved, half.steps, centre, disparity)):
-            shift = half.steps[i] * disparity
-            kept = 1 + sum(w * w for w in keys_taps(shift - jnp.floor(shift)))
-            total = total + half.there[i] / (centre.shape[0] * kept) * plane_sum(change**2)
+        total, width = jnp.zeros_like(centre[0]), centre.shape[2]
+        moved = shifted(half, disparity, (0, 0), (centre.shape[1], width))
+        for part, step, there in zip(moved, half.steps, half.there, strict=True):
+            weights = keys_taps(step * disparity - jnp.floor(step * disparity))
+            seen = sum(w * part[..., j : j + width] for j, w in enumerate(weights))
+            kept = 1 + sum(w * w for w in weights)
+            total = total + there / (centre.shape[0] * kept) * plane_sum((seen - centre) ** 2)
         count = jnp.sum(half.there)
         total = jnp.where(count > 0, total / jnp.maximum(count, 1), jnp.inf)
         return window_sum(total, 3, 1) / 7

@@ -67,17 +67,10 @@ class ViewSplines(NamedTuple):
 
     @jax.jit
     def look(self, disparity: Float[Array, "y x"], params: Measuring) -> Look:
-        """Reads colours and gradients of all views around a map.
+        """See `CrosshairSplines.look`.
 
         Of photographs, steps are those of the pixel itself that would move it as a change of
         disparity does, and differ from pixel to pixel.
-
-        Args:
-            disparity: px per view step, `[y, x]`.
-            params: see `Measuring`.
-
-        Returns:
-            What `labels` and `mismatch` read. Differentiable.
         """
         params, shown = cast(params, disparity.dtype), self.shown
         still = GridShift(jnp.zeros(2, disparity.dtype))

@@ -1,6 +1,5 @@
 """Reading the views of the crosshair around a map."""
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax
@@ -71,26 +70,14 @@ class Look(NamedTuple):
     power: Array
     freedom: Array
     views: Array
-    spread: tuple[Array, Array]
+    spread: tuple[Array, ...]
     cross: Array | None
-    slope: tuple[tuple[Array, ...], tuple[Array, ...]]
-    trend: tuple[tuple[Array, ...], tuple[Array, ...]]
+    slope: tuple[tuple[Array, ...], ...]
+    trend: tuple[tuple[Array, ...], ...]
 
     def per_pixel(self) -> "Look":
         """The same, `views` per pixel, so that looks can be mixed by pixel."""
         return self._replace(views=jnp.broadcast_to(self.views, self.right.shape))
-
-
-class _ArmLook(NamedTuple):
-    """The fields of a `Look`, of one arm."""
-
-    right: Array
-    information: Array
-    power: Array
-    freedom: Array
-    spread: Array
-    slope: tuple[Array, ...]
-    trend: tuple[Array, ...]
 
 
 class _Moments(NamedTuple):
@@ -134,8 +121,8 @@ class CrosshairSplines(NamedTuple):
         """
         params = cast(params, disparity.dtype)
 
-        def sums(arm: ArmSplines, disparity: Array) -> _ArmLook:
-            return _sums(_arm_views(arm, disparity, params), arm.steps)
+        def sums(arm: ArmSplines, disparity: Array) -> Look:
+            return _sums(_arm_views(arm, disparity, params), arm)
 
         # Stored, or the vertical arm is summed up across the rows in memory.
         turned = fenced(sums, self.vertical, disparity.T)
@@ -159,30 +146,26 @@ class CrosshairSplines(NamedTuple):
         """
         params = cast(params, disparity.dtype)
 
-        def arm_look(arm: ArmSplines, disparity: Array) -> tuple[_ArmLook, Array]:
+        def arm_look(arm: ArmSplines, disparity: Array) -> tuple[Look, Array]:
             found = _arm_views(arm, disparity, params)
             weights = jnp.insert(found.weight, arm.others.shape[0] // 2, found.own, axis=0)
-            return _sums(found, arm.steps), weights
+            return _sums(found, arm), weights
 
         across, own = fenced(arm_look, self.horizontal, disparity)
         down, turned = fenced(arm_look, self.vertical, disparity.T)
         weights = jnp.concatenate([jnp.swapaxes(turned, 1, 2), own])
         return self._joined(across, down), weights
 
-    def _joined(self, across: _ArmLook, down: _ArmLook) -> Look:
+    @staticmethod
+    def _joined(across: Look, down: Look) -> Look:
         """The sums of both arms, of which the vertical one is transposed."""
         down = jax.tree.map(jnp.transpose, down)
-        there = jnp.concatenate([self.horizontal.available, self.vertical.available])
         return Look(
-            across.right + down.right,
-            across.information + down.information,
-            across.power + down.power,
-            across.freedom + down.freedom,
-            1 + 0.5 * jnp.sum(there.astype(across.right.dtype)),  # and the centre view
-            (across.spread, down.spread),
-            None,
-            (across.slope, down.slope),
-            (across.trend, down.trend),
+            *(a + d for a, d in zip(across[:5], down[:5], strict=True)),
+            spread=across.spread + down.spread,
+            cross=None,
+            slope=across.slope + down.slope,
+            trend=across.trend + down.trend,
         )
 
 
@@ -238,16 +221,9 @@ def _moments(
         plane_sum(first * step),
         [plane_sum(weight * colour) for colour in values],
         [plane_sum(first * colour) for colour in values],
-        plane_sum(weight * _square(values)),
+        plane_sum(weight * sum((c**2 for c in values[1:]), values[0] ** 2)),
         [own * s + plane_sum(weight * g) for s, g in zip(slopes, gradients, strict=True)],
     )
-
-
-def _square(colour: Sequence[Array]) -> Array:
-    total = colour[0] ** 2
-    for channel in colour[1:]:
-        total = total + channel**2
-    return total
 
 
 def _trusted(
@@ -272,9 +248,9 @@ def _trusted(
     return own, lax.map(jax.checkpoint(one), (seen, *values))
 
 
-def _sums(seen: _ArmViews, steps: Array) -> _ArmLook:
-    """The sums of one arm, per pixel."""
-    moments = _moments(seen.weight, steps, seen.relative, seen.gradients, seen.own, seen.slopes)
+def _sums(seen: _ArmViews, arm: ArmSplines) -> Look:
+    """The sums of one arm, whose steps have one axis, per pixel."""
+    moments = _moments(seen.weight, arm.steps, seen.relative, seen.gradients, seen.own, seen.slopes)
     mean_step = moments.step / moments.weight
     spread = jnp.maximum(moments.square - mean_step * moments.step, 0)
     gradients = [g / moments.weight for g in moments.gradient]
@@ -286,14 +262,12 @@ def _sums(seen: _ArmViews, steps: Array) -> _ArmLook:
         right = right - gradient * trend
         contrast = contrast + gradient * gradient
         power = power - colour * colour / moments.weight
-    return _ArmLook(
-        right,
-        contrast * spread,
-        power,
-        moments.weight - 1,
-        spread,
-        tuple(spread * g for g in gradients),
-        tuple(trends),
+    slope = tuple(spread * g for g in gradients)
+    # Half of them: those of both arms are added up to those of an arm.
+    views = 0.5 * (1 + jnp.sum(arm.available.astype(power.dtype)))
+    freedom, trend = moments.weight - 1, tuple(trends)
+    return Look(
+        right, contrast * spread, power, freedom, views, (spread,), None, (slope,), (trend,)
     )
 
 
