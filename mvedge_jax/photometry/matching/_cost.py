@@ -73,7 +73,8 @@ def hypotheses(
     A pixel beside a nearer surface is hidden in the views of one side of each arm. Of each
     arm, therefore, only the half that agrees better counts:
     $\min(C_{left}, C_{right}) + \min(C_{above}, C_{below})$, each a mean of truncated
-    squared colour differences to the centre view over a colour-weighted window.
+    squared colour differences to the centre view over a colour-weighted window. Of a `ViewSet`,
+    whose views have no sides, the better half of all of them counts, twice.
 
     On glossy and on dark surfaces the colour of a window drifts from view to view, at the true
     disparity by more than its texture differs at a wrong one. Away from outlines, what such a
