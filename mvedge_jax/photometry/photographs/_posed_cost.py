@@ -7,9 +7,9 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float
 
+from mvedge_jax._cpu import plane_sum
 from mvedge_jax._params import cast
 from mvedge_jax._root import root
-from mvedge_jax._unstack import plane_sum
 from mvedge_jax.image import window_sum
 
 from .._places import Projection, shown_at

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from mvedge_jax._fence import staged
+from mvedge_jax._cpu import staged
 from mvedge_jax.color import srgb_to_lab
 
 from .._places import Projection
