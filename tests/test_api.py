@@ -179,7 +179,7 @@ _FLOORS = (
     ("_export", "_params", "_paths", "_linear_map", "_product", "_recomputed", "_root"),
     ("_cpu",),
     ("_compiler", "_known", "color", "image", "interpolation"),
-    ("_checks",),
+    ("_batched", "_checks"),
     ("_positions",),
     ("lightfield",),
     ("_crosshair",),
