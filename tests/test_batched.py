@@ -1,5 +1,7 @@
 """Many settings: equal to the loop, once what no row reaches, in the memory of a few."""
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -61,7 +63,8 @@ def test_memory_is_that_of_the_rows_that_go_together():
 
     def temporary(function, rows):
         program = jax.jit(function).lower(rows, SHARED).compile()
-        return program.memory_analysis().temp_size_in_bytes
+        memory: Any = program.memory_analysis()
+        return memory.temp_size_in_bytes
 
     rows = jnp.linspace(0.0, 1.0, 64)
     alone = temporary(one, rows[0])
