@@ -8,8 +8,10 @@ libraries that they need: OpenCV, h5py, SciPy, Optax.
 import typing as _typing
 from importlib import import_module as _import_module
 
+from ._batched import batched as batched
 from ._cache import compilation_cache as compilation_cache
-from ._compiler import compiler_options as compiler_options, lean_jit as lean_jit
+from ._compiler import lean_jit as lean_jit
+from ._cpu import compiler_options as compiler_options
 from ._export import register as _register
 from ._paths import describe as describe
 from .all_views import (

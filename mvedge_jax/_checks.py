@@ -15,7 +15,8 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Bool
 
-from ._compiler import LeanJit, release_memory
+from ._compiler import LeanJit
+from ._cpu import release_memory
 from ._params import as_number
 from ._paths import replaced, walk
 

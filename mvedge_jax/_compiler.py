@@ -1,67 +1,19 @@
-"""What programs ask of the compiler, who may ask, and what it leaves behind."""
+"""Programs of this package: who may ask the compiler for options, and when memory is released."""
 
-import contextlib
-import ctypes
 import functools
-import gc
 import inspect
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any, Generic, ParamSpec, TypeVar
 
 import equinox as eqx
 import jax
 from jax.core import Tracer
 
+from ._cpu import compiler_options, no_collections, release_memory
 from ._stored import Program, ProgramFiles, in_use, kind_of, obtain
 
 _P = ParamSpec("_P")
 _T = TypeVar("_T")
-# The newer emitters of fusions cost the chain a third of the compiler's memory and a quarter of its
-# own time on the CPU; an order that lets kernels run side by side, which they hardly do, two fifths
-# of its arrays' memory. What the compiler does to loops beyond its first level of optimisation
-# (unrolling, mostly) is up to a quarter of its time and gains a fortieth of the chain's.
-_LEVEL = "xla_backend_optimization_level"
-_WISHES = {
-    _LEVEL: 1,
-    "xla_cpu_use_fusion_emitters": False,
-    "xla_cpu_scheduler_type": "CPU_SCHEDULER_TYPE_MEMORY_OPTIMIZED",
-}
-
-
-def compiler_options() -> dict[str, bool | int | float | str]:
-    """What `lean_jit`, and so every program of this package, asks of XLA, for a `jax.jit` of yours.
-
-    `EdgeDepth` and its like ask for it by themselves where they are called as they are. Within
-    your own `jit`, and under `grad` without one, only what that `jit` asks for counts: JAX takes
-    options of the outermost `jit` alone. What it changes is how fast and in how much memory a
-    program is compiled and runs on the CPU, not what it computes, but for rounding.
-
-    Returns:
-        Options for `jax.jit(..., compiler_options=...)`; none on other devices, or where the
-        compiler at hand does not know them.
-
-    Example:
-        >>> square = jax.jit(lambda x: x * x, compiler_options=compiler_options())
-        >>> float(square(3.0))
-        9.0
-    """
-    known = dict(_known(jax.default_backend()))
-    if jax.config.read("jax_disable_most_optimizations"):
-        known.pop(_LEVEL, None)
-    return known
-
-
-@functools.cache
-def _known(backend: str) -> dict[str, bool | int | float | str]:
-    if backend != "cpu":
-        return {}
-    try:
-        jax.jit(lambda x: x, compiler_options=_WISHES).lower(0.0).compile()
-    except jax.errors.JaxRuntimeError:
-        return {}
-    return dict(_WISHES)
-
-
 # How often `jax.clear_caches` was found to have been called. Process-wide, as JAX's caches are.
 _clearings = [0]
 
@@ -84,28 +36,6 @@ def _outermost(arguments: Any) -> bool:
     except ValueError:
         return False
     return True
-
-
-@contextlib.contextmanager
-def _no_collections() -> Iterator[None]:
-    """Suspends the garbage collector: a trace makes objects by the million, and little garbage."""
-    enabled = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if enabled:
-            gc.enable()
-
-
-def release_memory() -> None:
-    """Returns freed memory to the system, where the C library would keep it (glibc).
-
-    The compiler leaves almost a gigabyte behind after the whole chain, beside which the arrays of
-    the first run would otherwise be put.
-    """
-    with contextlib.suppress(OSError, AttributeError):
-        ctypes.CDLL("libc.so.6").malloc_trim(0)
 
 
 def _devices(value: Any) -> set[frozenset[Any]]:
@@ -198,7 +128,7 @@ class LeanJit(Generic[_P, _T]):
         return self._programs[kind]
 
     def _obtained(self, arguments: Any, files: ProgramFiles) -> Program | None:
-        with _no_collections():
+        with no_collections():
             asked = compiler_options()
             program = obtain(self._function, self._original, arguments, asked, files)
         release_memory()
@@ -211,7 +141,7 @@ class LeanJit(Generic[_P, _T]):
         kind = structure, *(jax.typeof(x) if hasattr(x, "dtype") else x for x in leaves)
         if kind not in self._known:
             # JAX keeps what is compiled ahead, and its arrays come after the compiler's memory.
-            with _no_collections():
+            with no_collections():
                 program.lower(*arguments, **options).compile()
             self._known.add(kind)
             release_memory()
@@ -220,7 +150,7 @@ class LeanJit(Generic[_P, _T]):
     def lower(self, *arguments: _P.args, **options: _P.kwargs) -> Any:
         """See `equinox.filter_jit`."""
         _check_devices(self._function, arguments, options)
-        with _no_collections():
+        with no_collections():
             return self._program(arguments, options).lower(*arguments, **options)
 
     def _program(self, *arguments: Any) -> Any:

@@ -10,7 +10,7 @@ from jax import lax
 from jaxtyping import Array, Bool, Float
 
 from mvedge_jax._compiler import lean_jit
-from mvedge_jax._fence import recomputed
+from mvedge_jax._recomputed import recomputed
 from mvedge_jax.image import box_mean
 from mvedge_jax.interpolation import sample
 from mvedge_jax.lightfield import LightField

@@ -177,18 +177,10 @@ def test_no_class_is_named_after_what_it_is_to_the_compiler():
 
 _FLOORS = (
     ("_stored",),
-    (
-        "_compiler",
-        "_export",
-        "_params",
-        "_paths",
-        "_fence",
-        "_linear_map",
-        "_product",
-        "_root",
-    ),
-    ("_known", "_pair", "_unstack", "color", "image", "interpolation"),
-    ("_checks",),
+    ("_export", "_params", "_paths", "_linear_map", "_product", "_recomputed", "_root"),
+    ("_cpu",),
+    ("_compiler", "_known", "color", "image", "interpolation"),
+    ("_batched", "_checks"),
     ("_positions",),
     ("lightfield",),
     ("_crosshair",),

@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 from jax.test_util import check_grads
 
-from mvedge_jax import _compiler
-from mvedge_jax._compiler import compiler_options, lean_jit
+from mvedge_jax import _compiler, _cpu, compiler_options, lean_jit
 
 
 def _wave(x, scale):
@@ -36,14 +35,14 @@ def test_options_are_those_that_the_compiler_knows():
 @pytest.fixture
 def _fresh(monkeypatch):
     """What is known of the compiler is asked anew, before and after."""
-    known = functools.cache(_compiler._known.__wrapped__)
-    monkeypatch.setattr(_compiler, "_known", known)
+    known = functools.cache(_cpu._known.__wrapped__)
+    monkeypatch.setattr(_cpu, "_known", known)
     monkeypatch.setattr(_compiler, "_probe", functools.cache(_compiler._probe.__wrapped__))
 
 
 @pytest.mark.usefixtures("_fresh")
 def test_a_compiler_that_does_not_know_them_is_not_asked(monkeypatch):
-    monkeypatch.setattr(_compiler, "_WISHES", {"xla_cpu_of_another_time": False})
+    monkeypatch.setattr(_cpu, "_WISHES", {"xla_cpu_of_another_time": False})
     assert compiler_options() == {}
     np.testing.assert_allclose(lean_jit(_wave)(jnp.asarray(_X), 2.0), 2 * np.sin(_X) * _X)
 

@@ -48,11 +48,11 @@ def main() -> None:
     scene = synthetic.scene("demo")
     light_field = synthetic.render(scene, shape=shape, key=jax.random.key(0)).bare()
     model = EdgeDepth.for_light_field(light_field, preset=arguments.preset)
-    stages = [("whole", lambda m, of: m(of), (model, light_field))]
+    found = [("whole", lambda m, of: m(of), (model, light_field))]
     if not arguments.only_whole:
-        stages += _stages(model, light_field)
+        found += stages(model, light_field)
     rows = []
-    for name, function, of in stages:
+    for name, function, of in found:
         rows.append({"stage": name, **_measured(function, of, gradient=arguments.gradient)})
         print_table(rows[-1:], title=name)
     kind = "value and gradient" if arguments.gradient else "value"
@@ -61,7 +61,7 @@ def main() -> None:
     write_csv(arguments.out / "program_size.csv", rows)
 
 
-def _stages(model: EdgeDepth, light_field: LightField) -> list[tuple[str, Callable[..., Any], Any]]:
+def stages(model: EdgeDepth, light_field: LightField) -> list[tuple[str, Callable[..., Any], Any]]:
     """The chain's stages with arguments that the chain gives them."""
     measurement = model.measurement
     assert measurement is not None

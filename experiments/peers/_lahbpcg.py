@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 from jaxtyping import Array
 
-from mvedge_jax._fence import fenced
+from mvedge_jax._cpu import fenced
 from mvedge_jax.diffusion import Coefficients
 from mvedge_jax.diffusion._coarsen import (
     after_x,

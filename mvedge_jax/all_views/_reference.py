@@ -8,8 +8,9 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
-from mvedge_jax._fence import recomputed, staged
+from mvedge_jax._cpu import staged
 from mvedge_jax._product import product
+from mvedge_jax._recomputed import recomputed
 from mvedge_jax._root import root
 from mvedge_jax.diffusion import AutoSolver, System, diffuse
 from mvedge_jax.image import highest

@@ -7,8 +7,8 @@ from jax import lax
 from jaxtyping import Array, Float, Int, Int8
 
 from mvedge_jax._checks import checked_jit, expect, with_numbers
-from mvedge_jax._fence import recomputed
 from mvedge_jax._params import cast
+from mvedge_jax._recomputed import recomputed
 from mvedge_jax._root import root
 from mvedge_jax.depth import DepthResult
 from mvedge_jax.lightfield import LightField

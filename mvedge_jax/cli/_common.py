@@ -11,7 +11,7 @@ import numpy as np
 from rich.console import Console
 from rich.text import Text
 
-from mvedge_jax._compiler import release_memory
+from mvedge_jax._cpu import release_memory
 from mvedge_jax.lightfield import LightField
 
 from ._interruption import GUARD

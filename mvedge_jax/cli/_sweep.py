@@ -55,13 +55,13 @@ def sweep(
             report.json of `mvedge depth` lists the paths.
         choose: static fields as PATH=A,B,...; each combination is compiled for itself.
         trials: settings to try, those in the journal included.
-        batch: settings per call of the compiled program; memory grows with it.
+        batch: settings per call of the compiled program, a few of them side by side.
         wave: settings asked at a time; later ones learn from earlier waves only.
         objective: mse, mae, q25, bad_01, bad_03, bad_07, edge_mse or edge_bad_07.
         journal: file to keep the trials in, OUT.journal by default. Several processes may share it.
         prune: give up, between two scenes, settings that are worse than half of the others.
         seed: of the sampler.
-        threads: calls of the program at a time in this process; memory grows with them, too.
+        threads: calls of the program at a time in this process; memory grows with them.
         workers: processes of a Dask cluster on this machine; 0 for none.
         scheduler: address of a Dask scheduler to use instead, such as tcp://host:8786; its workers
             must see the scenes under the same paths.

@@ -9,7 +9,7 @@ import lineax as lx
 from jaxtyping import Array, Bool, PRNGKeyArray
 
 from mvedge_jax._checks import checked_jit, expect, sound, with_numbers
-from mvedge_jax._fence import staged
+from mvedge_jax._cpu import staged
 from mvedge_jax._params import cast
 from mvedge_jax._paths import described, replaced
 from mvedge_jax.edges import EdgeDetector, Edges

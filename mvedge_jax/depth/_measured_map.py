@@ -10,7 +10,8 @@ from jax import lax
 from jax.typing import DTypeLike
 from jaxtyping import Array, Float
 
-from mvedge_jax._fence import kept, recomputed, staged
+from mvedge_jax._cpu import staged
+from mvedge_jax._recomputed import kept, recomputed
 from mvedge_jax.photometry import PreparedViews
 from mvedge_jax.photometry.measuring import Look, PhotometricLabels, labels, mismatch
 

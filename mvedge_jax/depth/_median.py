@@ -8,9 +8,10 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
-from mvedge_jax._fence import fenced, kept
+from mvedge_jax._cpu import fenced
 from mvedge_jax._linear_map import linear_map
 from mvedge_jax._params import accepts_numpy
+from mvedge_jax._recomputed import kept
 from mvedge_jax._root import LEAST_DIVISOR
 from mvedge_jax.color import Factored, factored, solved
 from mvedge_jax.image import window_sum

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
-from mvedge_jax._fence import recomputed
+from mvedge_jax._recomputed import recomputed
 
 from ._diffused import diffused
 from ._labels import Labels as Labels

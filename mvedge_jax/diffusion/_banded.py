@@ -22,7 +22,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array
 
-from mvedge_jax._fence import fenced
+from mvedge_jax._cpu import fenced
 
 from ._pcg import Iterate
 from ._stencil import Coefficients, inner, largest, pad, product, spread

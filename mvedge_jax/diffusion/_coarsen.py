@@ -10,7 +10,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from mvedge_jax._fence import fenced
+from mvedge_jax._cpu import fenced
 
 from ._stencil import pad
 

@@ -9,7 +9,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array
 
-from mvedge_jax._fence import fenced
+from mvedge_jax._cpu import fenced
 
 from ._coarsen import Interpolation, Stencil, coarsen, degree, fill, interpolate, restrict, ties
 from ._stencil import Coefficients

@@ -6,8 +6,8 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from mvedge_jax._cpu import staged
 from mvedge_jax._crosshair import crosshair
-from mvedge_jax._fence import staged
 from mvedge_jax._params import at_least, cast
 from mvedge_jax.color import srgb_to_lab
 from mvedge_jax.lightfield import LightField

@@ -7,9 +7,10 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float, Int
 
+from mvedge_jax._cpu import staged
 from mvedge_jax._crosshair import Arm, Crosshair
-from mvedge_jax._fence import recomputed, staged
 from mvedge_jax._params import cast
+from mvedge_jax._recomputed import recomputed
 from mvedge_jax.color import srgb_to_lab
 from mvedge_jax.lightfield import LightField
 

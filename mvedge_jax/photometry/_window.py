@@ -9,10 +9,9 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
-from mvedge_jax._fence import fenced
+from mvedge_jax._cpu import fenced, plane_sum
 from mvedge_jax._linear_map import linear_map
 from mvedge_jax._root import root
-from mvedge_jax._unstack import plane_sum
 from mvedge_jax.image import highest
 
 

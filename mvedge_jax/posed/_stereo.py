@@ -8,7 +8,7 @@ from jax.typing import DTypeLike
 from jaxtyping import Array, Bool, Float, Int
 
 from mvedge_jax._compiler import lean_jit
-from mvedge_jax._fence import staged
+from mvedge_jax._cpu import staged
 from mvedge_jax._params import cast, readable
 from mvedge_jax.color import srgb_to_lab
 from mvedge_jax.depth import map_problems

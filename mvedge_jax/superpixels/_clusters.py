@@ -7,7 +7,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
-from mvedge_jax._fence import fenced
+from mvedge_jax._cpu import fenced
 
 from ._clustering import SuperpixelClustering, grid_of
 

@@ -9,8 +9,8 @@ from jaxtyping import Array, Float, Int
 
 from mvedge_jax._checks import checked_jit
 from mvedge_jax._compiler import lean_jit
-from mvedge_jax._fence import recomputed
 from mvedge_jax._params import cast
+from mvedge_jax._recomputed import recomputed
 from mvedge_jax.all_views import ViewDepths
 from mvedge_jax.color import srgb_to_lab
 from mvedge_jax.lightfield import LightField

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from mvedge_jax._batched import batched
 from mvedge_jax._compiler import lean_jit
 from mvedge_jax._settings import Setting, with_settings
 from mvedge_jax.datasets import load_light_field
@@ -45,16 +46,13 @@ def _scores(
     names: tuple[str, ...],
     objective: Objective,
 ) -> Float[Array, " b"]:
-    blind = light_field.without_truth()
-
-    def one(row: Float[Array, " k"]) -> Float[Array, ""]:
+    def one(row: Float[Array, " k"], model: EdgeDepth, light_field: LightField) -> Array:
         varied = model.replace({name: row[i] for i, name in enumerate(names)})
         # Parts that draw do so alike for every setting.
-        found = estimate_depth(blind, varied, key=jax.random.key(0))
+        found = estimate_depth(light_field.without_truth(), varied, key=jax.random.key(0))
         return _score(objective, found, light_field)
 
-    # What no varied number reaches is computed once for all settings.
-    return jax.vmap(one)(rows)
+    return batched(one)(rows, model, light_field)
 
 
 def _model(

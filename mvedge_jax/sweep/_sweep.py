@@ -65,10 +65,10 @@ def sweep(
     """Looks for the setting of an `EdgeDepth` with the least mean score over scenes.
 
     Settings are asked of Optuna in waves and scored scene after scene. Those that differ in traced
-    numbers alone run in batches through one `vmap`-ed program, which computes once what no varied
-    number reaches; each combination of choices is compiled for itself. Between scenes the pruner
-    may give a setting up. With the same seed, wave and scenes the result is the same whatever
-    `submit` is.
+    numbers alone run in batches through one program, which computes once what no varied number
+    reaches (`batched`); each combination of choices is compiled for itself. Between scenes the
+    pruner may give a setting up. With the same seed, wave and scenes the result is the same
+    whatever `submit` is.
 
     Args:
         scenes: light fields, or their paths, which is what workers elsewhere need.
@@ -77,7 +77,7 @@ def sweep(
         start: other numbers and static fields, by path; the preset's by default. What `space`
             varies starts from them where they lie in its intervals.
         trials: settings to have tried in the end, those in `journal` included.
-        batch: settings per call of the program; memory grows with it.
+        batch: settings per call of the program, a few of them side by side.
         wave: settings asked at a time. Later ones learn from earlier waves only.
         objective: the name of a field of `DepthScores`, or a jittable function of `DepthResult`
             and `LightField`, smaller is better.

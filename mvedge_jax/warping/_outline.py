@@ -8,8 +8,8 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float, Int
 
+from mvedge_jax._cpu import unstack
 from mvedge_jax._params import accepts_numpy, at_least, cast, number
-from mvedge_jax._unstack import unstack
 from mvedge_jax.color import factored, solved, srgb_to_linear
 
 from ._blocks import in_blocks

@@ -9,8 +9,9 @@ import jax.flatten_util
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jax.extend.core import ClosedJaxpr, Jaxpr
 
-from mvedge_jax import EdgeDepth, LightField
+from mvedge_jax import EdgeDepth, LightField, batched
 
 pytestmark = pytest.mark.slow  # half a minute of tracing
 
@@ -79,6 +80,39 @@ def test_vmap_over_every_number_equals_the_loop(model):
     assert bool(jnp.isfinite(many).all())
     np.testing.assert_allclose(many, jnp.stack([one(row) for row in rows]), atol=1e-8)
     assert int(jnp.any(many != one(base)[None], axis=(1, 2)).sum()) > 20
+
+
+def test_batched_settings_equal_the_loop_and_share_what_none_reaches(model):
+    """The diffusion's numbers leave brightness, measurement and edges alone."""
+    seen = _with(_textured(0))
+
+    def one(row, model, field):
+        return map_of(model.replace({"refine.stiffness": row[0], "dense.trust": row[1]}), field)
+
+    rows = jnp.asarray([[0.5, 1.0], [5.0, 1.5], [50.0, 0.2]])
+    many = batched(one, together=2)(rows, model, seen)
+    np.testing.assert_allclose(many, jnp.stack([one(row, model, seen) for row in rows]), atol=1e-8)
+    assert float(jnp.abs(many[0] - many[-1]).max()) > 1e-3
+    shared, mapped = _equations_beside_and_within_the_last_loop(
+        jax.make_jaxpr(lambda *of: batched(one, together=2)(*of))(rows, model, seen.bare())
+    )
+    assert shared > mapped > 100
+
+
+def _equations_beside_and_within_the_last_loop(program):
+    """How many equations are computed once, and how many in the loop over the rows."""
+
+    def count(inner):
+        parts = [x for e in inner.eqns for x in jax.tree.leaves(list(e.params.values()))]
+        closed = [x.jaxpr for x in parts if isinstance(x, ClosedJaxpr)]
+        return len(inner.eqns) + sum(
+            map(count, closed + [x for x in parts if isinstance(x, Jaxpr)])
+        )
+
+    whole = program.jaxpr.eqns[-1].params["jaxpr"].jaxpr
+    loop = next(e for e in reversed(whole.eqns) if e.primitive.name == "scan")
+    within = count(loop.params["jaxpr"].jaxpr)
+    return count(whole) - within, within
 
 
 def test_vmap_over_light_fields_equals_the_loop(model):

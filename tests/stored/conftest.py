@@ -1,10 +1,26 @@
 """A folder of programs in use."""
 
+import jax
 import pytest
+from jax.experimental.compilation_cache import compilation_cache
 from stored import programs
 
 from mvedge_jax import _compiler
 from mvedge_jax._stored import ProgramFiles, _key, _program
+
+
+@pytest.fixture(autouse=True)
+def _without_the_cache_of_jax():
+    """Programs that JAX reads from its own cache have no second copy."""
+    folder = jax.config.values["jax_compilation_cache_dir"]
+    _keep_in(None)
+    yield
+    _keep_in(folder)
+
+
+def _keep_in(folder):
+    jax.config.update("jax_compilation_cache_dir", folder)
+    compilation_cache.reset_cache()
 
 
 @pytest.fixture

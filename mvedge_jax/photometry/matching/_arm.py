@@ -8,9 +8,8 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float
 
+from mvedge_jax._cpu import fenced, plane_sum, unstack
 from mvedge_jax._crosshair import Arm
-from mvedge_jax._fence import fenced
-from mvedge_jax._unstack import plane_sum, unstack
 from mvedge_jax.interpolation import keys_taps
 
 from .._window import colour_weights, weighted_sum

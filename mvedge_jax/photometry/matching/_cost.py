@@ -8,8 +8,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from mvedge_jax._crosshair import Crosshair
-from mvedge_jax._fence import kept
 from mvedge_jax._params import at_least, cast, number
+from mvedge_jax._recomputed import kept
 from mvedge_jax.interpolation import vertex
 
 from .._window import colour_weights, contrast

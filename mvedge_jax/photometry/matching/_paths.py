@@ -5,7 +5,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
-from mvedge_jax._pair import of_both
+from mvedge_jax._cpu import of_both
 from mvedge_jax._root import root
 
 

@@ -6,9 +6,9 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
+from mvedge_jax._cpu import plane_sum
 from mvedge_jax._params import at_least, cast, number
 from mvedge_jax._root import root
-from mvedge_jax._unstack import plane_sum
 from mvedge_jax.image import gaussian, highest
 
 from ..brightness._noise import Noise

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
-from mvedge_jax._unstack import plane_sum, unstack
+from mvedge_jax._cpu import plane_sum, unstack
 
 from .._window import weighted_sum
 from ..views import ViewSet

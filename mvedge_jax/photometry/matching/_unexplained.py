@@ -7,8 +7,8 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
+from mvedge_jax._cpu import plane_sum
 from mvedge_jax._crosshair import Arm, Crosshair
-from mvedge_jax._unstack import plane_sum
 from mvedge_jax.image import window_sum
 from mvedge_jax.interpolation import keys_taps
 

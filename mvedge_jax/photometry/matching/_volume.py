@@ -15,8 +15,8 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float
 
+from mvedge_jax._cpu import of_both
 from mvedge_jax._linear_map import linear_map
-from mvedge_jax._pair import of_both
 
 from ._arm import Corner, Half, Limits, Swept, arm_cost, moved_cost, reach_of, shifted, shifted_to
 

@@ -7,8 +7,8 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float
 
+from mvedge_jax._cpu import plane_sum
 from mvedge_jax._params import cast
-from mvedge_jax._unstack import plane_sum
 from mvedge_jax.image import box_mean
 from mvedge_jax.interpolation import cubic_taps, spline_coefficients
 

@@ -7,10 +7,9 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float
 
+from mvedge_jax._cpu import fenced, plane_sum
 from mvedge_jax._crosshair import Arm, Crosshair
-from mvedge_jax._fence import fenced
 from mvedge_jax._params import cast
-from mvedge_jax._unstack import plane_sum
 from mvedge_jax.image import box_mean
 from mvedge_jax.interpolation import cubic_taps, spline_coefficients
 

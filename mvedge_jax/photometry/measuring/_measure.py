@@ -9,9 +9,9 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
+from mvedge_jax._cpu import unstack
 from mvedge_jax._params import cast
 from mvedge_jax._root import root
-from mvedge_jax._unstack import unstack
 from mvedge_jax.image import box_mean
 
 from .._window import weighted_sum

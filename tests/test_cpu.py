@@ -5,8 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 from helpers import check_modes
 
-from mvedge_jax._fence import fenced, staged
-from mvedge_jax._unstack import plane_sum, unstack
+from mvedge_jax._cpu import fenced, plane_sum, staged, unstack
 
 
 def _stage(tree, shift):
@@ -28,6 +27,13 @@ def test_a_stage_is_its_function_in_value_and_in_every_derivative():
             return jnp.sum(wrapped(*of)["sine"] ** 3)
 
         check_modes(loss, (tree, shift), rtol=1e-6, key=key[0])
+
+
+def test_other_devices_have_no_fence(monkeypatch):
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    plain = str(jax.make_jaxpr(lambda x: fenced(jnp.sin, x))(1.0))
+    assert "cond" not in plain
+    np.testing.assert_array_equal(fenced(jnp.sin, 1.0), jnp.sin(1.0))
 
 
 def test_stages_in_a_row_compute_each_again_once():

@@ -1,0 +1,207 @@
+"""What XLA needs to be told on the CPU: options, and forms that it compiles well.
+
+Values are those of the plain forms. `experiments/benchmarks/cpu_tricks.py` measures what each is
+worth. Other devices do without, or lose nothing.
+"""
+
+import contextlib
+import ctypes
+import functools
+import gc
+from collections.abc import Callable, Iterator
+from typing import Any, TypeVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array, lax
+from jaxtyping import Float, Shaped
+
+from ._linear_map import linear_map
+from ._recomputed import recomputed
+
+_In = TypeVar("_In")
+_Out = TypeVar("_Out")
+# The newer emitters of fusions cost the chain a third of the compiler's memory and a quarter of its
+# own time on the CPU; an order that lets kernels run side by side, which they hardly do, two fifths
+# of its arrays' memory. What the compiler does to loops beyond its first level of optimisation
+# (unrolling, mostly) is up to a quarter of its time and gains a fortieth of the chain's.
+_LEVEL = "xla_backend_optimization_level"
+_WISHES = {
+    _LEVEL: 1,
+    "xla_cpu_use_fusion_emitters": False,
+    "xla_cpu_scheduler_type": "CPU_SCHEDULER_TYPE_MEMORY_OPTIMIZED",
+}
+
+
+def compiler_options() -> dict[str, bool | int | float | str]:
+    """What `lean_jit`, and so every program of this package, asks of XLA, for a `jax.jit` of yours.
+
+    `EdgeDepth` and its like ask for it by themselves where they are called as they are. Within
+    your own `jit`, and under `grad` without one, only what that `jit` asks for counts: JAX takes
+    options of the outermost `jit` alone. What it changes is how fast and in how much memory a
+    program is compiled and runs on the CPU, not what it computes, but for rounding.
+
+    Returns:
+        Options for `jax.jit(..., compiler_options=...)`; none on other devices, or where the
+        compiler at hand does not know them.
+
+    Example:
+        >>> square = jax.jit(lambda x: x * x, compiler_options=compiler_options())
+        >>> float(square(3.0))
+        9.0
+    """
+    known = dict(_known(jax.default_backend()))
+    if jax.config.read("jax_disable_most_optimizations"):
+        known.pop(_LEVEL, None)
+    return known
+
+
+@functools.cache
+def _known(backend: str) -> dict[str, bool | int | float | str]:
+    if backend != "cpu":
+        return {}
+    try:
+        jax.jit(lambda x: x, compiler_options=_WISHES).lower(0.0).compile()
+    except jax.errors.JaxRuntimeError:
+        return {}
+    return dict(_WISHES)
+
+
+@contextlib.contextmanager
+def no_collections() -> Iterator[None]:
+    """Suspends the garbage collector: a trace makes objects by the million, and little garbage."""
+    enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if enabled:
+            gc.enable()
+
+
+def release_memory() -> None:
+    """Returns freed memory to the system, where the C library would keep it (glibc).
+
+    The compiler leaves almost a gigabyte behind after the whole chain, beside which the arrays of
+    the first run would otherwise be put.
+    """
+    with contextlib.suppress(OSError, AttributeError):
+        ctypes.CDLL("libc.so.6").malloc_trim(0)
+
+
+def fenced(function: Callable[..., Any], *arguments: Any) -> Any:
+    """Calls `function` so that its results are computed once and stored.
+
+    XLA on the CPU fuses chains of stencils and computes every intermediate anew for each of its
+    readers, which grows like 9 to the power of the length of the chain. Compilers of other devices
+    weigh that, and there a conditional would wait for the device, so that the call is a plain one.
+    """
+    if jax.default_backend() != "cpu":
+        return function(*arguments)
+    return _as_a_branch(function, *arguments)
+
+
+def _as_a_branch(function: Callable[..., Any], *arguments: Any) -> Any:
+    """Calls `function` in the branch of a conditional, which is compiled by itself.
+
+    A barrier alone does not help, as it is removed before fusion. This one keeps the condition from
+    being recognised as constant.
+    """
+    shapes = jax.eval_shape(function, *arguments)
+    always = lax.optimization_barrier(jnp.asarray(True))
+    return lax.cond(
+        always,
+        function,
+        lambda *_: jax.tree.map(lambda shape: jnp.zeros(shape.shape, shape.dtype), shapes),
+        *arguments,
+    )
+
+
+def staged(function: Callable[..., Any]) -> Callable[..., Any]:
+    """A stage of a long computation, of which reverse mode keeps the arguments only.
+
+    `jax.checkpoint` alone does not say when a stage is computed again: on the CPU, XLA is free to
+    do so for all stages at once, long before their cotangents are there, and to keep everything.
+    The arguments of a conditional have to be there first, and the cotangents are among them.
+
+    Args:
+        function: maps pytrees of arrays to such.
+
+    Returns:
+        The same function. Differentiable as it is, in both modes.
+    """
+
+    def stage(*arguments: Any) -> Any:
+        # What is no array, such as an activation of a user's network, is closed over.
+        arrays, rest = eqx.partition(arguments, _is_array)
+
+        def of_arrays(arrays: Any) -> Any:
+            return function(*eqx.combine(arrays, rest))
+
+        return _as_a_branch(recomputed(of_arrays), arrays)
+
+    return stage
+
+
+def _is_array(leaf: Any) -> bool:
+    return eqx.is_array(leaf) or isinstance(leaf, np.ndarray)
+
+
+def of_both(function: Callable[[_In], _Out], first: _In, second: _In) -> tuple[_Out, _Out]:
+    """Calls a function on each of two pytrees: by a loop, where all of their shapes agree.
+
+    A loop is compiled once, and what is compiled is what a first call waits for. Views of square
+    images in a square grid have two arms of one shape.
+
+    Args:
+        function: maps a pytree of arrays to such.
+        first: a pytree of arrays.
+        second: a pytree of the same structure.
+
+    Returns:
+        The results, in order, computed once and stored (`fenced`). Differentiable as `function` is.
+    """
+    pair = first, second
+    if len({tuple(map(jax.typeof, jax.tree.leaves(of))) for of in pair}) > 1:
+        return fenced(function, first), fenced(function, second)
+    stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *pair)
+    found = lax.map(function, stacked)
+    across, down = (jax.tree.map(lambda leaf, i=i: leaf[i], found) for i in range(2))
+    return across, down
+
+
+def unstack(planes: Shaped[Array, "n *s"]) -> list[Array]:
+    """The planes of a stack, as `list(planes)` has them.
+
+    The transpose of every index is a stack of zeros with one plane set, and all of these are
+    added; that of a split is one concatenation.
+
+    Args:
+        planes: stacked along the first axis.
+
+    Returns:
+        One array per plane.
+    """
+    count = planes.shape[0]
+    if count == 0:
+        return []
+    return [lax.squeeze(part, (0,)) for part in lax.split(planes, (1,) * count)]
+
+
+def plane_sum(planes: Float[Array, "n *s"]) -> Float[Array, "*s"]:
+    """The sum of a stack, plane by plane: XLA on CPU vectorises none over a leading axis.
+
+    Args:
+        planes: stacked along the first axis; may be none.
+
+    Returns:
+        Their sum. By itself, JAX would put the planes' cotangents together again, one by one.
+    """
+    return linear_map(_added, lambda _, ct: jnp.broadcast_to(ct, planes.shape), None, planes)
+
+
+def _added(_: None, planes: Array) -> Array:
+    parts = unstack(planes)
+    return sum(parts[1:], parts[0]) if parts else jnp.zeros(planes.shape[1:], planes.dtype)

@@ -1,0 +1,39 @@
+"""What reverse mode keeps, and what it computes again."""
+
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+import jax
+from jax.ad_checkpoint import checkpoint_name
+from jax.extend.core import Primitive
+
+_Tree = TypeVar("_Tree")
+_KEPT = "mvedge_jax: kept"
+
+
+def recomputed(function: Callable[..., Any]) -> Callable[..., Any]:
+    """`jax.checkpoint` that keeps what is small but dear: linear solutions, and what is `kept`.
+
+    Args:
+        function: maps pytrees of arrays to such.
+
+    Returns:
+        The same function. Differentiable as it is, in both modes.
+    """
+    return jax.checkpoint(function, policy=_is_small_but_dear)
+
+
+def kept(tree: _Tree) -> _Tree:
+    """Arrays that reverse mode keeps where all around them is `recomputed`.
+
+    Args:
+        tree: a pytree of arrays.
+
+    Returns:
+        The same.
+    """
+    return jax.tree.map(lambda array: checkpoint_name(array, _KEPT), tree)
+
+
+def _is_small_but_dear(primitive: Primitive, *_: Any, **params: Any) -> bool:
+    return primitive.name == "custom_linear_solve" or params.get("name") == _KEPT
