@@ -220,7 +220,6 @@ def measuring_in(
         "rounding": scale * noise.rounding,
         # What noise is left in the mean gradients of all views is less than the residual says.
         "gradient_noise": plain.gradient_noise * grain * (1 - 0.6 * noise.alpha**4),
-        "largest_step": plain.largest_step,
     }
     return Measuring(**(own | changed))
 

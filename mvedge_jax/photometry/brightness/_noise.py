@@ -11,7 +11,7 @@ from mvedge_jax._compiler import lean_jit
 from mvedge_jax._crosshair import Arm
 from mvedge_jax._params import accepts_numpy, cast
 from mvedge_jax.image import window_sum
-from mvedge_jax.interpolation import keys_taps
+from mvedge_jax.interpolation import cubic_taps, spline_coefficients, spline_noise
 from mvedge_jax.lightfield import LightField
 
 from ._brightness import Brightness, NoiseModel
@@ -107,7 +107,7 @@ def measure_noise(
         centre: the centre view, `[c, y, x]`, multiplied by `exposure`.
         exposure: see `Exposure.scale`.
         arms: the arms of the crosshair in the same units; None leaves the second measurement out.
-        disparities: those to try, px per view step; None likewise.
+        disparities: those that are searched, px per view step, evenly spaced; None likewise.
         between: the second measurement, where it was made already (`posed_variance`).
         params: see `NoiseModel`; None for the defaults.
 
@@ -125,11 +125,17 @@ def measure_noise(
     variance = params.single**2 * single_view_variance(centre, exposure)
     if arms is not None and disparities is not None:
         longer = max(arms, key=lambda arm: arm.planes.shape[0])
-        between = between_views_variance(longer, disparities)
+        between = between_views_variance(longer, _finer(disparities, params.finer))
     if between is not None:
         variance = jnp.minimum(variance, params.between**2 * between)
     rounding = _rounding(centre / exposure, params.finest)
     return Noise.of(jnp.sqrt(jnp.maximum(variance, (exposure * rounding) ** 2)), rounding)
+
+
+def _finer(disparities: Float[Array, " d"], times: int) -> Float[Array, " n"]:
+    """Evenly spaced disparities with others between them: a texture half a pixel off is no noise."""
+    count = times * (disparities.shape[0] - 1) + 1
+    return jnp.linspace(disparities[0], disparities[-1], count)
 
 
 def _rounding(image: Array, finest: Float[Array, ""]) -> Float[Array, ""]:
@@ -200,7 +206,10 @@ def between_views_variance(arm: Arm, disparities: Float[Array, " d"]) -> Float[A
     halves = tuple(
         tuple(sorted(v for v in views if (v - arm.centre) * sign > 0)) for sign in (-1, 1)
     )
-    padded = jnp.pad(rows, ((0, 0), (0, 0), (0, 0), (width, width + 3)), mode="edge")
+    # Splines: of the contrast of a texture of .4 periods per px, which would pass for noise, Keys'
+    # taps lose more than a half between pixels, splines a third.
+    splines = spline_coefficients(rows, axis=-1)
+    padded = jnp.pad(splines, ((0, 0), (0, 0), (0, 0), (width, width + 3)), mode="edge")
 
     def unexplained(disparity: Array) -> Array:
         parts = []
@@ -209,10 +218,10 @@ def between_views_variance(arm: Arm, disparities: Float[Array, " d"]) -> Float[A
             for view in half:
                 shift = arm.steps[view] * disparity
                 whole = jnp.floor(shift)
-                weights = keys_taps(shift - whole)
+                weights, _ = cubic_taps(shift - whole)
                 first = jnp.clip(whole.astype(jnp.int32), -width, width) + width - 1
                 window = lax.dynamic_slice_in_dim(padded[view], first, width + 3, axis=2)
-                kept = 1 + sum(w * w for w in weights)
+                kept = 1 + spline_noise(weights)
                 there = arm.available[view].astype(rows.dtype)
                 known = known + there
                 for c in range(channels):
