@@ -29,7 +29,7 @@ def of_preset(preset: str) -> EdgeDepth:
     Raises:
         ValueError: there is no such preset.
     """
-    flat = LightField(jnp.full((3, 3, 16, 16, 3), 0.5), disparity_range=(-1.0, 1.0))
+    flat = LightField(jnp.full((9, 9, 16, 16, 3), 0.5), disparity_range=(-1.0, 1.0))
     return EdgeDepth.for_light_field(flat, preset=preset)  # pyright: ignore
 
 

@@ -1,5 +1,7 @@
 """Between samples: splines and their taps, a parabola's vertex, bilinear values."""
 
+from collections.abc import Sequence
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -83,6 +85,29 @@ def cubic_taps(fraction: Float[Array, "*s"]) -> tuple[tuple[Array, ...], tuple[A
         f * f * f / 6,
     )
     return values, (-0.5 * g * g, f * (1.5 * f - 2), g * (2 - 1.5 * g), 0.5 * f * f)
+
+
+def spline_noise(weights: Sequence[Array]) -> Array:
+    """Variance of an interpolated value per variance of white noise in the samples.
+
+    Args:
+        weights: of the four coefficients, see `cubic_taps`.
+
+    Returns:
+        1 at the samples, .76 half way between them. Differentiable.
+
+    Example:
+        >>> [round(float(spline_noise(cubic_taps(f)[0])), 3) for f in (0.0, 0.5)]
+        [1.0, 0.756]
+    """
+    # What coefficients at a distance have in common: the inverse filter, convolved with itself.
+    lag = np.arange(4)
+    alike = 3 * _POLE**lag * (lag + (1 + _POLE**2) / (1 - _POLE**2))
+    total = jnp.zeros_like(weights[0])
+    for i, first in enumerate(weights):
+        for j, second in enumerate(weights):
+            total = total + alike[abs(i - j)] * first * second
+    return total
 
 
 def vertex(below: Array, middle: Array, above: Array) -> Array:

@@ -92,6 +92,8 @@ class EdgeDepth(eqx.Module):
     ) -> "EdgeDepth":
         """Chooses capacities and ranges on the host, from a light field's shape and its range.
 
+        Numbers in px per view step are for 9x9 views, and larger for fewer: four times for 3x3.
+
         Args:
             light_field: its disparity range is measured where it does not come with one.
             preset: `"full"`: edges and dense labels; `"edges"`: the edges alone, splatted with
@@ -108,7 +110,8 @@ class EdgeDepth(eqx.Module):
                 range.
         """
         parts = _presets.parts_for(light_field, preset, views)
-        return EdgeDepth(**parts).replace(choices)
+        model = EdgeDepth(**parts)
+        return model.replace(_presets.for_few_views(model, light_field.farthest)).replace(choices)
 
     def replace(self, choices: Mapping[str, Any] | None = None, /, **parts: Any) -> "EdgeDepth":
         """The same model with other parts, numbers or static fields.

@@ -7,6 +7,7 @@ import numpy as np
 from jax.core import Tracer
 
 from mvedge_jax._params import as_number
+from mvedge_jax._paths import describe
 from mvedge_jax._positions import check_regular
 from mvedge_jax.diffusion import AutoSolver
 from mvedge_jax.edges import OrientedEdges, scene_range
@@ -34,6 +35,25 @@ PRESETS = ("full", "edges", "thesis")
 _FILL = 0.65
 # Ranges of files are rounded, a number format: beyond so much, px per view step, they are others.
 _ROUNDED = 0.02
+
+# Defaults in px per view step are for light fields that reach this far from the centre view.
+_REACH = 4
+_PER_STEP = (
+    "measurement.error_floor",
+    "measurement.largest_step",
+    "measurement.slant",
+    "edges.error_limit",
+    "sides.vote.cap",
+    "sides.vote.temperature",
+    "labels.agreement",
+    "dense.agreement",
+    "smoothness.depth",
+    "refine.precision",
+    "refine.parted",
+    "refine.slopes.steepest",
+    "refine.sharpen.slack",
+    "refine.outline.step",
+)
 
 
 def parts_for(
@@ -101,6 +121,28 @@ def parts_for(
         "dense": MeasuredLabels(),
         "refine": Refine(),
     }
+
+
+def for_few_views(model: "EdgeDepth", farthest: int) -> dict[str, Any]:
+    """Numbers in px per view step for light fields of fewer than 9x9 views.
+
+    What can be told of a disparity is a shift in the outermost view: over fewer steps, it is that of
+    so much larger disparities. Numbers grow in proportion, but for the difference of neighbors that
+    are of one surface, which also tells outlines: it grows with the root.
+
+    Args:
+        model: of a preset, with the numbers for 9x9 views.
+        farthest: view steps from the centre view to the outermost one.
+
+    Returns:
+        Values by path; none for 9x9 views and more.
+    """
+    if farthest >= _REACH or isinstance(model.edges, ThesisEdges):
+        return {}
+    more, known = _REACH / farthest, {row.path: row.value for row in describe(model)}
+    values = {path: more * known[path] for path in _PER_STEP if path in known}
+    same = "measurement.same_surface"
+    return values | {same: more**0.5 * known[same]}
 
 
 def _solver(tolerance: float) -> AutoSolver:

@@ -129,7 +129,7 @@ def prepare(
     brightness = Brightness() if brightness is None else brightness
     exposure = views.rough_exposure(brightness)
     own = views.exposed(exposure)
-    between = between_views_variance(own, disparities)
+    between = between_views_variance(own, disparities, finer=brightness.noise.finer)
     noise = measure_noise(own.centre, exposure.scale, between=between, params=brightness.noise)
     scene = _guided(own, exposure, noise, brightness.noise)
 
@@ -205,7 +205,6 @@ def measuring_in(noise: Noise, scale: Float[Array, ""], params: Measurement) -> 
         "rounding": scale * noise.rounding,
         # What noise is left in the mean gradients of all views is less than the residual says.
         "gradient_noise": plain.gradient_noise * grain * (1 - 0.6 * noise.alpha**4),
-        "largest_step": plain.largest_step,
     }
     return Measuring(**(vars(params) | changed))
 

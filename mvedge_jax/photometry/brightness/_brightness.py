@@ -18,12 +18,17 @@ class NoiseModel(eqx.Module):
             finer.
         excess: variance that a guide loses as noise, a little more than it has: its own local
             variance scatters, and what is left over looks like texture.
+        finer: disparities that are tried for each hypothesis.
     """
 
     single: Float[Array, ""] = number(1 / 0.85, "second differences")
     between: Float[Array, ""] = number(1.30, "unexplained deviations")
     finest: Float[Array, ""] = number(0.1 / 255, "sRGB")
     excess: Float[Array, ""] = number(1.15, "noise variances")
+    finer: int = eqx.field(static=True, default=4)
+
+    def __check_init__(self) -> None:
+        at_least(self, finer=1)
 
 
 class Brightness(eqx.Module):

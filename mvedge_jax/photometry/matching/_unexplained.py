@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 from mvedge_jax._cpu import plane_sum
 from mvedge_jax._crosshair import Arm, Crosshair
 from mvedge_jax.image import window_sum
-from mvedge_jax.interpolation import keys_taps
+from mvedge_jax.interpolation import cubic_taps, spline_coefficients, spline_noise
 
 from ..views import ViewSet
 from ._arm import Half, halves_of, shifted
@@ -21,7 +21,7 @@ _ROWS = 8
 
 
 def between_views_variance(
-    views: Crosshair | ViewSet, disparities: Float[Array, " d"]
+    views: Crosshair | ViewSet, disparities: Float[Array, " d"], *, finer: int = 1
 ) -> Float[Array, ""]:
     """Variance of a channel that the best disparity leaves unexplained in the half that agrees.
 
@@ -30,7 +30,9 @@ def between_views_variance(
 
     Args:
         views: exposure and gains taken out; of a crosshair, the longer arm is read.
-        disparities: what to try, px per view step.
+        disparities: what to try, px per view step, evenly spaced.
+        finer: of a crosshair, so many disparities are tried for each of them: a texture that is
+            half a pixel off is no noise.
 
     Returns:
         What a fifth of the windows stay below; 0 where the reference shows nothing. Differentiable.
@@ -39,6 +41,8 @@ def between_views_variance(
         unexplained = _of_stack(views)
     else:
         unexplained = _of_arm(max(views, key=lambda arm: arm.planes.shape[0]))
+        count = finer * (disparities.shape[0] - 1) + 1
+        disparities = jnp.linspace(disparities[0], disparities[-1], count)
     rows = views.centre[0, ::_ROWS]
 
     def consider(best: Array, disparity: Array) -> tuple[Array, None]:
@@ -57,15 +61,18 @@ def between_views_variance(
 def _of_arm(arm: Arm) -> Callable[[Array], Array]:
     """Mean square, by disparity, of the half of an arm that agrees better."""
     rows = arm._replace(planes=arm.planes[:, :, ::_ROWS])
-    centre, halves = rows.planes[rows.centre], halves_of(rows)
+    centre = rows.planes[rows.centre]
+    # Splines: of the contrast of a texture of .4 periods per px, which would pass for noise, Keys'
+    # taps lose more than a half between pixels, splines a third.
+    halves = halves_of(rows._replace(planes=spline_coefficients(rows.planes, axis=-1)))
 
     def of_half(half: Half, disparity: Array) -> Array:
         total, width = jnp.zeros_like(centre[0]), centre.shape[2]
         moved = shifted(half, disparity, (0, 0), (centre.shape[1], width))
         for part, step, there in zip(moved, half.steps, half.there, strict=True):
-            weights = keys_taps(step * disparity - jnp.floor(step * disparity))
+            weights, _ = cubic_taps(step * disparity - jnp.floor(step * disparity))
             seen = sum(w * part[..., j : j + width] for j, w in enumerate(weights))
-            kept = 1 + sum(w * w for w in weights)
+            kept = 1 + spline_noise(weights)
             total = total + there / (centre.shape[0] * kept) * plane_sum((seen - centre) ** 2)
         count = jnp.sum(half.there)
         total = jnp.where(count > 0, total / jnp.maximum(count, 1), jnp.inf)

@@ -31,6 +31,7 @@ class Measurement(eqx.Module):
             rounding.
         least_share: where the signal is a smaller share of the information than this, it does not
             move the map.
+        largest_step: a measurement moves by at most this.
         slant: differences of disparity below this are slant, not occlusion.
         radius: how far occluders are looked for, px.
         passes: over the neighbors whose measurements are shared, see `labels`.
@@ -48,6 +49,7 @@ class Measurement(eqx.Module):
     surest: Float[Array, ""] = number(0.1, "drift")
     least_noise: Float[Array, ""] = number(1.386, "rounding deviations")
     least_share: Float[Array, ""] = number(1e-4, "of the information")
+    largest_step: Float[Array, ""] = number(0.2, "px")
     slant: Float[Array, ""] = number(0.05, "px", threshold=True)
     radius: int = eqx.field(static=True, default=1)
     passes: int = eqx.field(static=True, default=2)
@@ -72,11 +74,9 @@ class Measuring(Measurement):
             step of a single colour.
         gradient_noise: energy of an image's derivative per variance of its noise, 1/px². For white
             noise and cubic splines it is 2.49; blurred views have less.
-        largest_step: a measurement moves by at most this, px per view step.
     """
 
     stiffness: Float[Array, ""] = number(1.0, "squared view steps")
     noise: Float[Array, ""] = number(1.5 / 255, "sRGB")
     rounding: Float[Array, ""] = number(1 / 255 / 12**0.5, "sRGB")
     gradient_noise: Float[Array, ""] = number(2.5, "1/px²")
-    largest_step: Float[Array, ""] = number(0.2, "px")
