@@ -141,20 +141,12 @@ def steps(light_field: LightField, *, thesis: bool):
     table.append({"step": "measured, all candidates", **row})
     row, points = final(light_field)
     table.append({"step": "  + those of small standard error: the result", **row})
-    d, at = np.asarray(points.disparity), np.asarray(points.xy)
+    at = np.asarray(points.xy)
     keep = np.asarray(points.valid)
     px, py = np.clip(np.rint(at[keep]).astype(int).T, 0, np.array(truth.shape[::-1])[:, None] - 1)
-    raster = np.zeros((2, *truth.shape), np.float32)
-    raster[:, py, px] = np.stack([d[keep], np.ones(len(py))])
-    smooth = joint_filter(
-        jnp.asarray(raster[0]),
-        jnp.asarray(raster[1] > 0),
-        blind.centre_view,
-        jnp.float32(5.0),
-        jnp.float32(0.1),
-        jnp.float32(0.5),
-    )
-    filtered = score(truth, px, py, np.asarray(smooth)[py, px])
+    sigmas = (jnp.float32(sigma) for sigma in (5.0, 0.1, 0.5))
+    smooth = joint_filter(points.xy, points.disparity, points.valid, blind.centre_view, *sigmas)
+    filtered = score(truth, px, py, np.asarray(smooth)[keep])
     table.append({"step": "    + joint filter (4.6)", **filtered})
     return table, points
 

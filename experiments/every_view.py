@@ -49,7 +49,8 @@ def naive(light_field: LightField, result: DepthResult) -> jax.Array:
 
 def thesis(light_field: LightField, result: DepthResult) -> jax.Array:
     """The centre view's map, projected and diffused in EPIs, guided by the thesis' points."""
-    model = EdgeDepth.for_light_field(light_field, preset="thesis")
+    choices = {"edges.hidden": True, "edges.lines.visibility": "crossed"}
+    model = EdgeDepth.for_light_field(light_field, preset="thesis", choices=choices)
     points = multiview_edges(light_field, model, key=jax.random.key(0)).points
     return thesis_views(light_field, result.disparity, points, Guiding())
 

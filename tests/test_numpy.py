@@ -93,7 +93,7 @@ CALLS = {
     "system": lambda: (system().matvec(MAP), system().right_hand_side(), system().energy(MAP)),
     "diffuse": lambda: (diffusion.diffuse(system()), diffusion.diffuse(system(MASK), start=MAP)),
     "edge weights": lambda: diffusion.edge_weights(MAP),
-    "filter": lambda: joint_filter(MAP, MASK, RGB, ONE, ONE, ONE, radius=1),
+    "filter": lambda: joint_filter(XY, LABEL, VALID, RGB, ONE, ONE, ONE),
     "smoothness": lambda: edge_smoothness(PLANES, MAP, ColorAndDepth()),
     "sharpen": lambda: Sharpen(radius=2, levels=8)(MAP, PLANES),
     "median": lambda: weighted_median(MAP, PLANES, ONE, radius=2, levels=8),

@@ -16,6 +16,7 @@ from ._labels import (
     PointWeight as PointWeight,
     SharedLabels as SharedLabels,
     SplattedLabels as SplattedLabels,
+    StepWeight as StepWeight,
 )
 from ._problems import map_problems as map_problems
 from ._refine import Refine as Refine

@@ -126,6 +126,35 @@ class PointWeight(eqx.Module):
         return jnp.where(points.valid, precise * 0.5 * (1 + jnp.exp(exponent)), 0)
 
 
+class StepWeight(eqx.Module):
+    r"""Data weights of points by their depth-edge confidence, $e^{\min(a \lambda_e, l) - l}$.
+
+    $\omega e^{\min(a \lambda_e, l)}$ over its largest value; $\omega$ is relative to the
+    smoothness, which `Refine.stiffness` has.
+
+    Attributes:
+        gain: $a$.
+        limit: $l$, the largest exponent; the thesis' weight is unbounded.
+
+    Source: Thesis 6.1, Eq. 6.3.
+    """
+
+    gain: Float[Array, ""] = number(3.0, "1/px")
+    limit: Float[Array, ""] = number(4.0)
+
+    def __call__(
+        self,
+        confidence: Float[Array, " n"],
+        points: EdgePoints,
+        precision: Float[Array, ""],
+    ) -> Float[Array, " n"]:
+        """See `PointWeight`; no standard error is read."""
+        del precision
+        params = cast(self, confidence.dtype)
+        exponent = jnp.minimum(params.gain * confidence, params.limit) - params.limit
+        return jnp.where(points.valid, jnp.exp(exponent), 0)
+
+
 class NearestLabels(eqx.Module):
     """Every label on the pixel that its surface vector points to; the nearest surface wins.
 
@@ -135,7 +164,7 @@ class NearestLabels(eqx.Module):
     Source: Thesis 6.1.
     """
 
-    weight: PointWeight = eqx.field(default_factory=PointWeight)
+    weight: PointWeight | StepWeight = eqx.field(default_factory=PointWeight)
 
     def __call__(
         self, points: EdgePoints, sides: Sides, evidence: Evidence, precision: Float[Array, ""]

@@ -12,15 +12,15 @@ from mvedge_jax._positions import check_regular
 from mvedge_jax.diffusion import AutoSolver
 from mvedge_jax.edges import OrientedEdges, scene_range
 from mvedge_jax.edges.sides import MapSides, ThesisSides
-from mvedge_jax.edges.thesis import LineSearch, ThesisEdges
+from mvedge_jax.edges.thesis import ThesisEdges
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.photometry import AsIs, Calibrate, hypothesis_count, occluder_radius
 from mvedge_jax.photometry.matching import Matching
 from mvedge_jax.photometry.measuring import Measurement
-from mvedge_jax.smoothness import ColorAndDepth
+from mvedge_jax.smoothness import ColorAndDepth, ThesisSmoothness
 
 from ._dense import MeasuredLabels
-from ._labels import NearestLabels, SharedLabels, SplattedLabels
+from ._labels import NearestLabels, SharedLabels, SplattedLabels, StepWeight
 from ._refine import Refine
 from ._sharpen import Sharpen
 
@@ -74,18 +74,16 @@ def parts_for(
         check_regular(light_field, "the preset 'thesis'")
         # A filter beyond either end of the range, so that its ends are no border of the bank.
         reach = round(1.05 * max(abs(low), abs(high), 0.1), 3)
-        # The authors ask for four views in a row, which an arm of three does not have.
-        lines = LineSearch(alignment="run" if 2 * steps + 1 > 3 else "count")
         return {
             "calibration": AsIs(),
             "measurement": None,
-            "edges": ThesisEdges(reach=reach, capacity=capacity, lines=lines),
-            "sides": ThesisSides(),
-            "labels": NearestLabels(),
+            "edges": ThesisEdges(reach=reach, capacity=capacity),
+            "sides": ThesisSides.printed(),
+            "labels": NearestLabels(StepWeight()),
             "dense": None,
-            "smoothness": ColorAndDepth(),
+            "smoothness": ThesisSmoothness(),
             "solver": _solver(_SPARSE),
-            "refine": Refine(slopes=None, sharpen=Sharpen(), outline=None),
+            "refine": Refine(slopes=None, sharpen=Sharpen(mode="median"), outline=None, solves=1),
             "searched": (-reach, reach),
         }
     # In whole filters, so that ranges of nearly equal length share a program.
@@ -126,9 +124,9 @@ def parts_for(
 def for_few_views(model: "EdgeDepth", farthest: int) -> dict[str, Any]:
     """Numbers in px per view step for light fields of fewer than 9x9 views.
 
-    What can be told of a disparity is a shift in the outermost view: over fewer steps, it is that of
-    so much larger disparities. Numbers grow in proportion, but for the difference of neighbors that
-    are of one surface, which also tells outlines: it grows with the root.
+    What views tell of a disparity is a shift in the outermost one: over fewer steps, it is that of
+    disparities that are so much larger. Numbers grow in proportion, but for the difference of
+    neighbors of one surface, which also tells outlines: it grows with the root.
 
     Args:
         model: of a preset, with the numbers for 9x9 views.

@@ -40,17 +40,19 @@ class PerPixel(eqx.Module):
 
 
 class ThesisSmoothness(PerPixel):
-    r"""Smoothness that falls with the depth-edge confidence, $1 / (1 + \lambda_s / s)$.
+    r"""Smoothness that is inverse to the depth-edge confidence, $s / (s + \lambda_s)$.
 
     Attributes:
-        depth_edge: confidence at which the smoothness is one half.
+        depth_edge: $s$, the confidence at which the smoothness is one half; the thesis does not
+            say. Maps hardly depend on it below 1e-3.
         floor: see `PerPixel`.
         pairing: see `PerPixel`.
 
     Source: Thesis 4.3 and 6.1.
     """
 
-    depth_edge: Float[Array, ""] = number(0.05, "px/px")
+    depth_edge: Float[Array, ""] = number(1e-3, "px/px")
+    floor: Float[Array, ""] = number(1e-6)
 
     def per_pixel(
         self, guide: Float[Array, "c y x"], depth_edge: Float[Array, "y x"]

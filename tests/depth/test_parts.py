@@ -19,6 +19,7 @@ from mvedge_jax.depth import (
     PointWeight,
     SharedLabels,
     SplattedLabels,
+    StepWeight,
 )
 from mvedge_jax.diffusion import AutoSolver
 from mvedge_jax.edges.sides import (
@@ -74,8 +75,9 @@ def test_a_smoothness_is_whole_where_nothing_changes():
 
 
 def test_the_smoothness_of_the_thesis_is_one_half_at_its_confidence():
-    edge = jnp.zeros((5, 6)).at[:, 3].set(0.05)
-    tx, _ = ThesisSmoothness()(jnp.zeros((3, 5, 6)), jnp.zeros((5, 6)), edge)
+    part = ThesisSmoothness()
+    edge = jnp.zeros((5, 6)).at[:, 3].set(part.depth_edge)
+    tx, _ = part(jnp.zeros((3, 5, 6)), jnp.zeros((5, 6)), edge)
     np.testing.assert_allclose(tx[:, 0], 1)
     np.testing.assert_allclose(tx[:, 2:4], 0.5)
 
@@ -126,6 +128,30 @@ def test_sides(part):
     np.testing.assert_array_equal(np.asarray(found.surface.forward)[~valid], 0.5)
     length = np.linalg.norm(np.asarray(found.surface.offset)[valid], axis=1)
     np.testing.assert_allclose(length, 0 if isinstance(part, NoSides) else 1, atol=1e-9)
+
+
+def test_weights_of_the_thesis_are_exponential():
+    points = given().points
+    confidence = jnp.zeros_like(points.error).at[1].set(1.0).at[3].set(50.0)
+    found = StepWeight()(confidence, points, jnp.asarray(0.005))
+    np.testing.assert_allclose(np.asarray(found)[[0, 1, 3]], np.exp([-4.0, -1.0, 0.0]))
+    assert float(found[2]) == 0
+
+
+def test_confidences_are_those_of_the_profiles_as_they_are_where_the_thesis_says_so():
+    case = given()
+    points = eqx.tree_at(lambda p: p.disparity, case.points, 0.1 * case.points.disparity)
+    half = eqx.tree_at(lambda p: p.disparity, points, 0.5 * points.disparity)
+
+    def confidence(stretched, points):
+        part = ThesisSides(diffusion=_precise(), stretched=stretched)
+        return np.asarray(part(points, case.evidence).confidence)[np.asarray(points.valid)]
+
+    printed = confidence(False, points)
+    assert printed.max() > 0
+    np.testing.assert_allclose(confidence(False, half), 0.5 * printed, atol=1e-7)
+    # Stretched profiles do not know the height of a step.
+    np.testing.assert_allclose(confidence(True, half), confidence(True, points), atol=1e-3)
 
 
 def test_weights_grow_with_the_confidence_up_to_the_limit():

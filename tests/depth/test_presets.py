@@ -28,7 +28,6 @@ from mvedge_jax.edges.sides import (
 )
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.photometry import AsIs
-from mvedge_jax.smoothness import ThesisSmoothness
 
 FLAT = LightField(jnp.full((3, 3, 16, 16, 3), 0.5), disparity_range=(-1.0, 1.0))
 
@@ -66,7 +65,8 @@ def test_each_preset_gives_a_map_and_one_trace_serves_changed_numbers(scene, pre
     assert (error > 0.3).mean() < bad
     # Numbers are traced: Python numbers, arrays and other values share the program.
     before = estimate_depth.traces
-    for choices in ({"refine.stiffness": 6.0}, {"smoothness.color": jnp.asarray(1.0)}):
+    own = "smoothness.depth_edge" if preset == "thesis" else "smoothness.color"
+    for choices in ({"refine.stiffness": 6.0}, {own: jnp.asarray(1.0)}):
         other = model.replace(choices)(blind, key=key)
         assert float(jnp.abs(other.disparity - result.disparity).max()) > 1e-5
     assert estimate_depth.traces == before
@@ -103,15 +103,6 @@ def test_every_choice_of_sides_gives_a_map(scene, sides):
     assert np.median(error) < 0.1
     assert bool(found.stats.converged)
     assert bool((found.surface.score == 0).all()) == isinstance(sides, NoSides)
-
-
-@pytest.mark.slow
-def test_the_smoothness_of_the_thesis_gives_a_map(scene):
-    found = small(scene, "thesis").replace(smoothness=ThesisSmoothness())(
-        scene.without_truth(), key=jax.random.key(0)
-    )
-    error = np.abs(np.asarray(found.disparity) - np.asarray(scene.truth.disparity))
-    assert np.median(error) < 0.3
 
 
 def test_what_is_no_preset_or_no_choice_is_named():

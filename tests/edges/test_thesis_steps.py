@@ -45,13 +45,20 @@ def test_a_line_is_hidden_where_a_nearer_one_covers_it():
     cover = step(*near) - step(near[0] + width, near[1])
     epi = jnp.asarray(smooth((cover * 95 + (1 - cover) * back)[..., None])[..., 0])
     lines = epi_lines([far[0], near[0], near[0] + width], [far[1], near[1], near[1]])
-    visible = np.asarray(line_visibility(alignment(epi, lines), lines, width=WIDTH))
+    cosine = alignment(epi, lines)
+    tested, crossed = (
+        np.asarray(line_visibility(cosine, lines, width=WIDTH, tested=of))
+        for of in ("all", "crossed")
+    )
     gap = far[0] + STEPS * far[1] - near[0] - STEPS * near[1]
     hidden = (gap > 1) & (gap < width - 1)
     assert hidden.any()
-    assert not visible[0][hidden].any()
-    assert visible[0][(gap < -2.5) | (gap > width + 2.5)].all()
-    assert visible[1].all()
+    for visible in (tested, crossed):
+        assert not visible[0][hidden].any()
+        assert visible[0][(gap < -2.5) | (gap > width + 2.5)].all()
+    # Only crossed lines are tested: the nearest is not.
+    assert crossed[1].all()
+    np.testing.assert_array_equal(tested, np.asarray(cosine) > np.cos(np.pi / 10))
 
 
 def test_entropy_is_that_of_the_histogram():
@@ -98,16 +105,19 @@ def test_the_spatial_vote_is_that_of_plain_loops():
 def test_the_joint_filter_is_that_of_plain_loops():
     rng = np.random.default_rng(7)
     shape = (9, 11)
-    d, colour = rng.normal(scale=0.1, size=shape), rng.uniform(size=(*shape, 3))
+    d, color = rng.normal(scale=0.1, size=shape), rng.uniform(size=(*shape, 3))
     present = rng.uniform(size=shape) < 0.5
     sigma = (2.0, 0.1, 0.5)
+    y, x = np.indices(shape).reshape(2, -1)
+    # One point per pixel, not in its middle, in some slots.
     found = joint_filter(
-        jnp.asarray(d),
-        jnp.asarray(present),
-        jnp.asarray(colour),
+        jnp.asarray(np.stack([x, y], 1) + rng.uniform(-0.4, 0.4, (x.size, 2))),
+        jnp.asarray(d.reshape(-1)),
+        jnp.asarray(present.reshape(-1)),
+        jnp.asarray(color),
         *map(jnp.asarray, sigma),
         radius=3,
-    )
+    ).reshape(shape)
     for y, x in np.ndindex(shape):
         total = weight = 0.0
         for j, i in np.ndindex(shape):
@@ -116,7 +126,7 @@ def test_the_joint_filter_is_that_of_plain_loops():
             squares = (
                 ((j - y) ** 2 + (i - x) ** 2) / sigma[0] ** 2
                 + (d[j, i] - d[y, x]) ** 2 / sigma[1] ** 2
-                + ((colour[j, i] - colour[y, x]) ** 2).sum() / sigma[2] ** 2
+                + ((color[j, i] - color[y, x]) ** 2).sum() / sigma[2] ** 2
             )
             w = np.exp(-0.5 * squares)
             total, weight = total + w * d[j, i], weight + w

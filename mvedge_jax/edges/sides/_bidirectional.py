@@ -1,7 +1,7 @@
 """Bidirectional diffusion: push all labels to one side of their edges, then to the other."""
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -9,7 +9,7 @@ import lineax as lx
 from jax import lax
 from jaxtyping import Array, Float
 
-from mvedge_jax._params import accepts_numpy, cast, number
+from mvedge_jax._params import accepts_numpy, cast, number, one_of
 from mvedge_jax._root import root
 from mvedge_jax.diffusion import AutoSolver, System, diffuse, edge_weights
 
@@ -24,21 +24,28 @@ def _coarse() -> AutoSolver:
 
 
 class DirectionalDiffusion(eqx.Module):
-    """Parameters of the two directional solves.
+    r"""Parameters of the two directional solves.
 
     Attributes:
         offset: how far labels are pushed along the normal, px.
         data: weight of a label against a smoothness of 1.
-        gradient: squared image gradient, gray levels in 0..1 per px, that halves the smoothness.
+        gradient: image gradient that halves the smoothness, or its square, see `form`; gray levels
+            in 0..1.
         floor: least smoothness.
+        form: smoothness falls with the `"squared"` gradient $g$, $1 / (1 + |\nabla I|^2 / g)$, or
+            is `"inverse"` to it, $g / (|\nabla I| + g)$, as Eq. 4.11 has it.
         solver: of both systems.
     """
 
     offset: Float[Array, ""] = number(1.0, "px", threshold=True)
     data: Float[Array, ""] = number(100.0, "smoothness of 1")
-    gradient: Float[Array, ""] = number(1e-4, "squared gray/px")
+    gradient: Float[Array, ""] = number(1e-4, "gray/px, squared or not")
     floor: Float[Array, ""] = number(1e-4, threshold=True)
+    form: Literal["squared", "inverse"] = eqx.field(static=True, default="squared")
     solver: lx.AbstractLinearSolver = eqx.field(default_factory=_coarse)
+
+    def __check_init__(self) -> None:
+        one_of(self, form=("squared", "inverse"))
 
 
 class Bidirectional(NamedTuple):
@@ -69,6 +76,7 @@ def bidirectional(
     params: DirectionalDiffusion,
     *,
     respond: Callable[[Float[Array, "7 n"]], Float[Array, " n"]] = step_response,
+    confide: Callable[[Float[Array, "7 n"]], Float[Array, " n"]] = step_response,
 ) -> Bidirectional:
     r"""Diffuses the labels from either side of their edges and compares the depth profiles.
 
@@ -79,7 +87,9 @@ def bidirectional(
         points: positions, disparities, unit normals.
         gray: centre view in [0, 1], `[y, x]`.
         params: see `DirectionalDiffusion`.
-        respond: answer to the depth profiles at -3..3 px along the normals.
+        respond: answer to the depth profiles at -3..3 px along the normals, of which the larger one
+            tells the side.
+        confide: the same for the confidence (Eq. 6.3), px.
 
     Returns:
         Both maps, responses, confidences. Differentiable at the rasterisation chosen.
@@ -102,15 +112,14 @@ def bidirectional(
     both = jnp.stack([points.xy + shift, points.xy - shift])
     (forward, backward), iterations = lax.map(solve, both)
 
-    ahead, behind = (
-        respond(profiles(image, points.xy, points.normal)) for image in (forward, backward)
-    )
+    across = [profiles(image, points.xy, points.normal) for image in (forward, backward)]
+    ahead, behind = map(respond, across)
     seen = points.valid & (jnp.sum(points.normal**2, axis=-1) > 0.25)
     return Bidirectional(
         forward,
         backward,
         jnp.where(seen, ahead - behind, 0),
-        jnp.where(seen, jnp.maximum(ahead, behind), 0),
+        jnp.where(seen, jnp.maximum(*map(confide, across)), 0),
         depth_edge_confidence(forward, backward),
         iterations,
     )
@@ -138,18 +147,22 @@ def depth_edge_confidence(
 def image_smoothness(
     gray: Float[Array, "y x"], params: DirectionalDiffusion
 ) -> Float[Array, "y x"]:
-    r"""Smoothness $1 / (1 + |\nabla I|^2 / g)$ of the directional solves; Eq. 4.11 with a square.
+    r"""Smoothness of the directional solves, at most 1.
 
     Args:
         gray: image in [0, 1].
-        params: `gradient` is $g$; `floor` bounds the result from below.
+        params: `gradient` and `form`; `floor` bounds the result from below.
 
     Returns:
         Smoothness per pixel in (0, 1]. Differentiable.
+
+    Source: Thesis 4.2.2, Eq. 4.11.
     """
     params = cast(params, gray.dtype)
-    square = _gradient_square(gray)
-    return jnp.maximum(1 / (1 + square / params.gradient), params.floor)
+    steep = _gradient_square(gray)
+    if params.form == "inverse":
+        steep = root(steep)
+    return jnp.maximum(1 / (1 + steep / params.gradient), params.floor)
 
 
 def _gradient_square(image: Array) -> Array:

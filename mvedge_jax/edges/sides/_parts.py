@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from mvedge_jax._cpu import staged
-from mvedge_jax._params import at_least, cast
+from mvedge_jax._params import as_number, at_least, cast
 from mvedge_jax.color import srgb_to_gray
 from mvedge_jax.photometry import Evidence
 
@@ -20,7 +20,7 @@ from ._bidirectional import (
     depth_edge_confidence,
 )
 from ._evidence import map_evidence
-from ._profile import step_response, thesis_response
+from ._profile import step_response, thesis_response, thesis_step
 from ._reprojection import reprojection_score
 from ._surface import SideVote, SurfaceVectors, choose, surface_vectors
 
@@ -107,19 +107,38 @@ class BidirectionalSides(eqx.Module):
 class ThesisSides(eqx.Module):
     """Sides by the step response of two directional diffusions, and nothing else.
 
+    Profiles are stretched to [-1, 1] before the step filter, which tells the side.
+
     Attributes:
         diffusion: of the labels from either side of their edges.
         vote: its `offset` and `temperature` are read.
+        stretched: the depth-edge confidence of a point, too, is the answer to stretched profiles:
+            at most 4, how much like a step, whatever its height. Otherwise it is that of the
+            profiles as they are, px, as Eq. 6.3 has it.
 
-    Source: Thesis 4.2.2: profiles are stretched to [-1, 1] before the step filter.
+    Source: Thesis 4.2.2, 6.1.
     """
 
     diffusion: DirectionalDiffusion = eqx.field(default_factory=DirectionalDiffusion)
     vote: SideVote = eqx.field(default_factory=SideVote)
+    stretched: bool = eqx.field(static=True, default=True)
+
+    @staticmethod
+    def printed() -> "ThesisSides":
+        """As the thesis has them: Eq. 4.11, labels of 1e6 against 1 / (gradient + 1e-4); Eq. 6.3.
+
+        The thesis leaves its epsilon open; 1e-4 is the authors'.
+        """
+        diffusion = DirectionalDiffusion(
+            data=as_number(1e6 * 1e-4), gradient=as_number(1e-4), floor=as_number(1e-6),
+            form="inverse",
+        )  # fmt: skip
+        return ThesisSides(diffusion, stretched=False)
 
     def __call__(self, points: EdgePoints, evidence: Evidence) -> Sides:
         """See `SideChoice`."""
-        passes = _both_ways(points, evidence, self.diffusion, thesis_response)
+        confide = thesis_response if self.stretched else thesis_step
+        passes = _both_ways(points, evidence, self.diffusion, thesis_response, confide)
         return _sides(choose(points, passes.response, self.vote), passes)
 
 
@@ -185,12 +204,13 @@ def _both_ways(
     evidence: Evidence,
     params: DirectionalDiffusion,
     respond: Callable[[Float[Array, "7 n"]], Float[Array, " n"]],
+    confide: Callable[[Float[Array, "7 n"]], Float[Array, " n"]] | None = None,
 ) -> Bidirectional:
     gray = srgb_to_gray(jnp.moveaxis(evidence.calibrated.guide, 0, -1))
 
     @staged
     def diffused(points: EdgePoints, gray: Array, params: DirectionalDiffusion) -> Bidirectional:
-        return bidirectional(points, gray, params, respond=respond)
+        return bidirectional(points, gray, params, respond=respond, confide=confide or respond)
 
     return diffused(points, gray, cast(params, gray.dtype))
 

@@ -63,6 +63,11 @@ def step_response(
     return jnp.where(before, answer(first), answer(first + 1))
 
 
+def thesis_step(profile: Float[Array, "7 n"]) -> Float[Array, " n"]:
+    """`step_response` of the thesis' own filter, `[-1, -1, 1, 1]`."""
+    return step_response(profile, taps=(-1.0, -1.0, 1.0, 1.0))
+
+
 def thesis_response(profile: Float[Array, "7 n"]) -> Float[Array, " n"]:
     """Answer of the thesis' step filter to depth profiles stretched to [-1, 1].
 
@@ -77,4 +82,4 @@ def thesis_response(profile: Float[Array, "7 n"]) -> Float[Array, " n"]:
     low, high = (f(profile, axis=0, keepdims=True) for f in (jnp.min, jnp.max))
     flat = high - low < 1e-6
     stretched = jnp.where(flat, 0, 2 * (profile - low) / jnp.where(flat, 1, high - low) - 1)
-    return step_response(stretched, taps=(-1.0, -1.0, 1.0, 1.0))
+    return thesis_step(stretched)

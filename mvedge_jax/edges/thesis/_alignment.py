@@ -1,6 +1,7 @@
 """Alignment of lines with the gradient of their EPI: outlier rejection and visibility."""
 
 import math
+from typing import Literal
 
 import jax.numpy as jnp
 from jax import lax
@@ -9,6 +10,7 @@ from jaxtyping import Array, Bool, Float, Int
 from mvedge_jax._crosshair import view_steps
 from mvedge_jax.epi import EpiLines
 
+Tested = Literal["all", "crossed"]
 FILTER_ANGLE = math.pi / 13
 VISIBLE_ANGLE = math.pi / 10
 
@@ -91,36 +93,37 @@ def line_visibility(
     lines: EpiLines,
     *,
     width: int,
+    tested: Tested = "all",
     angle: float = VISIBLE_ANGLE,
 ) -> Bool[Array, "m u"]:
-    """In which views of an arm each line is seen.
-
-    A line is seen in every view inside the image, unless a nearer line crosses it: then the views
-    where the gradient is aligned with it count, cleaned by a median of three along the views.
+    """In which views of an arm each line is seen: inside the image, where it is aligned.
 
     Args:
         cosine: see `alignment`.
         lines: the lines.
         width: of the views, px.
+        tested: which lines; with `"crossed"`, those that no nearer line crosses are seen in all
+            views inside the image, and what the test says of the others is cleaned by a median of
+            three along the views.
         angle: largest angle of an aligned gradient.
 
     Returns:
         One row per line.
 
-    Source: Thesis 4.1.5, Eq. 4.4 tests the centre view of every line; the authors' code tests
-    crossed lines in all views, as here.
+    Source: Thesis 4.1.5, Eq. 4.4, which is about the centre view; `"crossed"` is the authors'.
     """
     views = cosine.shape[1]
     steps = view_steps(views, cosine.dtype)
     x = lines.position[:, None] + steps[None] * lines.disparity[:, None]
-    inside = (x >= -0.5) & (x <= width - 0.5)
+    inside = (x >= -0.5) & (x <= width - 0.5) & lines.valid[:, None]
+    seen = cosine > math.cos(angle)
+    if tested == "all":
+        return seen & inside
     top = x[:, None, 0] - x[None, :, 0]
     bottom = x[:, None, -1] - x[None, :, -1]
     nearer = lines.disparity[None, :] > lines.disparity[:, None]
     crossed = ((top * bottom <= 0) & nearer & lines.valid[None]).any(1)
-    seen = cosine > math.cos(angle)
     before = jnp.pad(seen[:, :-1], ((0, 0), (1, 0)))
     after = jnp.pad(seen[:, 1:], ((0, 0), (0, 1)))
     median = (before & seen) | (seen & after) | (before & after)
-    visible = jnp.where(crossed[:, None], median, True)
-    return visible & inside & lines.valid[:, None]
+    return jnp.where(crossed[:, None], median, True) & inside

@@ -1,14 +1,15 @@
 """Edge points as the thesis finds them: lines of EPIs, tested and averaged."""
 
 import math
+from typing import Literal
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax.typing import DTypeLike
-from jaxtyping import Array, Bool, Float, PRNGKeyArray
+from jaxtyping import Array, Float, PRNGKeyArray
 
-from mvedge_jax._params import at_least, cast, number, positive
+from mvedge_jax._params import at_least, cast, number, one_of, positive
 from mvedge_jax.color import srgb_to_gray, srgb_to_lab
 from mvedge_jax.epi import FilterBank, bank_radius, exponential_disparities, prewitt_bank
 from mvedge_jax.image import nearest_pixels, unit_gradient
@@ -26,7 +27,8 @@ class ThesisEdges(eqx.Module):
     first (4.1.2), at two scales (4.1.4), moved at random while their entropy falls, tested against
     the gradient of the EPI (4.1.5) and by a vote of their surroundings (4.1.3); what is left is
     averaged with neighbors of like place, disparity and color. Nothing but the spacing of the
-    filters is known of the error of a point.
+    filters is known of the error of a point. Defaults are the thesis'; what the authors' program
+    does otherwise are options.
 
     Attributes:
         reach: largest disparity of the filters in magnitude, px per view step.
@@ -38,9 +40,11 @@ class ThesisEdges(eqx.Module):
             Give them (`prewitt`) to learn them; disparities have a derivative in their taps with
             `lines.interpolate`.
         half_confidence: strength at which the confidence is one half.
-        space_sigma: reach of the joint filter in space.
+        space_sigma: reach of the joint filter in space; the authors' is 5 px.
         disparity_sigma: reach of the joint filter in disparity.
-        color_sigma: reach of the joint filter in color, sRGB in [0, 1].
+        color_sigma: reach of the joint filter in color, in the units of `color`.
+        color: space of the joint filter's colors: `"lab"`, L* in 0..100, or the authors' `"srgb"`.
+        hidden: keep points that the centre view does not show (Eq. 4.4), for other views.
         fewest_views: in which a point must be seen.
     """
 
@@ -51,14 +55,17 @@ class ThesisEdges(eqx.Module):
     lines: LineSearch = eqx.field(default_factory=LineSearch)
     banks: tuple[FilterBank, FilterBank] | None = None
     half_confidence: Float[Array, ""] = number(2.0, "CIELAB/px")
-    space_sigma: Float[Array, ""] = number(5.0, "px")
+    space_sigma: Float[Array, ""] = number(10.0, "px")
     disparity_sigma: Float[Array, ""] = number(0.1, "px")
-    color_sigma: Float[Array, ""] = number(0.5, "sRGB")
+    color_sigma: Float[Array, ""] = number(0.5, "of `color`")
+    color: Literal["lab", "srgb"] = eqx.field(static=True, default="lab")
+    hidden: bool = eqx.field(static=True, default=False)
     fewest_views: int = eqx.field(static=True, default=3)
 
     def __check_init__(self) -> None:
         positive(self, "reach")
         at_least(self, filters=4, capacity=1, fewest_views=1)
+        one_of(self, color=("lab", "srgb"))
 
     def prewitt(
         self, views: tuple[int, ...], dtype: DTypeLike = jnp.float32
@@ -119,14 +126,16 @@ def _thesis_edges(evidence: Evidence, part: ThesisEdges, key: PRNGKeyArray | Non
         arm_lines(srgb_to_lab(arm), bank, part.lines, key=draw)
         for arm, bank, draw in zip((own, down), banks, keys, strict=True)
     ]
-    xy, disparity, strength, visible, keep = _of_both(arms[0], arms[1], part.fewest_views)
+    xy, disparity, strength, visible, keep = _of_both(arms[0], arms[1], part)
 
     chosen = jnp.nonzero(keep, size=part.capacity, fill_value=0)[0]
     total = keep.sum()
     valid = jnp.arange(part.capacity, dtype=total.dtype) < total
     xy, disparity, strength, visible = (a[chosen] for a in (xy, disparity, strength, visible))
     if part.joint:
-        disparity = _smoothed(xy, disparity, valid, centre, part)
+        color = srgb_to_lab(centre) if part.color == "lab" else centre
+        sigmas = part.space_sigma, part.disparity_sigma, part.color_sigma
+        disparity = joint_filter(xy, disparity, valid, color, *sigmas)
     row, column, _ = nearest_pixels(xy, evidence.shape)
     points = EdgePoints(
         xy,
@@ -147,7 +156,7 @@ def _thesis_edges(evidence: Evidence, part: ThesisEdges, key: PRNGKeyArray | Non
     return Edges(jax.tree.map(only, points), EdgeStats(lines, overflow, total, valid.sum()))
 
 
-def _of_both(across: ArmLines, down: ArmLines, fewest: int) -> list[Array]:
+def _of_both(across: ArmLines, down: ArmLines, part: ThesisEdges) -> list[Array]:
     """Positions, disparities, strengths, visibilities of all lines, and which are points."""
     parts = []
     for own, other in ((across, down), (down, across)):
@@ -159,25 +168,9 @@ def _of_both(across: ArmLines, down: ArmLines, fewest: int) -> list[Array]:
         others = jnp.broadcast_to(shown, (*own.keep.shape, other.visible.shape[-1]))
         order = [others, own.visible] if own is across else [own.visible, others]
         visible = jnp.concatenate(order, -1)
-        keep = own.keep & (visible.sum(-1) >= fewest)
+        keep = own.keep & (visible.sum(-1) >= part.fewest_views)
+        if not part.hidden:
+            keep = keep & shown[..., 0]
         fields = (xy, own.lines.disparity, own.lines.confidence, visible, keep)
         parts.append([field.reshape(-1, *field.shape[2:]) for field in fields])
     return [jnp.concatenate(pair) for pair in zip(*parts, strict=True)]
-
-
-def _smoothed(
-    xy: Float[Array, "n 2"],
-    disparity: Float[Array, " n"],
-    valid: Bool[Array, " n"],
-    color: Float[Array, "y x c"],
-    part: ThesisEdges,
-) -> Float[Array, " n"]:
-    """Disparities after the joint filter."""
-    height, width = color.shape[:2]
-    row, column, _ = nearest_pixels(xy, (height, width))
-    place = jnp.where(valid, row * width + column, height * width)
-    nothing = jnp.zeros(height * width, disparity.dtype)
-    labels = nothing.at[place].set(disparity, mode="drop").reshape(height, width)
-    present = nothing.at[place].set(1, mode="drop").reshape(height, width) > 0
-    sigmas = part.space_sigma, part.disparity_sigma, part.color_sigma
-    return jnp.where(valid, joint_filter(labels, present, color, *sigmas)[row, column], disparity)

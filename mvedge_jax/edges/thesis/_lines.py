@@ -12,7 +12,7 @@ from mvedge_jax._params import at_least, number, one_of
 from mvedge_jax.epi import EpiLines, FilterBank, epi_edge_map, fit_lines, merge_scales
 from mvedge_jax.image import convolved, gaussian_taps
 
-from ._alignment import aligned_count, alignment, line_visibility, longest_run
+from ._alignment import Tested, aligned_count, alignment, line_visibility, longest_run
 from ._entropy import entropy_search
 from ._vote import spatial_vote
 
@@ -30,7 +30,8 @@ class LineSearch(eqx.Module):
         amplitude: first step of the entropy search.
         decay: factor per step.
         capacity: slots for lines per EPI.
-        modulate: multiply responses by the local standard deviation (Alg. 1).
+        modulate: multiply responses by the local standard deviation (Alg. 1). The authors compute
+            and do not use it: with the vote, it rejects two points of five.
         interpolate: disparities between those of the filters, see `epi.epi_edge_map`; the thesis
             has the filters'.
         levels: scales of the spatial pyramid (4.1.4), 1 or 2.
@@ -39,6 +40,8 @@ class LineSearch(eqx.Module):
         vote: keep lines with a spatial vote (4.1.3).
         entropy: search for lines of lower entropy (Eq. 4.5).
         run: views in a row that a line must be aligned with; the authors'.
+        visibility: a line is seen in the views that it is aligned with (`"all"`, Eq. 4.4); or only
+            the lines that a nearer one crosses are tested (`"crossed"`, the authors').
         blur_reach: where the blur before the filters is cut, px.
     """
 
@@ -52,15 +55,16 @@ class LineSearch(eqx.Module):
     modulate: bool = eqx.field(static=True, default=False)
     interpolate: bool = eqx.field(static=True, default=False)
     levels: int = eqx.field(static=True, default=2)
-    alignment: Alignment = eqx.field(static=True, default="run")
+    alignment: Alignment = eqx.field(static=True, default="count")
     vote: bool = eqx.field(static=True, default=True)
     entropy: bool = eqx.field(static=True, default=True)
     run: int = eqx.field(static=True, default=4)
+    visibility: Tested = eqx.field(static=True, default="all")
     blur_reach: int = eqx.field(static=True, default=2)
 
     def __check_init__(self) -> None:
         at_least(self, capacity=1, run=1, blur_reach=1)
-        one_of(self, levels=(1, 2), alignment=get_args(Alignment))
+        one_of(self, levels=(1, 2), alignment=get_args(Alignment), visibility=get_args(Tested))
 
 
 def _halved(arm: Float[Array, "u y x c"]) -> Float[Array, "u y2 x2 c"]:
@@ -138,7 +142,8 @@ def arm_lines(
             keep = keep & (4 * aligned_count(cosine) >= views)
         if params.alignment == "run":
             keep = keep & (longest_run(cosine) >= params.run)
-        return found, keep, line_visibility(cosine, found, width=width)
+        seen = line_visibility(cosine, found, width=width, tested=params.visibility)
+        return found, keep, seen
 
     draws = () if key is None else (jax.random.split(key, count),)
     lines, keep, visible = lax.map(judge, (epis[..., 0], lines, *draws))
