@@ -21,8 +21,10 @@ from mvedge_jax.photometry.measuring import (
     Measurement,
     Measuring,
     PhotometricLabels,
+    ViewSplines,
 )
 from mvedge_jax.photometry.measuring._measure import shared
+from mvedge_jax.photometry.views import views_of
 
 
 def _prepared(light_field, low, high, *, radius=3):
@@ -42,10 +44,15 @@ def test_the_first_measurement_finds_a_plane():
     assert np.median(off) < 0.3 * np.median(rough)
 
 
-def test_a_scene_without_a_first_map_is_told():
+def test_a_scene_without_a_first_map_or_arms_is_told():
     scene, seen, _ = _prepared(plane(0.37), 0.0, 0.7)
     with pytest.raises(ValueError, match="`scene` has no first map; `prepare` finds one"):
         first_labels(scene._replace(first=None), seen)
+    views = views_of(plane(0.37))
+    with pytest.raises(ValueError, match="`prepared` must be views of a crosshair, got photogr"):
+        first_labels(scene, seen._replace(splines=ViewSplines.of(views)))
+    with pytest.raises(TypeError, match="`views` must be a crosshair to have arms, got photogr"):
+        _ = scene._replace(views=views).arms
 
 
 def test_neighbours_share_labels_on_their_surface_only():
