@@ -19,6 +19,8 @@ import pytest
 
 _EMITTERS = "--xla_cpu_use_fusion_emitters=false"
 _PROGRAMS = pytest.StashKey[str]()
+# Other files, which start at the same time where these come in order, compile their programs.
+_LAST = ("tests/cli/test_superpixels.py",)
 
 mpl.use("Agg")
 jax.config.update("jax_enable_x64", True)
@@ -63,6 +65,16 @@ def _share_programs(folder: str) -> None:
         os.environ[name.upper()] = str(value)
 
 
+@pytest.fixture(scope="module")
+def optimised():
+    """Programs as users have them, where tests wait for them rather than for the compiler."""
+    name = "jax_disable_most_optimizations"
+    before = jax.config.read(name)
+    jax.config.update(name, False)
+    yield
+    jax.config.update(name, before)
+
+
 _spent = [0.0]
 
 
@@ -70,6 +82,10 @@ def _cpu_seconds() -> float:
     """CPU time of this process and of the children that have ended."""
     children = resource.getrusage(resource.RUSAGE_CHILDREN)
     return time.process_time() + children.ru_utime + children.ru_stime
+
+
+def pytest_collection_modifyitems(items):
+    items.sort(key=lambda item: item.nodeid.startswith(_LAST))
 
 
 def pytest_collection_finish():

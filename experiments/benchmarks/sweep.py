@@ -1,12 +1,14 @@
 """Settings per second: batches of a sweep beside single jitted calls, in one process.
 
     python experiments/benchmarks/sweep.py --out results/benchmark_sweep
+    python experiments/benchmarks/sweep.py --memory --scenes demo
 
 Four numbers are varied, on rendered scenes. All ways are compiled and called once before; what is
 reported is the sum over the scenes of the warm seconds. A batch computes once what no varied number
 reaches: numbers of the diffusion leave the photometry and the edges of a scene alone, numbers of
 the photometry leave nothing, hence the two rows. Threads are what `sweep` adds: one call keeps
-little more than a core busy.
+little more than a core busy. With `--memory`: temporary arrays of one program for 1, 8 and 64
+settings by `vmap` and by `batched`, and warm CPU seconds of a setting.
 """
 
 import argparse
@@ -15,7 +17,9 @@ import time
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
+from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -23,9 +27,9 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from experiments._report import peak_memory, print_table, write_json
-from mvedge_jax import describe
+from mvedge_jax import batched, compiler_options, describe
 from mvedge_jax.datasets import synthetic
-from mvedge_jax.depth import EdgeDepth
+from mvedge_jax.depth import EdgeDepth, estimate_depth
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.sweep import evaluate
 
@@ -54,11 +58,14 @@ def main() -> None:
     parser.add_argument("--batch", type=int, default=8)
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--size", type=int, default=128, help="side of the views, px")
+    parser.add_argument("--memory", action="store_true", help="of `vmap` and of `batched`")
     arguments = parser.parse_args()
+    if arguments.memory:
+        _compare_memory(arguments)
+        return
     rows = []
     # Numbers are those of every scene.
-    flat = LightField(jnp.full((3, 3, 16, 16, 3), 0.5), disparity_range=(-1.0, 1.0))
-    known = {row.path: row.value for row in describe(EdgeDepth.for_light_field(flat))}
+    known = _defaults()
     for label, names in VARIED.items():
         generator = np.random.default_rng(0)
         factors = np.exp(generator.uniform(-0.7, 0.7, (arguments.settings, len(names))))
@@ -111,6 +118,53 @@ def main() -> None:
             )
     print_table(rows, title=f"{', '.join(arguments.scenes)}, 9x9 views, {arguments.size} px")
     write_json(arguments.out / "sweep.json", rows)
+
+
+def _defaults() -> dict[str, Any]:
+    flat = LightField(jnp.full((3, 3, 16, 16, 3), 0.5), disparity_range=(-1.0, 1.0))
+    return {row.path: row.value for row in describe(EdgeDepth.for_light_field(flat))}
+
+
+def _compare_memory(arguments: argparse.Namespace) -> None:
+    shape = (9, 9, arguments.size, arguments.size)
+    scene = synthetic.scene(arguments.scenes[0])
+    light_field = synthetic.render(scene, shape=shape, key=jax.random.key(0)).bare()
+    arrays, rest = eqx.partition(
+        (EdgeDepth.for_light_field(light_field), light_field), eqx.is_array
+    )
+    rows = []
+    for label, names in VARIED.items():
+
+        def one(row: jax.Array, arrays: Any, names: tuple[str, ...] = names) -> jax.Array:
+            model, light_field = eqx.combine(arrays, rest)
+            varied = model.replace({name: row[i] for i, name in enumerate(names)})
+            return estimate_depth(light_field, varied).disparity
+
+        ways = {"vmap": jax.vmap(one, in_axes=(0, None)), "batched": batched(one)}
+        factors = np.exp(np.random.default_rng(0).uniform(-0.7, 0.7, (64, len(names))))
+        settings = jnp.asarray(factors * [_defaults()[name] for name in names], jnp.float32)
+        for count in (1, 8, 64):
+            for way, function in ways.items():
+                asked, given = compiler_options(), (settings[:count], arrays)
+                program = jax.jit(function, compiler_options=asked).lower(*given).compile()
+                memory: Any = program.memory_analysis()
+                jax.block_until_ready(program(*given))
+                start = time.process_time()
+                jax.block_until_ready(program(*given))
+                spent = time.process_time() - start
+                rows.append(
+                    {
+                        "numbers": label,
+                        "settings": count,
+                        "way": way,
+                        "temporary MiB": memory.temp_size_in_bytes / 2**20,
+                        "CPU s a setting": spent / count,
+                    }
+                )
+                print_table(rows[-1:], title=f"{way} of {count}")
+                jax.clear_caches()
+    print_table(rows, title=f"{arguments.scenes[0]}, 9x9 views, {arguments.size} px")
+    write_json(arguments.out / "memory.json", rows)
 
 
 if __name__ == "__main__":

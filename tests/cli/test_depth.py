@@ -19,7 +19,7 @@ def scene(tmp_path_factory):
 def test_depth_writes_everything_and_is_right(scene, tmp_path, capsys, monkeypatch):
     out, viewed = tmp_path / "out", []
     monkeypatch.setattr(_depth, "show", lambda *given: viewed.append(given))
-    words = ["depth", str(scene), str(out), "--range", "-0.5", "1", "--view"]
+    words = ["depth", str(scene), str(out), "--range", "-1.5", "1.25", "--view"]
     assert _main.main(words) == 0
     found = read_pfm(out / "disparity.pfm")
     ((field, (shown,)),) = viewed

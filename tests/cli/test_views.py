@@ -93,7 +93,7 @@ def test_what_speaks_against_the_depth_is_said(command, tmp_path, capsys):
     cv2.imwrite(str(mask), np.full((32, 40), 255, np.uint8))
     more = {
         "edit": ["--mask", str(mask), "--colour", "1", "0", "0"],
-        "batch": ["--range", "-1", "1"],
+        "batch": ["--range", "-1.5", "1.25"],
     }
     assert _main.main([command, str(scene), str(out), *more.get(command, [])]) == 0
     said = capsys.readouterr().err

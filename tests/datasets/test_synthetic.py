@@ -16,6 +16,7 @@ from mvedge_jax.datasets import synthetic
 from mvedge_jax.datasets.synthetic import _scenes, _trace
 from mvedge_jax.datasets.synthetic.world import Material
 
+pytestmark = pytest.mark.usefixtures("optimised")
 KEY = jax.random.key(0)
 # Few sizes, so that few functions are compiled.
 SMALL = (3, 5, 60, 54)  # one ray per pixel

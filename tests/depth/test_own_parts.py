@@ -12,7 +12,8 @@ from mvedge_jax import EdgeDepth, lean_jit, multiview_edges
 from mvedge_jax.datasets import synthetic
 from mvedge_jax.smoothness import ColorAndDepth
 
-SMALL = {"refine.sharpen.levels": 6, "refine.sharpen.radius": 2}
+# Small programs; `test_presets.py` has the preset whole.
+SMALL = {"refine.sharpen.levels": 6, "refine.sharpen.radius": 2, "refine.slopes": None}
 
 
 @pytest.fixture(scope="module")

@@ -7,6 +7,7 @@ import pytest
 from experiments.solver_truth import Case, cases, cells, exact, row
 from mvedge_jax.diffusion import AutoSolver
 
+pytestmark = pytest.mark.usefixtures("optimised")
 CASES = [one for i, one in enumerate(cases([64], 2)) if i % 9 == 4 or one.cut < 1e-7][::3][:40]
 
 
