@@ -142,6 +142,8 @@ def colour_weights(
     size, margin = 2 * reach + 1, reach * spacing
     padded = jnp.pad(lab, ((0, 0), (margin, margin), (margin, margin)), mode="edge")
 
+    # Reverse mode keeps the weights, not the half dozen of arrays of their size before them.
+    @jax.checkpoint
     def weight(offset: Array) -> Array:
         start = (0, offset // size * spacing, offset % size * spacing)
         others = lax.dynamic_slice(padded, start, lab.shape)

@@ -3,6 +3,10 @@
 import numpy as np
 from scipy import ndimage
 
+# That of the files of `write_hci`, so that commands which take their range share a program with
+# those that are told it.
+RANGE = ("--range", "-1.5", "1.25")
+
 
 def textured_plane(height: int = 32, width: int = 40) -> np.ndarray:
     """A textured plane at disparity 0.4: 3x3 views, in 8 bits."""

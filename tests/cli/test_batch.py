@@ -3,6 +3,7 @@ import json
 
 import numpy as np
 import pytest
+from cli.scenes import RANGE
 from datasets.layouts import write_hci
 from scipy import ndimage
 
@@ -52,8 +53,7 @@ def test_a_batch_goes_on_after_a_failure_and_from_where_it_was(tmp_path, capsys,
     corrupt = _plane(tmp_path / "corrupt", 0.0)
     (corrupt / "input_Cam004.png").write_bytes(b"not a picture")
     out = tmp_path / "out"
-    # That of the files, so that other commands have compiled the program or will find it.
-    words = [*map(str, (near, corrupt, far)), str(out), "--range", "-1.5", "1.25"]
+    words = [*map(str, (near, corrupt, far)), str(out), *RANGE]
     assert _main.main(["batch", *words]) == 1
     assert len(compilations) == 1
     assert np.median(np.abs(read_pfm(out / "near" / "disparity.pfm") - 0.4)) < 0.01

@@ -3,7 +3,7 @@ import json
 import cv2
 import numpy as np
 import pytest
-from cli.scenes import textured_plane
+from cli.scenes import RANGE, textured_plane
 from datasets.layouts import write_hci
 
 from mvedge_jax.cli import _depth, _main
@@ -19,7 +19,7 @@ def scene(tmp_path_factory):
 def test_depth_writes_everything_and_is_right(scene, tmp_path, capsys, monkeypatch):
     out, viewed = tmp_path / "out", []
     monkeypatch.setattr(_depth, "show", lambda *given: viewed.append(given))
-    words = ["depth", str(scene), str(out), "--range", "-1.5", "1.25", "--view"]
+    words = ["depth", str(scene), str(out), *RANGE, "--view"]
     assert _main.main(words) == 0
     found = read_pfm(out / "disparity.pfm")
     ((field, (shown,)),) = viewed
@@ -112,7 +112,7 @@ def test_a_black_view_is_named_and_costs_little(tmp_path, capsys):
     views = textured_plane()
     views[1, 2] = 0
     folder = write_hci(tmp_path / "plane", views, disparity=np.full((32, 40), 0.4, np.float32))
-    words = ["depth", str(folder), str(tmp_path / "out"), "--range", "-0.5", "1"]
+    words = ["depth", str(folder), str(tmp_path / "out"), *RANGE]
     assert _main.main(words) == 0
     found = read_pfm(tmp_path / "out" / "disparity.pfm")
     assert np.median(np.abs(found - 0.4)) < 0.01

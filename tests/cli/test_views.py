@@ -6,7 +6,7 @@ import cv2
 import h5py
 import numpy as np
 import pytest
-from cli.scenes import textured_plane
+from cli.scenes import RANGE, textured_plane
 from datasets.layouts import write_hci
 from scipy import ndimage
 
@@ -93,7 +93,7 @@ def test_what_speaks_against_the_depth_is_said(command, tmp_path, capsys):
     cv2.imwrite(str(mask), np.full((32, 40), 255, np.uint8))
     more = {
         "edit": ["--mask", str(mask), "--colour", "1", "0", "0"],
-        "batch": ["--range", "-1.5", "1.25"],
+        "batch": [*RANGE],
     }
     assert _main.main([command, str(scene), str(out), *more.get(command, [])]) == 0
     said = capsys.readouterr().err

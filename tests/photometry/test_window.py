@@ -63,3 +63,13 @@ def test_derivatives_of_the_sum_in_images_and_weights_in_every_mode(mode):
         return jnp.sum(jnp.sin(weighted_sum(*tree, spacing=2, mode=mode)))
 
     check_modes(loss, (images, weights), rtol=1e-6, key=key[0])
+
+
+def test_reverse_mode_keeps_weights_and_not_what_they_are_made_from():
+    lab = jax.ShapeDtypeStruct((3, 20, 24), jnp.float64)
+
+    def pulled(lab):
+        return jax.vjp(lambda lab: colour_weights(lab, jnp.asarray(4.0), reach=2), lab)[1]
+
+    arrays = jax.tree.leaves(jax.eval_shape(pulled, lab))
+    assert sum(array.size for array in arrays) < 4 * 25 * 20 * 24
