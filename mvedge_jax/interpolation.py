@@ -106,7 +106,7 @@ def spline_noise(weights: Sequence[Array]) -> Array:
     total = jnp.zeros_like(weights[0])
     for i, first in enumerate(weights):
         for j, second in enumerate(weights):
-            total = total + alike[abs(i - j)] * first * second
+            total = total + float(alike[abs(i - j)]) * first * second
     return total
 
 

@@ -53,6 +53,8 @@ _PER_STEP = (
     "refine.slopes.steepest",
     "refine.sharpen.slack",
     "refine.outline.step",
+    "refine.error.half",
+    "refine.error.step",
 )
 
 
@@ -126,9 +128,9 @@ def parts_for(
 def for_few_views(model: "EdgeDepth", farthest: int) -> dict[str, Any]:
     """Numbers in px per view step for light fields of fewer than 9x9 views.
 
-    What can be told of a disparity is a shift in the outermost view: over fewer steps, it is that of
-    so much larger disparities. Numbers grow in proportion, but for the difference of neighbors that
-    are of one surface, which also tells outlines: it grows with the root.
+    What can be told of a disparity is a shift in the outermost view: over fewer steps, it is that
+    of so much larger disparities. Numbers grow in proportion, but for the difference of neighbors
+    that are of one surface, which also tells outlines: it grows with the root.
 
     Args:
         model: of a preset, with the numbers for 9x9 views.

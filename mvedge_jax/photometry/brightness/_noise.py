@@ -133,7 +133,7 @@ def measure_noise(
 
 
 def _finer(disparities: Float[Array, " d"], times: int) -> Float[Array, " n"]:
-    """Evenly spaced disparities with others between them: a texture half a pixel off is no noise."""
+    """Disparities with others between them: a texture that is half a pixel off is no noise."""
     count = times * (disparities.shape[0] - 1) + 1
     return jnp.linspace(disparities[0], disparities[-1], count)
 
