@@ -64,7 +64,8 @@ def test_derivatives_are_those_of_differences():
     of_labels = 0.01 + 0.02 * jax.random.uniform(jax.random.key(0), (4, 5), jnp.float64)
     disparity = jax.random.uniform(jax.random.key(1), (4, 5), jnp.float64)
 
-    def total(params, of_labels, disparity):
+    def total(*given):
+        params, of_labels, disparity = jax.tree.map(jnp.asarray, given)
         return jnp.sum(jnp.log(params(of_labels, disparity)))
 
     check_grads(

@@ -53,9 +53,9 @@ def test_smooth_cloth_over_a_wide_range_has_no_terraces():
 
 
 def test_numbers_in_px_per_view_step_grow_where_views_are_few():
-    def model(views, preset="full"):
+    def model(views, **options):
         flat = LightField(jnp.full((views, views, 8, 8, 3), 0.5), disparity_range=(-1.0, 1.0))
-        return EdgeDepth.for_light_field(flat, preset=preset)
+        return EdgeDepth.for_light_field(flat, **options)
 
     many, few = model(9), model(3)
     assert float(many.refine.precision) == pytest.approx(0.005)
@@ -69,5 +69,5 @@ def test_numbers_in_px_per_view_step_grow_where_views_are_few():
     assert float(chosen.refine.precision) == pytest.approx(0.007)
     assert few.refine.error.forgotten == many.refine.error.forgotten
     assert model(11).refine.precision == many.refine.precision
-    assert isinstance(model(3, "thesis").edges, ThesisEdges)
-    assert model(3, "thesis").refine.precision == many.refine.precision
+    assert isinstance(model(3, preset="thesis").edges, ThesisEdges)
+    assert model(3, preset="thesis").refine.precision == many.refine.precision
