@@ -25,6 +25,7 @@ def render(
     samples: int = 3,
     seed: int = 0,
     textures: int | None = None,
+    baseline: float = 1.0,
     vignette: float = 0.0,
     vignette_shift: float = 0.05,
     gain: float = 0.0,
@@ -46,6 +47,8 @@ def render(
         samples: rays per pixel along each side of a pixel.
         seed: of the sensor's noise, of vignettes and gains.
         textures: seed of another set of textures; the usual ones without it.
+        baseline: distance between neighboring cameras over that of the scene: disparities grow
+            with it. 1.4 for `wide` gives -5 to 5 px per view step.
         vignette: share of the brightness that is lost in the corners, 0 to 1.
         vignette_shift: standard deviation of the vignette's center, another in every view, over the
             shorter side of the views.
@@ -55,7 +58,9 @@ def render(
     """
     key = None if textures is None else jax.random.key(textures)
     scene = synthetic.scene(name, key=key)
-    scene = scene.through_lenses(vignette=vignette, vignette_shift=vignette_shift, gain=gain)
+    scene = scene.spaced(baseline).through_lenses(
+        vignette=vignette, vignette_shift=vignette_shift, gain=gain
+    )
     shape = (views, views, *size)
     centre = (views // 2, views // 2)
     with output_folder(out, overwrite=overwrite) as folder, _progress() as bar:

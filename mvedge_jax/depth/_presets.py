@@ -53,6 +53,8 @@ _PER_STEP = (
     "refine.slopes.steepest",
     "refine.sharpen.slack",
     "refine.outline.step",
+    "refine.error.half",
+    "refine.error.step",
 )
 
 

@@ -50,8 +50,8 @@ class DepthResult(NamedTuple):
         error: standard error of the disparity, px, `[y, x]`: of the labels that a pixel was made
             from, its own and, where these are weak, those of its surroundings, which far from any
             label give way to the spread of the whole map or, where little was measured at all, to
-            the width of the range that was tried; and what half a pixel of doubt about the place of
-            a depth step amounts to. Infinite if there is no label at all.
+            the width of the range that was tried; and what bends of the map and half a pixel of
+            doubt about the place of a depth step amount to. Infinite if there is no label at all.
         depth_edge: depth-edge confidence, px per px, `[y, x]`: the gradient of the map or, where
             the chain has no dense labels, that of its `sides` (Thesis, Section 4.3).
         points: the multi-view edges.

@@ -9,24 +9,35 @@ from mvedge_jax._root import root
 
 
 class StandardError(eqx.Module):
-    """From standard errors of labels to those of the map.
+    r"""From standard errors of labels to those of the map.
 
-    Defaults are from cotton, backgammon, room, bench and nine rendered scenes: 93 % of all pixels
-    are within twice the error (`experiments/calibration.py`).
+    The error $\sigma$ of a label becomes $m \sigma^2 / (\sigma + h)$: the map averages labels that
+    agree, so that most pixels are far better than their labels' floor says, whereas labels that are
+    known badly share their mistake with all others around. A map that bends is off as well: windows
+    of labels average over the bend.
+
+    Only what is stated depends on this, never the map. Defaults are from cotton, backgammon, bench
+    and rendered scenes, see `experiments/calibration.py`.
 
     Attributes:
-        shared: factor of the labels' errors: labels beside each other share views and windows, so
-            that their mean is known less well than their own standard errors say.
+        most: $m$, error of the map per error of labels where these are known badly.
+        half: $h$, error of a label at which it is half of that. For 9x9 views; larger for fewer.
+        bent: error per second difference of the map between neighbors.
+        step: second differences beyond this are depth steps, which are errors of another kind. For
+            9x9 views; larger for fewer.
+        misplaced: a depth step is found to this distance.
         alike: the map's own spread is believed as far as perfect labels outnumber these, which a
             window of 7x7 pixels shares. With fewer, anything within the range searched may be true.
-        misplaced: a depth step is found to this distance.
         forgotten: distance from any label beyond which a map tells no more about a surface than its
             own spread.
     """
 
-    shared: Float[Array, ""] = number(1.2)
-    alike: Float[Array, ""] = number(49.0, "perfect labels")
+    most: Float[Array, ""] = number(2.0)
+    half: Float[Array, ""] = number(0.04, "px")
+    bent: Float[Array, ""] = number(3.8)
+    step: Float[Array, ""] = number(0.1, "px")
     misplaced: Float[Array, ""] = number(0.5, "px")
+    alike: Float[Array, ""] = number(49.0, "perfect labels")
     forgotten: Float[Array, ""] = number(55.0, "px")
 
     def __call__(
@@ -42,10 +53,13 @@ class StandardError(eqx.Module):
             px; infinite without labels. Differentiable.
         """
         params = cast(self, disparity.dtype)
-        edge = params.misplaced * steepest(disparity)
         known = of_labels > 0
-        labels = params.shared * jnp.where(known, of_labels, 1)
-        return jnp.where(known, jnp.sqrt(labels**2 + edge**2), jnp.inf)
+        labels = jnp.where(known, of_labels, 1)
+        labels = params.most * labels * (labels / (labels + params.half))
+        bend = sharpest(disparity)
+        bent = params.bent * bend / (1 + bend / params.step)
+        square = labels**2 + bent**2 + (params.misplaced * bend) ** 2
+        return jnp.where(known, jnp.sqrt(square), jnp.inf)
 
     def spread(self, disparity: Array, weight: Array, span: Array) -> Array:
         """How far from the map a surface without labels may be: by the map, or by the range.
@@ -77,4 +91,21 @@ def steepest(disparity: Array) -> Array:
     for side in ((0, 1), (1, 0)):
         most = jnp.maximum(most, jnp.pad(across, ((0, 0), side)))
         most = jnp.maximum(most, jnp.pad(down, (side, (0, 0))))
+    return most
+
+
+def sharpest(disparity: Array) -> Array:
+    """Largest second difference along either axis; the border is no bend.
+
+    Args:
+        disparity: a map, [y, x].
+
+    Returns:
+        Of its shape, 0 on planes. Differentiable.
+    """
+    most = jnp.zeros_like(disparity)
+    for axis, margin in ((1, ((0, 0), (1, 1))), (0, ((1, 1), (0, 0)))):
+        if disparity.shape[axis] > 2:
+            second = jnp.abs(jnp.diff(disparity, n=2, axis=axis))
+            most = jnp.maximum(most, jnp.pad(second, margin))
     return most

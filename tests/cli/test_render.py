@@ -55,6 +55,19 @@ def test_lenses_of_uneven_brightness_are_asked_for(tmp_path, capsys):
     assert "`vignette` must be between 0 and 1, got 2.0" in capsys.readouterr().err
 
 
+def test_cameras_farther_apart_are_asked_for(tmp_path, capsys):
+    out, maps = tmp_path / "out", []
+    for words in ((), ("--baseline", "2.5")):
+        assert run("crossing", out, "--overwrite", "--no-occlusions", *words) == 0
+        maps.append(load_light_field(out))
+    truths = [np.asarray(scene.truth.disparity) for scene in maps]
+    np.testing.assert_allclose(truths[1], 2.5 * truths[0], rtol=1e-5, atol=1e-5)
+    ranges = [np.asarray(scene.disparity_range) for scene in maps]
+    np.testing.assert_allclose(ranges[1], 2.5 * ranges[0], atol=0.01)
+    assert run("crossing", out, "--overwrite", "--baseline", "0") == 2
+    assert "`baseline` must be positive and finite, got 0.0" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("error", [KeyboardInterrupt(), OSError("disk full"), RuntimeError("bug")])
 def test_leaves_nothing_half_written(monkeypatch, tmp_path, error):
     """Interrupted in the middle of writing, after some files are there."""

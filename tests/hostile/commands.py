@@ -149,6 +149,8 @@ def _wrong_words() -> Iterator[Case]:
         ("render", "demo", "OUT", "--views", 4),
         ("render", "demo", "OUT", "--size", 0, 0),
         ("render", "demo", "OUT", "--vignette", 2),
+        ("render", "demo", "OUT", "--baseline", 0),
+        ("render", "demo", "OUT", "--baseline", "nan"),
         ("render", "demo", "OUT", "--vignette", 0.4, "--gain", "nan"),
         ("demo", "OUT", "--views", 1),
         ("demo", "OUT", "--size", 3, 3),

@@ -7,7 +7,7 @@ import pytest
 from helpers import check_gradient
 from photometry.scenes import changed, textured
 
-from mvedge_jax._crosshair import Crosshair, crosshair
+from mvedge_jax._crosshair import Arm, Crosshair, crosshair
 from mvedge_jax.photometry import Noise
 from mvedge_jax.photometry.brightness import measure_noise
 from mvedge_jax.photometry.matching._unexplained import between_views_variance
@@ -103,3 +103,30 @@ def test_gradient_and_jit():
 
     check_gradient(deviation, views, rtol=1e-4, step=1e-7, key=jax.random.key(0))
     np.testing.assert_allclose(deviation(views), jax.jit(deviation)(views), rtol=1e-10)
+
+
+def test_texture_as_fine_as_pixels_is_no_noise():
+    """Between two hypotheses, half a pixel apart in the outermost view, it looks like noise."""
+    views, width, pad = 3, 96, 8
+    frequency = np.fft.fftfreq(width + 2 * pad)
+    spectrum = np.fft.fft2(np.random.default_rng(0).standard_normal(2 * (width + 2 * pad,)))
+    spectrum *= np.exp(-((np.hypot(*np.meshgrid(frequency, frequency)) / 0.38) ** 8))
+    rows = []
+    for u in range(views):
+        # At a disparity a quarter of a pixel away from the nearest hypotheses.
+        moved = spectrum * np.exp(-2j * np.pi * frequency * 0.25 * (u - 1))
+        picture = np.fft.ifft2(moved).real[pad:-pad, pad:-pad]
+        rows.append(np.round(255 * (0.5 + 0.12 * picture.clip(-3, 3))) / 255)
+    planes = jnp.asarray(np.stack(rows)[:, None].repeat(3, 1), jnp.float32)
+    arm = Arm(planes, jnp.float32([1.0, 0.0, -1.0]), jnp.ones(views, bool))
+    tried = jnp.linspace(-2, 2, 9, dtype=jnp.float32)
+    found, coarse = (
+        measure_noise(
+            planes[1],
+            jnp.float32(1),
+            between=between_views_variance(Crosshair(arm, arm), tried, finer=finer),
+        )
+        for finer in (4, 1)
+    )
+    assert float(found.alpha) == 0
+    assert float(found.deviation) < 0.5 * float(coarse.deviation)

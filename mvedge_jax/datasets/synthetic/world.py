@@ -215,6 +215,28 @@ class Scene(eqx.Module):
     disparity_range: Float[Array, "2"]
     name: str = eqx.field(static=True)
 
+    def spaced(self, baseline: float) -> "Scene":
+        """The same scene seen by cameras that are farther apart: all disparities grow.
+
+        Args:
+            baseline: distance between neighboring cameras over that of the scene, positive.
+
+        Returns:
+            The scene; its disparity range has grown as well.
+
+        Raises:
+            ValueError: the baseline is not positive or not finite.
+
+        Example:
+            >>> from mvedge_jax.datasets import synthetic
+            >>> synthetic.scene("wide").spaced(1.4).disparity_range.round(2).tolist()
+            [-5.04, 5.04]
+        """
+        if not 0 < baseline < float("inf"):
+            raise ValueError(f"`baseline` must be positive and finite, got {baseline}.")
+        rig = dataclasses.replace(self.rig, gain=baseline * self.rig.gain)
+        return dataclasses.replace(self, rig=rig, disparity_range=baseline * self.disparity_range)
+
     def through_lenses(
         self, *, vignette: float = 0.4, vignette_shift: float = 0.05, gain: float = 0.02
     ) -> "Scene":
