@@ -108,6 +108,8 @@ def pytest_terminal_summary(terminalreporter):
             continue  # a warning
         folders = report.nodeid.partition("::")[0].split("/")[:-1]
         by_folder["/".join(folders[:2])] += report.cpu
+    if not by_folder:
+        return
     terminalreporter.section(f"CPU seconds: {sum(by_folder.values()):.0f}")
     shares = (f"{folder} {seconds:.0f}" for folder, seconds in by_folder.most_common(24))
     terminalreporter.write_line(textwrap.fill(", ".join(shares), 100))
