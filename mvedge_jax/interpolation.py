@@ -104,7 +104,8 @@ def spline_noise(weights: Sequence[Array]) -> Array:
     lag = np.abs(np.subtract.outer(np.arange(4), np.arange(4)))
     alike = 3 * _POLE**lag * (lag + (1 + _POLE**2) / (1 - _POLE**2))
     taps = jnp.stack(weights)
-    return jnp.sum(taps * jnp.tensordot(jnp.asarray(alike, taps.dtype), taps, 1), axis=0)
+    along = jnp.tensordot(jnp.asarray(alike, taps.dtype), taps, 1, precision="highest")
+    return jnp.sum(taps * along, axis=0)
 
 
 def vertex(below: Array, middle: Array, above: Array) -> Array:
