@@ -97,17 +97,15 @@ def spline_noise(weights: Sequence[Array]) -> Array:
         1 at the samples, .76 half way between them. Differentiable.
 
     Example:
-        >>> [round(float(spline_noise(cubic_taps(f)[0])), 3) for f in (0.0, 0.5)]
+        >>> [round(float(spline_noise(cubic_taps(jnp.asarray(f))[0])), 3) for f in (0.0, 0.5)]
         [1.0, 0.756]
     """
     # What coefficients at a distance have in common: the inverse filter, convolved with itself.
-    lag = np.arange(4)
+    lag = np.abs(np.subtract.outer(np.arange(4), np.arange(4)))
     alike = 3 * _POLE**lag * (lag + (1 + _POLE**2) / (1 - _POLE**2))
-    total = jnp.zeros_like(weights[0])
-    for i, first in enumerate(weights):
-        for j, second in enumerate(weights):
-            total = total + float(alike[abs(i - j)]) * first * second
-    return total
+    taps = jnp.stack(weights)
+    along = jnp.tensordot(jnp.asarray(alike, taps.dtype), taps, 1, precision="highest")
+    return jnp.sum(taps * along, axis=0)
 
 
 def vertex(below: Array, middle: Array, above: Array) -> Array:

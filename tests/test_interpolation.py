@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from mvedge_jax.interpolation import spline_coefficients, vertex
+from mvedge_jax.interpolation import cubic_taps, spline_coefficients, spline_noise, vertex
 
 
 @pytest.mark.parametrize("axis", [0, -1])
@@ -44,3 +44,13 @@ def test_nearly_equal_values_have_no_steep_vertex():
         float(vertex(*(jnp.asarray(1 + x) for x in (-b, 0.0, -1.5 * b)))) for b in (1e-6, 1e-4)
     ]
     assert abs(offsets[0]) < 1e-3 < abs(offsets[1])
+
+
+@pytest.mark.parametrize("fraction", [0.0, 0.3, 0.5])
+def test_noise_of_interpolated_values_is_that_of_white_noise(fraction):
+    noise = np.random.default_rng(0).standard_normal((300, 300))
+    coefficients = np.asarray(spline_coefficients(jnp.asarray(noise), axis=-1))
+    weights, _ = cubic_taps(jnp.asarray(fraction))
+    shifted = np.stack([coefficients[:, j : j + 290] for j in range(4)])
+    values = np.tensordot(np.asarray(weights), shifted, 1)
+    assert float(spline_noise(weights)) == pytest.approx(values.var(), rel=0.03)

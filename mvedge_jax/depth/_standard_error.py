@@ -32,9 +32,9 @@ class StandardError(eqx.Module):
             own spread.
     """
 
-    most: Float[Array, ""] = number(2.0)
-    half: Float[Array, ""] = number(0.04, "px")
-    bent: Float[Array, ""] = number(3.8)
+    most: Float[Array, ""] = number(2.5)
+    half: Float[Array, ""] = number(0.045, "px")
+    bent: Float[Array, ""] = number(4.5)
     step: Float[Array, ""] = number(0.1, "px")
     misplaced: Float[Array, ""] = number(0.5, "px")
     alike: Float[Array, ""] = number(49.0, "perfect labels")
