@@ -50,7 +50,7 @@ def test_points_of_a_plane_are_precise(found):
     assert keep.sum() > 400
     assert np.median(error[keep]) < 0.0011
     # At the border, half of the views of an arm do not show a point, nor half of its window.
-    assert np.quantile(error[keep], 0.99) < 0.03
+    assert np.quantile(error[keep], 0.99) < 0.034
     inner = keep & np.all(np.abs(xy - [19.5, 15.5]) < [16, 12], axis=1)
     assert np.quantile(error[inner], 0.99) < 0.01
     # The standard error is honest within a factor of a few, and never optimistic by orders.
