@@ -39,7 +39,6 @@ _ROUNDED = 0.02
 # Defaults in px per view step are for light fields that reach this far from the centre view.
 _REACH = 4
 _PER_STEP = (
-    "measurement.error_floor",
     "measurement.largest_step",
     "measurement.slant",
     "edges.error_limit",

@@ -48,9 +48,9 @@ def test_points_of_a_plane_are_precise(found):
     keep, xy = np.asarray(points.valid), np.asarray(points.xy)
     error = np.abs(np.asarray(points.disparity) - 0.37)
     assert keep.sum() > 400
-    assert np.median(error[keep]) < 0.0011
+    assert np.median(error[keep]) < 0.001
     # At the border, half of the views of an arm do not show a point, nor half of its window.
-    assert np.quantile(error[keep], 0.99) < 0.034
+    assert np.quantile(error[keep], 0.99) < 0.03
     inner = keep & np.all(np.abs(xy - [19.5, 15.5]) < [16, 12], axis=1)
     assert np.quantile(error[inner], 0.99) < 0.01
     # The standard error is honest within a factor of a few, and never optimistic by orders.
