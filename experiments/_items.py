@@ -30,6 +30,13 @@ ITEMS = (
         "Figures 5.4, 5.8, 5.9: superpixels",
     ),
     Item(
+        "thesis_steps",
+        "thesis_steps.py",
+        "--scenes edges --size 96 --only thesis authors",
+        "",
+        "What each step of Chapters 4 and 6 costs, and the authors' program",
+    ),
+    Item(
         "table_edges",
         "table_edges.py",
         "--scenes edges --size 64",
