@@ -9,6 +9,7 @@ Q25 and the share of pixels that are off by more than .01, .03 and .07 px, full 
 """
 
 import argparse
+import math
 import sys
 from pathlib import Path
 from typing import Any
@@ -55,7 +56,12 @@ METHODS = (
     but("4.6: no joint filter", edges__joint=False),
     but("4.11: squared gradient", {"sides": ThesisSides(stretched=False)}),
     but("4.2.2: no sides", {"sides": NoSides()}),
-    but("6.3: exponent up to 8", {"labels": NearestLabels(StepWeight(limit=as_number(8.0)))}),
+    # Weights are relative to the largest one.
+    but(
+        "6.3: exponent up to 8",
+        {"labels": NearestLabels(StepWeight(limit=as_number(8.0)))},
+        refine__stiffness=1.5 * math.exp(-4),
+    ),
     but("6.3: standard errors, too", {"labels": NearestLabels(PointWeight())}),
     but("6.1: smoothness by the image", {"smoothness": ImageGradient()}),
     but("6.1: by color and depth, twice", {"smoothness": ColorAndDepth()}, refine__solves=2),
