@@ -26,13 +26,13 @@ from mvedge_jax.depth._labels import Labels
 from mvedge_jax.diffusion import AutoSolver, System, diffuse, edge_weights
 from mvedge_jax.edges import EdgePoints, rasterise
 from mvedge_jax.edges.sides import Sides, SideVote, depth_edge_confidence, step_response
-from mvedge_jax.edges.sides._profile import profiles
+from mvedge_jax.edges.sides._profile import profiles, stretched
 from mvedge_jax.edges.sides._surface import along_edge, choose
 from mvedge_jax.edges.thesis import joint_filter
 from mvedge_jax.interpolation import sample
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.photometry import Evidence
-from mvedge_jax.smoothness import ThesisSmoothness
+from mvedge_jax.smoothness import ThesisSmoothness, image_roughness
 
 # Exponents of data weights are cut here, for single precision: the program's grow to e^20.
 _LIMIT = 10.0
@@ -81,7 +81,7 @@ class AuthorsSides(eqx.Module):
 
         (forward, backward), iterations = lax.map(solve, jnp.asarray([1.0, -1.0], smooth.dtype))
         ahead, behind = (profiles(m, points.xy, points.normal) for m in (forward, backward))
-        ahead_wins = _stretched(ahead) > _stretched(behind)
+        ahead_wins = step_response(stretched(ahead)) > step_response(stretched(behind))
         towards = 2 * ahead_wins.astype(smooth.dtype) - 1
         score = along_edge(points, towards, shape=shape, reach=self.reach)
         # The responses are 4.5 times a step there, twice a step here.
@@ -90,11 +90,6 @@ class AuthorsSides(eqx.Module):
         initial = 0.5 * (forward + backward)
         surface = choose(points, score, cast(SideVote(), score.dtype))
         return Sides(surface, params.gain * apart, edge, initial, iterations)
-
-
-def _stretched(profile: Float[Array, "7 n"]) -> Float[Array, " n"]:
-    low, high = profile.min(0, keepdims=True), profile.max(0, keepdims=True)
-    return step_response((profile - low) / jnp.maximum(high - low, 1e-6))
 
 
 class AuthorsLabels(eqx.Module):
@@ -213,11 +208,8 @@ class AuthorsSmoothness(ThesisSmoothness):
         self, guide: Float[Array, "c y x"], depth_edge: Float[Array, "y x"]
     ) -> Float[Array, "y x"]:
         """See `PerPixel`."""
-        lightness = guide[0] / 100
-        wide = jnp.pad(lightness, 1, mode="edge")
-        gx, gy = 0.5 * (wide[1:-1, 2:] - wide[1:-1, :-2]), 0.5 * (wide[2:, 1:-1] - wide[:-2, 1:-1])
-        square = (gx**2 + gy**2) * depth_edge**2
-        return 1 / (1 + square / self.depth_edge**2)
+        product = image_roughness(guide[0], jnp.asarray(0.01, depth_edge.dtype)) * depth_edge
+        return 1 / (1 + (product / self.depth_edge) ** 2)
 
 
 def authors_model(light_field: LightField) -> EdgeDepth:

@@ -79,7 +79,11 @@ def thesis_response(profile: Float[Array, "7 n"]) -> Float[Array, " n"]:
 
     Source: Thesis 4.2.2.
     """
+    return thesis_step(stretched(profile))
+
+
+def stretched(profile: Float[Array, "7 n"]) -> Float[Array, "7 n"]:
+    """Depth profiles from -1 at their lowest to 1 at their highest sample; 0 where flat."""
     low, high = (f(profile, axis=0, keepdims=True) for f in (jnp.min, jnp.max))
     flat = high - low < 1e-6
-    stretched = jnp.where(flat, 0, 2 * (profile - low) / jnp.where(flat, 1, high - low) - 1)
-    return thesis_step(stretched)
+    return jnp.where(flat, 0, 2 * (profile - low) / jnp.where(flat, 1, high - low) - 1)
