@@ -155,7 +155,8 @@ class _Compiled:
 
 
 def _beside(usual: _Compiled, other: _Compiled, runs: int) -> dict[str, float]:
-    usual.seconds(), other.seconds()
+    for compiled in (usual, other):
+        compiled.seconds()
     pairs = np.asarray([(usual.seconds(), other.seconds()) for _ in range(runs)])
     return {
         "tracing": other.tracing / usual.tracing,
