@@ -120,10 +120,9 @@ class PointWeight(eqx.Module):
         Returns:
             Weights in [0, 1], 0 in slots without a point. Differentiable.
         """
-        params = cast(self, confidence.dtype)
         precise = precision_weight(points.error**2, precision)
-        exponent = jnp.minimum(params.gain * confidence, params.limit) - params.limit
-        return jnp.where(points.valid, precise * 0.5 * (1 + jnp.exp(exponent)), 0)
+        step = StepWeight(self.gain, self.limit)(confidence, points, precision)
+        return jnp.where(points.valid, precise * 0.5 * (1 + step), 0)
 
 
 class StepWeight(eqx.Module):
