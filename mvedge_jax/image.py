@@ -9,6 +9,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from mvedge_jax._linear_map import linear_map
 from mvedge_jax._params import accepts_numpy
+from mvedge_jax._root import root
 
 
 @accepts_numpy
@@ -158,6 +159,32 @@ def highest(image: Float[Array, "y x"], radius: int) -> Float[Array, "y x"]:
             image = jnp.maximum(image, jnp.maximum(below, above))
             reach += step
     return image
+
+
+def gradient_square(image: Float[Array, "y x"]) -> Float[Array, "y x"]:
+    """Squared size of the gradient of an image, by central differences; the border is repeated.
+
+    Args:
+        image: any values, `[y, x]`.
+
+    Returns:
+        Squared values per px, `[y, x]`. Differentiable.
+    """
+    wide = jnp.pad(image, ((0, 0), (1, 1)), mode="edge")
+    tall = jnp.pad(image, ((1, 1), (0, 0)), mode="edge")
+    return 0.25 * ((wide[:, 2:] - wide[:, :-2]) ** 2 + (tall[2:] - tall[:-2]) ** 2)
+
+
+def gradient_magnitude(image: Float[Array, "y x"]) -> Float[Array, "y x"]:
+    """Size of the gradient of an image: the root of `gradient_square`, also where it is flat.
+
+    Args:
+        image: any values, `[y, x]`.
+
+    Returns:
+        Values per px, `[y, x]`. Differentiable.
+    """
+    return root(gradient_square(image))
 
 
 @accepts_numpy

@@ -13,7 +13,8 @@ from mvedge_jax._cpu import staged
 from mvedge_jax._params import cast
 from mvedge_jax._paths import described, replaced
 from mvedge_jax.edges import EdgeDetector, Edges
-from mvedge_jax.edges.sides import SideChoice, depth_edge_confidence
+from mvedge_jax.edges.sides import SideChoice
+from mvedge_jax.image import gradient_magnitude
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.photometry import Calibration, Evidence, gather_evidence
 from mvedge_jax.photometry.measuring import Measurement
@@ -254,7 +255,7 @@ def estimate_depth(
         searched,
     )
     # Where there is a label at every pixel, the map itself shows its steps best.
-    edge = sides.edge if model.dense is None else depth_edge_confidence(disparity, disparity)
+    edge = sides.edge if model.dense is None else gradient_magnitude(disparity)
     return DepthResult(disparity, error, edge, edges.points, sides.surface, stats)
 
 

@@ -12,6 +12,7 @@ from jaxtyping import Array, Float
 from mvedge_jax._params import accepts_numpy, cast, number, one_of
 from mvedge_jax._root import root
 from mvedge_jax.diffusion import AutoSolver, System, diffuse, edge_weights
+from mvedge_jax.image import gradient_magnitude, gradient_square
 
 from .._points import EdgePoints
 from .._raster import rasterise
@@ -141,7 +142,7 @@ def depth_edge_confidence(
 
     Source: Thesis 4.3.
     """
-    return _gradient_magnitude(0.5 * (forward + backward))
+    return gradient_magnitude(0.5 * (forward + backward))
 
 
 def image_smoothness(
@@ -159,17 +160,7 @@ def image_smoothness(
     Source: Thesis 4.2.2, Eq. 4.11.
     """
     params = cast(params, gray.dtype)
-    steep = _gradient_square(gray)
+    steep = gradient_square(gray)
     if params.form == "inverse":
         steep = root(steep)
     return jnp.maximum(1 / (1 + steep / params.gradient), params.floor)
-
-
-def _gradient_square(image: Array) -> Array:
-    wide = jnp.pad(image, ((0, 0), (1, 1)), mode="edge")
-    tall = jnp.pad(image, ((1, 1), (0, 0)), mode="edge")
-    return 0.25 * ((wide[:, 2:] - wide[:, :-2]) ** 2 + (tall[2:] - tall[:-2]) ** 2)
-
-
-def _gradient_magnitude(image: Array) -> Array:
-    return root(_gradient_square(image))

@@ -10,15 +10,11 @@ from jaxtyping import Array, Float
 from mvedge_jax._cpu import staged
 from mvedge_jax._params import as_number, at_least, cast
 from mvedge_jax.color import srgb_to_gray
+from mvedge_jax.image import gradient_magnitude
 from mvedge_jax.photometry import Evidence
 
 from .._points import EdgePoints
-from ._bidirectional import (
-    Bidirectional,
-    DirectionalDiffusion,
-    bidirectional,
-    depth_edge_confidence,
-)
+from ._bidirectional import Bidirectional, DirectionalDiffusion, bidirectional
 from ._evidence import map_evidence
 from ._profile import step_response, thesis_response, thesis_step
 from ._reprojection import reprojection_score
@@ -30,7 +26,8 @@ class Sides(NamedTuple):
 
     Attributes:
         surface: the choice per point.
-        confidence: depth-edge confidence of every point, `lambda_e` of (6.3), px, `[n]`.
+        confidence: depth-edge confidence of every point, `[n]`: `lambda_e` of (6.3), px, or how
+            much like a step its profile is, see `ThesisSides.stretched`.
         edge: depth-edge confidence of every pixel (Thesis 4.3), px per px, `[y, x]`.
         initial: a map of the labels, px per view step, `[y, x]`.
         iterations: of the diffusions, `[k]`.
@@ -80,7 +77,7 @@ class MapSides(eqx.Module):
         first = evidence.measured.disparity
         vote = cast(self.vote, first.dtype)
         step = jnp.abs(map_evidence(points, first, cap=vote.cap))
-        edge = depth_edge_confidence(first, first)
+        edge = gradient_magnitude(first)
         surface = _voted(points, None, first, vote, evidence.shape)
         return Sides(surface, step, edge, first, jnp.zeros(0, jnp.int32))
 
