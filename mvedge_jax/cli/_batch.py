@@ -154,7 +154,7 @@ def _run(
                 report = depth_report(found, result, seconds)
                 report |= options.model.described(model) | {"seed": options.seed}
                 write_depth(folder, found, result)
-                report["scores"] = score_depth(folder, found, result)
+                report["scores"] = score_depth(folder, found.truth, result)
                 report["source"] = source_of(scene, views=options.views, scale=options.scale)
                 report["warnings"] = [
                     *said,

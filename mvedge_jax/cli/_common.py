@@ -12,6 +12,7 @@ from rich.console import Console
 from rich.text import Text
 
 from mvedge_jax._cpu import release_memory
+from mvedge_jax._stored_views import StoredViews
 from mvedge_jax.lightfield import LightField
 
 from ._interruption import GUARD
@@ -48,7 +49,7 @@ def stage(name: str) -> Iterator[None]:
     _say(("done", "green"), f" {name} ({time.perf_counter() - start:.1f} s)")
 
 
-def positions_of(light_field: LightField) -> str:
+def positions_of(light_field: LightField | StoredViews) -> str:
     """Where the views are, in words."""
     if light_field.positions is None:
         return "regular grid"
@@ -112,7 +113,7 @@ def in_unit_range(colour: Sequence[float] | None) -> None:
         raise ValueError(f"--colour must be three numbers between 0 and 1, got {colour}.")
 
 
-def missing_views(light_field: LightField) -> list[str]:
+def missing_views(light_field: LightField | StoredViews) -> list[str]:
     """A sentence on views that are not there, if there are any."""
     there = np.asarray(light_field.available)
     if there.all():

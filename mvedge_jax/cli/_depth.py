@@ -13,9 +13,10 @@ import tyro
 from jaxtyping import PRNGKeyArray
 
 from mvedge_jax import plotting, viewer
+from mvedge_jax._stored_views import StoredViews
 from mvedge_jax.datasets import write_pfm
 from mvedge_jax.depth import DepthResult, DepthStats, EdgeDepth, estimate_depth
-from mvedge_jax.lightfield import LightField
+from mvedge_jax.lightfield import GroundTruth, LightField
 from mvedge_jax.metrics import boundary_scores, calibration, depth_scores
 
 from ._common import compiled, missing_views, note, positions_of, stage, warn
@@ -23,6 +24,7 @@ from ._model import FULL, ModelArg, reads_all_views
 from ._output import output_folder, write_json
 from ._points import valid_points, write_points
 from ._source import read_scene, source_of
+from ._tiles import estimate_tiles, read_stored, tiling_of
 from ._view import show
 
 _COLUMNS = {
@@ -47,6 +49,8 @@ def depth(
     positions: Path | None = None,
     range: tuple[float, float] | None = None,
     all_views: bool = False,
+    tile: int | None = None,
+    memory: float | None = None,
     view: bool = False,
     overwrite: bool = False,
     options: ModelArg = FULL,
@@ -75,28 +79,40 @@ def depth(
         range: lowest and highest disparity, px per view step; measured if not given or known.
         all_views: measure disparity in all views at the end, not in the central row and column
             alone: more accurate, twice as slow.
+        tile: estimate the depth of an image too large for the memory in tiles of TILE x TILE px,
+            which overlap by 96.
+        memory: likewise, in tiles as large as MEMORY gigabytes allow.
         view: show the result in a browser until Ctrl-C, as `mvedge view` does.
         overwrite: replace OUT if it is an earlier result of mvedge, with nothing else in it.
         options: of the model.
         seed: of the search that preset thesis draws.
     """
     options.check(all_views=all_views)
+    tiling = tiling_of(tile, memory, all_views=all_views, scale=scale, view=view)
     order: dict[str, Any] = {"flip_u": flip_u, "flip_v": flip_v, "swap_axes": swap_axes}
     order["positions"] = None if positions is None else str(positions.resolve())
+    key = jax.random.key(seed)
     with stage(f"reading {scene}"):
-        light_field, said = read_scene(scene, views=views, scale=scale, **order)
-    if range is not None:
-        light_field = _within(light_field, range)
+        if tiling is not None:
+            light_field, truth, said = read_stored(scene, views=views, range=range, **order)
+        else:
+            light_field, said = read_scene(scene, views=views, scale=scale, **order)
+            truth = light_field.truth
+            if range is not None:
+                light_field = _within(light_field, range)
     with output_folder(out, inputs=[scene], overwrite=overwrite) as folder:
-        blind, key = light_field.without_truth(), jax.random.key(seed)
-        with stage("choosing sizes"):
-            model = options.model(blind, all_views=all_views)
-        result, seconds = _estimate(blind, model, key=key)
+        if isinstance(light_field, StoredViews):
+            model, result, seconds = estimate_tiles(light_field, tiling, options, key=key)
+        else:
+            blind = light_field.without_truth()
+            with stage("choosing sizes"):
+                model = options.model(blind, all_views=all_views)
+            result, seconds = _estimate(blind, model, key=key)
         with stage("writing"):
             report = depth_report(light_field, result, seconds)
             report |= options.described(model) | {"seed": seed}
             write_depth(folder, light_field, result)
-            scores = score_depth(folder, light_field, result)
+            scores = score_depth(folder, truth, result)
             report["scores"] = scores
             report["source"] = source_of(scene, views=views, scale=scale, **order)
             every = reads_all_views(model)
@@ -110,7 +126,7 @@ def depth(
         note(f"{crop}: {figures}")
     found, spent = int(result.stats.edges.valid), seconds["estimation"]
     note(f"{found} edge points, {spent:.1f} s; written to {out}")
-    if view:
+    if view and isinstance(light_field, LightField):
         show(light_field, [viewer.result_of(result, name=out.name)])
 
 
@@ -143,7 +159,7 @@ def _within(light_field: LightField, limits: tuple[float, float]) -> LightField:
     )
 
 
-def write_depth(folder: Path, light_field: LightField, result: DepthResult) -> None:
+def write_depth(folder: Path, light_field: LightField | StoredViews, result: DepthResult) -> None:
     disparity = np.asarray(result.disparity)
     write_pfm(folder / "disparity.pfm", disparity)
     low, high = float(disparity.min()), float(disparity.max())
@@ -167,9 +183,8 @@ def _image(path: Path, image: np.ndarray) -> None:
     path.write_bytes(cv2.imencode(".png", image)[1].tobytes())
 
 
-def score_depth(folder: Path, light_field: LightField, result: DepthResult) -> dict[str, Any]:
+def score_depth(folder: Path, truth: GroundTruth | None, result: DepthResult) -> dict[str, Any]:
     """Scores by crop and error maps, where there is ground truth."""
-    truth = light_field.truth
     if truth is None:
         return {}
     known = np.where(np.asarray(truth.valid), np.asarray(truth.disparity), np.nan)
@@ -213,11 +228,12 @@ def _photometry(stats: DepthStats) -> dict[str, Any]:
 
 
 def depth_report(
-    light_field: LightField,
+    light_field: LightField | StoredViews,
     result: DepthResult,
     seconds: dict[str, float],
 ) -> dict[str, Any]:
     """What was done, and how it went."""
+    stored = isinstance(light_field, StoredViews)
     disparity = np.asarray(result.disparity)
     stats = result.stats
     # Infinite where nothing is known at all.
@@ -225,7 +241,7 @@ def depth_report(
     spread = np.quantile(result.error, (0.5, 0.95)).tolist() if known else None
     return {
         "scene": light_field.name,
-        "shape [v, u, y, x]": list(light_field.views.shape[:4]),
+        "shape [v, u, y, x]": list(light_field.shape if stored else light_field.views.shape[:4]),
         "positions": positions_of(light_field),
         "disparity range": [float(disparity.min()), float(disparity.max())],
         "standard error, median and 95 %": spread,

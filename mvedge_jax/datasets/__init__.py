@@ -14,6 +14,7 @@ from ._load import (
     load_ground_truth as load_ground_truth,
     load_light_field as load_light_field,
 )
+from ._load_stored import load_stored_views as load_stored_views
 from ._open import open_source as open_source
 from ._pfm import read_pfm as read_pfm, write_pfm as write_pfm
 from ._stanford import CameraSpacing as CameraSpacing, camera_spacing as camera_spacing

@@ -115,7 +115,7 @@ def load_light_field(
     with open_source(Path(path), max_gb=max_gb) as opened:
         placed = opened if positions is None else with_positions(opened, Path(positions))
         source = placed.exchanged() if swap_axes else placed
-        rows, columns = _places(source, views, flip_u, flip_v)
+        rows, columns = places_of(source, views, flip_u, flip_v)
         images, available = read_views(source, rows, columns, scale, limit)
         leave_out_dead_views(images, available, source, rows, columns)
         truth = None
@@ -167,7 +167,7 @@ def load_ground_truth(path: str | os.PathLike) -> GroundTruth:
         return _ground_truth(source, source.truth(), rows, columns, 1.0, _size(source, *centre))
 
 
-def _places(
+def places_of(
     source: Source, views: int | None, flip_u: bool, flip_v: bool
 ) -> tuple[list[int], list[int]]:
     """The rows and columns of the file order to read, in the order of the convention."""

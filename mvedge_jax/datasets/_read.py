@@ -52,12 +52,12 @@ def read_views(
         i, j, row, column = place
         own = side if source.header is None else source.header(row, column)
         if own != side:
-            raise _differs(source.label(row, column), own, source.label(*centre), side)
+            raise differs(source.label(row, column), own, source.label(*centre), side)
         image = first if (i, j) == middle else source.read(row, column)
         if image.shape != first.shape or image.dtype != dtype:
             found, wanted = (f" of {array.dtype}" for array in (image, first))
             own = image.shape[:2]
-            raise _differs(
+            raise differs(
                 source.label(row, column), own, source.label(*centre), side, found, wanted
             )
         white = np.float32(np.iinfo(dtype).max)
@@ -75,7 +75,7 @@ def read_views(
     return views, available
 
 
-def _differs(
+def differs(
     file: str,
     own: tuple[int, ...],
     centre: str,

@@ -12,7 +12,7 @@ from mvedge_jax._params import at_least, cast
 from mvedge_jax.color import srgb_to_lab
 from mvedge_jax.lightfield import LightField
 
-from ._scene import CalibratedViews, PreparedViews, first_labels, prepare, prepare_views
+from ._scene import CalibratedViews, Known, PreparedViews, first_labels, prepare, prepare_views
 from .brightness import Brightness, Exposure, GridViews, Noise
 from .matching import Matching
 from .measuring import Measurement, PhotometricLabels
@@ -49,12 +49,15 @@ class Calibrate(eqx.Module):
         hypotheses: disparities tried per pixel.
         window: half the width of the windows in which hypotheses are compared, px.
         brightness: how exposure, gains and noise are found.
+        known: exposure and noise that were measured before and are not measured again; None if
+            there is nothing of the kind.
     """
 
     matching: Matching
     hypotheses: int = eqx.field(static=True)
     window: int = eqx.field(static=True, default=2)
     brightness: Brightness = eqx.field(default_factory=Brightness)
+    known: Known | None = None
 
     def __check_init__(self) -> None:
         at_least(self, hypotheses=2, window=0)
@@ -71,6 +74,7 @@ class Calibrate(eqx.Module):
             self.matching,
             window=self.window,
             brightness=self.brightness,
+            known=self.known,
         )
 
 

@@ -58,6 +58,18 @@ class CalibratedViews(NamedTuple):
         return self.views
 
 
+class Known(NamedTuple):
+    """Brightness and noise that were measured before: of a whole image, or of an earlier frame.
+
+    Attributes:
+        exposure: of every view.
+        noise: of the views, exposure taken out.
+    """
+
+    exposure: Exposure
+    noise: Noise
+
+
 class PreparedViews(NamedTuple):
     """Views made ready for being measured in.
 
@@ -110,6 +122,7 @@ def prepare(
     *,
     window: int,
     brightness: Brightness | None = None,
+    known: Known | None = None,
 ) -> CalibratedViews:
     """Measures exposure, gains and noise, and finds the first map.
 
@@ -122,15 +135,20 @@ def prepare(
         params: of the hypotheses.
         window: half the width of their windows, px.
         brightness: how exposure, gains and noise are found; None for the defaults.
+        known: exposure and noise, which are not measured then.
 
     Returns:
         The scene. Differentiable in views and parameters at the hypotheses chosen.
     """
     brightness = Brightness() if brightness is None else brightness
-    exposure = views.rough_exposure(brightness)
-    own = views.exposed(exposure)
-    between = between_views_variance(own, disparities, finer=brightness.noise.finer)
-    noise = measure_noise(own.centre, exposure.scale, between=between, params=brightness.noise)
+    if known is None:
+        exposure = views.rough_exposure(brightness)
+        own = views.exposed(exposure)
+        between = between_views_variance(own, disparities, finer=brightness.noise.finer)
+        noise = measure_noise(own.centre, exposure.scale, between=between, params=brightness.noise)
+    else:
+        exposure, noise = known
+        own = views.exposed(exposure)
     scene = _guided(own, exposure, noise, brightness.noise)
 
     @staged
@@ -149,6 +167,9 @@ def prepare(
     def again(state: tuple[Exposure, Array], start: Array) -> tuple[tuple[Exposure, Array], None]:
         return lax.cond(start | state[0].uneven, measured, lambda state: state, state), None
 
+    if known is not None:
+        first = searched(scene.views, scene.lab, noise, params)
+        return scene._replace(first=first, lit=views.lit(brightness))
     # A loop, so that the search is traced once; without vignettes it is left out the second time.
     start = exposure, jnp.zeros_like(scene.guide[0])
     (exposure, first), _ = lax.scan(recomputed(again), start, jnp.asarray([True, False]))

@@ -123,3 +123,29 @@ def test_a_black_view_is_named_and_costs_little(tmp_path, capsys):
         "is black."
     ]
     assert report["warnings"][0] in capsys.readouterr().err
+
+
+def test_tiles(scene, tmp_path):
+    out = tmp_path / "out"
+    assert _main.main(["depth", str(scene), str(out), *RANGE, "--tile", "200"]) == 0
+    assert np.median(np.abs(read_pfm(out / "disparity.pfm") - 0.4)) < 0.01
+    report = json.loads((out / "report.json").read_text())
+    assert report["shape [v, u, y, x]"] == [3, 3, 32, 40]
+    assert report["scores"]["crop 0"]["mse"] < 0.1
+    assert len(np.load(out / "points.npz")["xy"]) == report["counts"]["valid"] > 50
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--tile", "64", "--memory", "2"], "both say how large tiles are"),
+        (["--tile", "256", "--all-views"], "there is no --all-views"),
+        (["--memory", "2", "--scale", "0.5"], "there is no --scale"),
+        (["--memory", "0.1"], "`memory` must be at least"),
+        (["--tile", "10"], "at least twice `overlap`"),
+    ],
+)
+def test_tiles_that_cannot_be(scene, tmp_path, capsys, words, message):
+    assert _main.main(["depth", str(scene), str(tmp_path / "out"), *words]) != 0
+    assert message in " ".join(capsys.readouterr().err.split())
+    assert not (tmp_path / "out").exists()

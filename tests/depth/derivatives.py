@@ -24,7 +24,8 @@ class Row(NamedTuple):
         forward: by `jax.jvp`.
         numeric: by central differences, the mean of the first two steps of the ladder that agree.
         spread: difference of those two, relative to the slope or to `least`.
-        sides: the one-sided differences at the last step that was tried.
+        sides: the one-sided differences at the step of at most 1e-6 at which they differ most: a
+            kink may lie beside the point rather than in it.
         least: slopes below this are lost in the rounding of the differences.
     """
 
@@ -122,7 +123,9 @@ def rows(
             step = relative * size
             above, below = at(step), at(-step)
             slope = (above - below) / (2 * step)
-            sides = ((above - centre) / step, (centre - below) / step)
+            both = ((above - centre) / step, (centre - below) / step)
+            if relative <= 1e-6 and abs(both[0] - both[1]) > abs(sides[0] - sides[1]):
+                sides = both
             for other in slopes:
                 spread = abs(slope - other) / max(abs(slope), abs(other), least)
                 if spread < agree:

@@ -47,8 +47,9 @@ SOMETIMES = {
     "smoothness.floor",
 }
 
-# Drifts of many windows are clipped to it.
-LIMITS = {"calibration.matching.drift"}
+# Drifts of many windows are clipped to the one; the other moves many points over the borders of
+# pixels, whose shares of a label are linear between them.
+LIMITS = {"calibration.matching.drift", "sides.vote.offset"}
 
 
 def _problem(name, size, preset, *, dtype: type = np.float64, **choices):

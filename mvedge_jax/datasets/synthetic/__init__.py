@@ -13,6 +13,7 @@ from ._render import (
     render_posed as render_posed,
     visibility as visibility,
 )
+from ._render_stored import render_stored as render_stored
 from ._scenes import (
     scene as scene,
     scene_names as scene_names,

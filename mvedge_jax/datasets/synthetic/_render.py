@@ -75,12 +75,23 @@ def _check_shape(shape: tuple[int, ...], names: str) -> None:
         raise ValueError(f"`shape` must be positive integers ({names}), got {shape}.")
 
 
-def _check_samples(samples: int) -> None:
+def check_shape(shape: tuple[int, ...]) -> tuple[int, int, int, int]:
+    """The shape of a light field as whole numbers, if it is one."""
+    _check_shape(shape, "view rows, view columns, height, width")
+    rows, columns, height, width = (int(n) for n in shape)
+    if rows % 2 == 0 or columns % 2 == 0:
+        raise ValueError(
+            f"`shape` must have odd numbers of view rows and columns, got {rows}x{columns}."
+        )
+    return rows, columns, height, width
+
+
+def check_samples(samples: int) -> None:
     if not 1 <= samples <= 16:
         raise ValueError(f"`samples` must be between 1 and 16 per side of a pixel, got {samples}.")
 
 
-def _grid_pinhole(
+def grid_pinhole(
     scene: Scene, shape: tuple[int, int, int, int], position: tuple[float, float]
 ) -> Pinhole:
     """The camera of one view: parallel to the centre's, its sensor shifted."""
@@ -100,7 +111,7 @@ def _grid_pinhole(
     )
 
 
-def _regular(shape: tuple[int, int, int, int], v: int, u: int) -> tuple[float, float]:
+def regular(shape: tuple[int, int, int, int], v: int, u: int) -> tuple[float, float]:
     """The position of a view of a regular grid."""
     return float(u - shape[1] // 2), float(v - shape[0] // 2)
 
@@ -146,15 +157,10 @@ def render(
         >>> light_field.views.shape, light_field.truth.view_disparity.shape
         ((3, 3, 16, 16, 3), (3, 3, 16, 16))
     """
-    _check_shape(shape, "view rows, view columns, height, width")
-    _check_samples(samples)
-    rows, columns, height, width = (int(n) for n in shape)
-    if rows % 2 == 0 or columns % 2 == 0:
-        raise ValueError(
-            f"`shape` must have odd numbers of view rows and columns, got {rows}x{columns}."
-        )
-    shape = (rows, columns, height, width)
-    places = [_regular(shape, v, u) for v in range(rows) for u in range(columns)]
+    shape = check_shape(shape)
+    rows, columns, height, width = shape
+    check_samples(samples)
+    places = [regular(shape, v, u) for v in range(rows) for u in range(columns)]
     if positions is not None:
         given = np.asarray(positions, float)
         if given.shape != (rows, columns, 2):
@@ -163,7 +169,7 @@ def render(
             )
         check_positions(given)
         places = [(x, y) for x, y in given.reshape(-1, 2).tolist()]
-    pinholes = [_grid_pinhole(scene, shape, place) for place in places]
+    pinholes = [grid_pinhole(scene, shape, place) for place in places]
     mode = mode_of(scene, (height, width), samples)
     images, depth, ids = _trace_views(scene, pinholes, mode, progress, key)
     # Moved into JAX one by one: what is held twice is one array at a time.
@@ -233,7 +239,7 @@ def render_posed(
         )
     matrix = np.broadcast_to(matrix, (len(pose), 3, 3))
     _check_shape(size, "height, width")
-    _check_samples(samples)
+    check_samples(samples)
     pinholes = [
         Pinhole(
             p[:3, 3].astype(dtype),
@@ -281,5 +287,5 @@ def visibility(
             raise ValueError(
                 f"`{name}` must be a view of the {shape[0]}x{shape[1]} grid, got ({v}, {u})."
             )
-    first, second = (_grid_pinhole(scene, shape, _regular(shape, *v)) for v in (source, target))
+    first, second = (grid_pinhole(scene, shape, regular(shape, *v)) for v in (source, target))
     return sees(scene.world, first, second, size=(int(shape[2]), int(shape[3])))

@@ -9,7 +9,7 @@ from jaxtyping import Array, Bool, Float
 from mvedge_jax._root import root
 from mvedge_jax.lightfield import LightField
 
-from ._vignette import falloff
+from ._vignette import cropped, falloff
 
 
 class Exposure(NamedTuple):
@@ -53,6 +53,24 @@ class Exposure(NamedTuple):
         if self.vignette is None:
             return jnp.asarray(False)
         return jnp.any(self.vignette != 0)
+
+    def within(
+        self, top: int, left: int, size: tuple[int, int], whole: tuple[int, int]
+    ) -> "Exposure":
+        """The same for a part of every view: its vignettes over the frame of that part.
+
+        Args:
+            top: first row of the part.
+            left: first column of the part.
+            size: rows and columns of the part.
+            whole: rows and columns of the views.
+
+        Returns:
+            Exactly what multiplies that part of the views. Differentiable.
+        """
+        if self.vignette is None:
+            return self
+        return self._replace(vignette=cropped(self.vignette, (top, left), size, whole))
 
     def factors(self, views: Any, shape: tuple[int, ...]) -> Float[Array, "*s y x"]:
         """What pixels are multiplied by to take exposure, gain and vignette out.

@@ -67,6 +67,38 @@ def falloff(
     return jnp.exp(-logs)
 
 
+def cropped(
+    coefficients: Float[Array, "*s 4 4"],
+    start: tuple[int, int],
+    size: tuple[int, int],
+    whole: tuple[int, int],
+) -> Float[Array, "*s 4 4"]:
+    """Coefficients of the same vignettes over a part of the frame.
+
+    Args:
+        coefficients: see `Exposure.vignette`.
+        start: first row and column of the part.
+        size: its rows and columns.
+        whole: rows and columns of the frame.
+
+    Returns:
+        Of polynomials over the part; exact, as these are of the same degrees. Differentiable.
+    """
+    down, across = (
+        jnp.asarray(_change(*along), coefficients.dtype)
+        for along in zip(start, size, whole, strict=True)
+    )
+    return jnp.einsum("ik,...kl,jl->...ij", down, coefficients, across, precision=FULL)
+
+
+def _change(start: int, size: int, whole: int) -> np.ndarray:
+    """From coefficients over an axis to those over a part of it."""
+    places, weights = np.polynomial.legendre.leggauss(SIZE)
+    there = (2 * start + size * (places + 1)) / whole - 1
+    own, outer = (np.polynomial.legendre.legvander(x, SIZE - 1) * _NORMS for x in (places, there))
+    return 0.5 * np.einsum("n,nk,nl->kl", weights, own, outer)
+
+
 def falloff_at(
     coefficients: Float[Array, "s 4 4"], basis: Float[Array, "s n 16"]
 ) -> Float[Array, "s n"]:

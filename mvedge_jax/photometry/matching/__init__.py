@@ -3,3 +3,4 @@
 from ._cost import Matching as Matching, best_match as best_match, hypotheses as hypotheses
 from ._plane_sweep import PlaneSweep as PlaneSweep, plane_sweep as plane_sweep
 from ._pooling import Pooling as Pooling
+from ._unexplained import between_views_variance as between_views_variance

@@ -1,0 +1,95 @@
+"""Depth of images that are larger than the memory allows: seconds and memory by size.
+
+    python experiments/benchmarks/large.py --sizes 512 1024 2048 --out results/benchmark_large
+    python experiments/benchmarks/large.py --sizes 4096 --memory 12 --samples 2
+
+The crosshair of 9x9 views of a rendered scene, whose disparities are the same at every size. Every
+size runs in a process of its own, whose peak memory counts. With `--compare`, tiles are compared
+with the whole image in one piece.
+"""
+
+import argparse
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import jax
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+
+from experiments._report import peak_memory, print_table, write_json
+from mvedge_jax import EdgeDepth, plotting
+from mvedge_jax.datasets import synthetic
+from mvedge_jax.depth import estimate_depth
+from mvedge_jax.metrics import depth_scores
+from mvedge_jax.tiles import Tiling, Window, depth_in_tiles
+
+
+def main() -> None:
+    """Measures every size in a process of its own, or one."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--out", type=Path, default=Path("results/benchmark_large"))
+    parser.add_argument("--scene", default="demo")
+    parser.add_argument("--sizes", nargs="+", type=int, default=[512, 1024, 2048])
+    parser.add_argument("--memory", type=float, default=6.0, help="gigabytes that tiles may take")
+    parser.add_argument("--samples", type=int, default=2)
+    parser.add_argument("--compare", action="store_true", help="with the whole image, too")
+    arguments = parser.parse_args()
+    if len(arguments.sizes) > 1:
+        for size in arguments.sizes:
+            words = [*sys.argv, "--sizes", str(size)]
+            subprocess.run([sys.executable, *words], check=True)
+        return
+    size = arguments.sizes[0]
+    row = measured(arguments, size)
+    print_table([row], title=f"{size}x{size} px, 17 views, tiles within {arguments.memory} GB")
+    write_json(arguments.out / f"large_{size}.json", row)
+
+
+def measured(arguments: argparse.Namespace, size: int) -> dict[str, float]:
+    """One size: seconds, memory, scores; the map as a picture."""
+    stored, truth = synthetic.render_stored(
+        synthetic.scene(arguments.scene),
+        shape=(9, 9, size, size),
+        samples=arguments.samples,
+        key=jax.random.key(0),
+    )
+    rendered = peak_memory()
+    tiling = Tiling.within(1e9 * arguments.memory)
+    ends = [time.perf_counter()]
+    result = depth_in_tiles(
+        stored, tiling=tiling, progress=lambda done, total: ends.append(time.perf_counter())
+    )
+    tiles, spent = len(ends) - 1, np.diff(ends)
+    found = depth_scores(result.disparity, jax.numpy.asarray(truth))
+    row = {
+        "pixels": float(size * size),
+        "tile px": min(tiling.side, size),
+        "tiles": tiles,
+        "first tile s": float(spent[0]),
+        "other tiles s": float(np.sum(spent[1:])),
+        "us per pixel": 1e6 * float(np.median(spent[1:])) * tiles / size**2 if tiles > 1 else None,
+        "memory after rendering GB": rendered / 1e9,
+        "peak memory GB": peak_memory() / 1e9,
+        "MSE*100": float(found.mse),
+        "BP(.07)": float(found.bad_07),
+    }
+    arguments.out.mkdir(parents=True, exist_ok=True)
+    disparity = np.asarray(result.disparity)
+    plotting.plot_disparity(disparity).savefig(arguments.out / f"large_{size}.png")
+    plotting.plot_error(disparity, truth, kind="signed").savefig(
+        arguments.out / f"large_{size}_error.png"
+    )
+    if arguments.compare:
+        whole = stored.window(Window(0, 0, size, size))
+        of_whole = estimate_depth(whole.bare(), EdgeDepth.for_light_field(whole))
+        apart = np.abs(disparity - np.asarray(of_whole.disparity))
+        for share in (50, 90, 99):
+            row[f"apart, {share} %, px"] = float(np.percentile(apart, share))
+    return row
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,145 @@
+"""The crosshair of a light field as its files hold it, for images that are read in parts."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Float, Shaped
+
+from mvedge_jax.lightfield import Camera, LightField
+
+# Pictures of this shorter side still show what a calibration asks for.
+_SMALL = 512
+
+
+class Window(NamedTuple):
+    """A part of an image.
+
+    Attributes:
+        top: its first row.
+        left: its first column.
+        height: px.
+        width: px.
+    """
+
+    top: int
+    left: int
+    height: int
+    width: int
+
+    def of(self, image: np.ndarray) -> np.ndarray:
+        """That part of an image `[y, x, ...]`."""
+        return image[self.top : self.top + self.height, self.left : self.left + self.width]
+
+
+@dataclass(frozen=True)
+class StoredViews:
+    """The centre row and the centre column of views in the memory of the host.
+
+    Colors stay in the 8 or 16 bits of their files, and no memory is kept for other views: of 9x9
+    views, a twentieth of what a `LightField` takes.
+
+    Attributes:
+        planes: view `[y, x, 3]` by its place `(v, u)`: uint8, uint16, or float in [0, 1].
+        grid: rows and columns of views.
+        positions: see `LightField`.
+        disparity_range: see `LightField`.
+        camera: see `LightField`.
+        name: see `LightField`.
+    """
+
+    planes: Mapping[tuple[int, int], Shaped[np.ndarray, "y x 3"]]
+    grid: tuple[int, int]
+    positions: Float[np.ndarray, "v u 2"] | None = None
+    disparity_range: tuple[float, float] | None = None
+    camera: Camera | None = None
+    name: str = "light field"
+
+    @staticmethod
+    def of(light_field: LightField) -> "StoredViews":
+        """The crosshair of a light field, without a copy where it is in the host's memory."""
+        views, there = np.asarray(light_field.views), np.asarray(light_field.available)
+        vc, uc = light_field.centre
+        places = [(v, u) for v, u in np.argwhere(there).tolist() if v == vc or u == uc]
+        known, positions = light_field.disparity_range, light_field.positions
+        return StoredViews(
+            {place: views[place] for place in places},
+            (views.shape[0], views.shape[1]),
+            None if positions is None else np.asarray(positions),
+            None if known is None else (float(known[0]), float(known[1])),
+            light_field.camera,
+            light_field.name,
+        )
+
+    @property
+    def centre(self) -> tuple[int, int]:
+        """`(v_c, u_c)`, the place of the centre view."""
+        return self.grid[0] // 2, self.grid[1] // 2
+
+    @property
+    def shape(self) -> tuple[int, int, int, int]:
+        """Rows and columns of views, their height and width in px."""
+        height, width = self.planes[self.centre].shape[:2]
+        return *self.grid, height, width
+
+    @property
+    def available(self) -> Bool[np.ndarray, "v u"]:
+        """Which views are there."""
+        there = np.zeros(self.grid, bool)
+        for place in self.planes:
+            there[place] = True
+        return there
+
+    @property
+    def centre_view(self) -> Float[np.ndarray, "y x 3"]:
+        """The centre view, sRGB in [0, 1], float32."""
+        plane = self.planes[self.centre]
+        return (plane / _white(plane)).astype(np.float32)
+
+    def window(self, window: Window) -> LightField:
+        """A part of every view as a light field of the same positions.
+
+        Args:
+            window: within the views.
+
+        Returns:
+            float32, without ground truth; views off the crosshair are missing.
+        """
+        views = np.zeros((*self.grid, window.height, window.width, 3), np.float32)
+        for place, plane in self.planes.items():
+            np.divide(window.of(plane), _white(plane), out=views[place], casting="same_kind")
+        return self._light_field(views, self.disparity_range)
+
+    def shrunk(self) -> tuple[LightField, int]:
+        """Small pictures of the views, and by which factor they are smaller.
+
+        Returns:
+            Averages over areas, and the side of these, px; disparities are smaller likewise.
+        """
+        factor = max(1, min(self.shape[2:]) // _SMALL)
+        height, width = (side // factor for side in self.shape[2:])
+        views = np.zeros((*self.grid, height, width, 3), np.float32)
+        for place, plane in self.planes.items():
+            whole = plane[: height * factor, : width * factor]
+            areas = whole.reshape(height, factor, width, factor, 3)
+            views[place] = areas.mean((1, 3), dtype=np.float32) / _white(plane)
+        known = self.disparity_range
+        limits = None if known is None else (known[0] / factor, known[1] / factor)
+        return self._light_field(views, limits), factor
+
+    def _light_field(self, views: np.ndarray, limits: tuple[float, float] | None) -> LightField:
+        return LightField(
+            jnp.asarray(views),
+            available=self.available,
+            positions=self.positions,
+            disparity_range=limits,
+            name=self.name,
+        )
+
+
+def _white(plane: np.ndarray) -> np.float32:
+    """What stands for white."""
+    whole = np.issubdtype(plane.dtype, np.integer)
+    return np.float32(np.iinfo(plane.dtype).max if whole else 1)

@@ -1,0 +1,108 @@
+"""`mvedge depth --tile`, `--memory`: images that are too large for the memory."""
+
+import time
+import warnings
+from pathlib import Path
+from typing import Any
+
+from jaxtyping import PRNGKeyArray
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from mvedge_jax._stored_views import StoredViews
+from mvedge_jax.datasets import load_ground_truth, load_stored_views, open_source
+from mvedge_jax.depth import DepthResult, EdgeDepth
+from mvedge_jax.lightfield import GroundTruth
+from mvedge_jax.tiles import Tiling, depth_in_tiles, with_range
+
+from ._common import stage
+from ._model import ModelOptions
+
+
+def tiling_of(
+    tile: int | None, memory: float | None, *, all_views: bool, scale: float, view: bool
+) -> Tiling | None:
+    """The tiles that the options ask for; None without them.
+
+    Args:
+        tile: side of the tiles, px.
+        memory: gigabytes.
+        all_views: of the command, as are all others.
+        scale: which tiles do not have.
+        view: likewise.
+
+    Raises:
+        ValueError: options contradict each other, or no tile fits.
+    """
+    if tile is None and memory is None:
+        return None
+    given = f"--tile {tile}" if memory is None else f"--memory {memory:g}"
+    if tile is not None and memory is not None:
+        raise ValueError("--tile and --memory both say how large tiles are; leave out one.")
+    for name, wrong in (("--all-views", all_views), ("--scale", scale != 1), ("--view", view)):
+        if wrong:
+            raise ValueError(
+                f"{given} estimates depth in tiles of the views of the crosshair at their full "
+                f"size, for which there is no {name}; leave out one of both."
+            )
+    tiling = Tiling() if tile is None else Tiling(side=tile)
+    if memory is not None:
+        tiling = Tiling.within(1e9 * memory)
+    tiling.of(1, 1)
+    return tiling
+
+
+def read_stored(
+    scene: Path, *, range: tuple[float, float] | None, **reading: Any
+) -> tuple[StoredViews, GroundTruth | None, list[str]]:
+    """The crosshair of a light field, its ground truth if any, and what the reader warns of.
+
+    Args:
+        scene: folder or file.
+        range: lowest and highest disparity, px per view step; None for what the files tell.
+        reading: other options of `load_stored_views`.
+    """
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", UserWarning)
+        stored = load_stored_views(scene, disparity_range=range, **reading)
+        with open_source(scene) as source:
+            known = source.truth is not None
+        truth = load_ground_truth(scene) if known else None
+    return stored, truth, [str(one.message) for one in caught if one.category is UserWarning]
+
+
+def estimate_tiles(
+    stored: StoredViews, tiling: Tiling | None, options: ModelOptions, *, key: PRNGKeyArray
+) -> tuple[EdgeDepth, DepthResult, dict[str, float]]:
+    """The model, the depth, and the seconds it took, compilation included.
+
+    Args:
+        stored: the views.
+        tiling: the tiles; None for those of the default size.
+        options: of the model.
+        key: of parts that draw.
+    """
+    tiling = Tiling() if tiling is None else tiling
+    start = time.perf_counter()
+    with stage("choosing sizes"):
+        stored = with_range(stored)
+        first = tiling.of(*stored.shape[2:])[0]
+        model = options.model(stored.window(first.window))
+    with _progress() as bar:
+        task = bar.add_task("tiles", total=None)
+
+        def advance(done: int, total: int) -> None:
+            bar.update(task, completed=done, total=total)
+
+        result = depth_in_tiles(stored, model, tiling=tiling, key=key, progress=advance)
+    return model, result, {"estimation": round(time.perf_counter() - start, 3)}
+
+
+def _progress() -> Progress:
+    return Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeRemainingColumn(),
+        console=Console(stderr=True),
+    )

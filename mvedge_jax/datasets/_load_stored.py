@@ -1,0 +1,114 @@
+"""`load_stored_views`: the crosshair of a light field, in the bits of its files."""
+
+import os
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mvedge_jax._stored_views import StoredViews
+
+from ._dead import leave_out_dead_views
+from ._limits import check_memory, memory_limit
+from ._load import places_of
+from ._open import open_source
+from ._positions import view_positions, with_positions
+from ._read import differs
+from ._source import Source
+
+# Dead views show in pictures of this size.
+_SMALL = 256
+
+
+def load_stored_views(
+    path: str | os.PathLike,
+    *,
+    views: int | None = None,
+    flip_u: bool = False,
+    flip_v: bool = False,
+    swap_axes: bool = False,
+    positions: str | os.PathLike | None = None,
+    disparity_range: tuple[float, float] | None = None,
+    name: str | None = None,
+    max_gb: float | None = None,
+) -> StoredViews:
+    """Reads the centre row and the centre column of views, for depth in tiles.
+
+    Args:
+        path: a folder or a file, of any layout that `load_light_field` reads.
+        views: see `load_light_field`, as are all others.
+        flip_u: reverses the view columns.
+        flip_v: reverses the view rows.
+        swap_axes: exchanges view rows and columns.
+        positions: a text file with a line `v u x y` per view.
+        disparity_range: `(low, high)` in px per view step.
+        name: what to call the scene.
+        max_gb: gigabytes that the views may take, in the bits of their files.
+
+    Returns:
+        The views in 8 or 16 bits, in the order of the convention.
+
+    Raises:
+        FileNotFoundError: see `load_light_field`.
+        ValueError: see `load_light_field`.
+
+    Warns:
+        UserWarning: views do not show the scene and are left out.
+    """
+    limit = memory_limit(max_gb)
+    with open_source(Path(path), max_gb=max_gb) as opened:
+        placed = opened if positions is None else with_positions(opened, Path(positions))
+        source = placed.exchanged() if swap_axes else placed
+        rows, columns = places_of(source, views, flip_u, flip_v)
+        planes = _read(source, rows, columns, limit)
+        _leave_out_dead(planes, source, rows, columns)
+        return StoredViews(
+            planes,
+            (len(rows), len(columns)),
+            view_positions(source, rows, columns),
+            source.disparity_range if disparity_range is None else disparity_range,
+            source.camera,
+            source.name if name is None else name,
+        )
+
+
+def _read(
+    source: Source, rows: list[int], columns: list[int], limit: float
+) -> dict[tuple[int, int], np.ndarray]:
+    """The views of the crosshair that are there, by their places."""
+    vc, uc = len(rows) // 2, len(columns) // 2
+    cross = [(vc, u) for u in range(len(columns))] + [(v, uc) for v in range(len(rows)) if v != vc]
+    places = [(v, u) for v, u in cross if source.available[rows[v], columns[u]]]
+    centre = source.read(rows[vc], columns[uc])
+    label = source.label(rows[vc], columns[uc])
+    claim = f"The crosshair of the light field that {label} belongs to"
+    check_memory(claim, (len(places), *centre.shape), limit, size=centre.itemsize)
+
+    def read(place: tuple[int, int]) -> np.ndarray:
+        row, column = rows[place[0]], columns[place[1]]
+        image = source.read(row, column)
+        if image.shape != centre.shape or image.dtype != centre.dtype:
+            kinds = (f" of {array.dtype}" for array in (image, centre))
+            own = source.label(row, column)
+            raise differs(own, image.shape[:2], label, centre.shape[:2], *kinds)
+        return image
+
+    with ThreadPoolExecutor(min(4, os.cpu_count() or 1)) as pool:
+        return dict(zip(places, pool.map(read, places), strict=True))
+
+
+def _leave_out_dead(
+    planes: dict[tuple[int, int], np.ndarray], source: Source, rows: list[int], columns: list[int]
+) -> None:
+    """Drops views that do not show the scene, which small pictures tell."""
+    one = next(iter(planes.values()))
+    step = max(1, min(one.shape[:2]) // _SMALL)
+    small = one[::step, ::step]
+    views: Any = np.zeros((len(rows), len(columns), *small.shape), np.float32)
+    available = np.zeros(views.shape[:2], bool)
+    for place, plane in planes.items():
+        views[place], available[place] = plane[::step, ::step] / np.iinfo(plane.dtype).max, True
+    leave_out_dead_views(views, available, source, rows, columns)
+    for place in [place for place in planes if not available[place]]:
+        del planes[place]

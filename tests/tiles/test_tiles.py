@@ -1,0 +1,132 @@
+"""Depth in tiles is that of the whole image, wherever views say it."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from datasets.layouts import known
+
+from mvedge_jax import EdgeDepth, LightField
+from mvedge_jax.datasets import synthetic
+from mvedge_jax.depth import estimate_depth
+from mvedge_jax.photometry import Known
+from mvedge_jax.photometry.brightness import Exposure
+from mvedge_jax.tiles import StoredViews, Tiling, Window, depth_in_tiles
+
+
+@pytest.fixture(scope="module")
+def scene():
+    shape = (3, 3, 40, 64)
+    field = synthetic.render(synthetic.scene("demo"), shape=shape, samples=2, key=jax.random.key(0))
+    return LightField(
+        field.views.astype(jnp.float32), disparity_range=field.disparity_range, truth=field.truth
+    )
+
+
+@pytest.mark.parametrize(("height", "width"), [(100, 64), (64, 64), (40, 301)])
+def test_every_pixel_is_in_one_core_and_away_from_inner_borders(height, width):
+    counts, tiling = np.zeros((height, width), int), Tiling(side=64, overlap=16)
+    shapes = set()
+    for window, core in tiling.of(height, width):
+        core.of(counts)[...] += 1
+        shapes.add((window.height, window.width))
+        for near, far, start, stop, length in (
+            (window.top, window.top + window.height, core.top, core.top + core.height, height),
+            (window.left, window.left + window.width, core.left, core.left + core.width, width),
+        ):
+            assert near == 0 or start - near >= 8
+            assert far == length or far - stop >= 8
+    assert (counts == 1).all()
+    assert shapes == {(min(64, height), min(64, width))}
+
+
+def test_tilings_that_cannot_be():
+    with pytest.raises(ValueError, match="at least twice `overlap`"):
+        Tiling(side=64, overlap=48).of(100, 100)
+    with pytest.raises(ValueError, match="`memory` must be at least .* got 0.5 GB"):
+        Tiling.within(0.5e9)
+    assert Tiling.within(4e9).side > Tiling.within(2e9).side
+
+
+def test_windows_hold_what_the_light_field_holds(scene):
+    stored = StoredViews.of(scene)
+    part = stored.window(Window(4, 8, 20, 30))
+    cross = np.asarray(part.available)
+    assert cross.sum() == 5
+    np.testing.assert_array_equal(part.views[cross], np.asarray(scene.views)[cross][:, 4:24, 8:38])
+    assert not np.asarray(part.views)[~cross].any()
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+def test_colors_stay_in_their_bits(dtype):
+    white = np.iinfo(dtype).max
+    image = np.random.default_rng(0).integers(0, white, (6, 8, 3)).astype(dtype)
+    stored = StoredViews({(0, u): image for u in range(3)}, (1, 3))
+    part = stored.window(Window(0, 0, 6, 8))
+    np.testing.assert_allclose(part.views[0, 1], image / white, rtol=1e-6)
+    np.testing.assert_allclose(stored.centre_view, image / white, rtol=1e-6)
+
+
+def test_small_pictures_average_areas():
+    values = np.arange(1024 * 1030 * 3, dtype=np.float32).reshape(1024, 1030, 3) / 4e6
+    stored = StoredViews({(0, u): values for u in range(3)}, (1, 3), disparity_range=(-2.0, 4.0))
+    small, factor = stored.shrunk()
+    assert factor == 2
+    assert small.views.shape == (1, 3, 512, 515, 3)
+    np.testing.assert_allclose(small.views[0, 1, 3, 5], values[6:8, 10:12].mean((0, 1)), rtol=1e-6)
+    np.testing.assert_allclose(known(small.disparity_range), [-1, 2])
+
+
+def test_the_vignette_of_a_part_is_that_part_of_the_vignette():
+    vignette = 0.1 * jax.random.normal(jax.random.key(0), (3, 3, 4, 4), jnp.float64)
+    exposure = Exposure(jnp.asarray(1.5), jnp.linspace(0.9, 1.1, 9).reshape(3, 3), vignette)
+    whole = exposure.factors(..., (50, 70))
+    part = exposure.within(11, 20, (24, 32), (50, 70)).factors(..., (24, 32))
+    np.testing.assert_allclose(part, whole[..., 11:35, 20:52], rtol=1e-12)
+
+
+def test_what_is_known_is_not_measured_again(scene):
+    model = EdgeDepth.for_light_field(scene)
+    measured = estimate_depth(scene.bare(), model)
+    before = Known(measured.stats.exposure, measured.stats.noise)
+    again = estimate_depth(scene.bare(), model.replace({"calibration.known": before}))
+    # Not to all digits: the first map is searched for in views of the final exposure, too.
+    assert np.median(np.abs(again.disparity - measured.disparity)) < 5e-3
+    np.testing.assert_array_equal(again.stats.exposure.gain, measured.stats.exposure.gain)
+    louder = before.noise._replace(deviation=3 * before.noise.deviation)
+    noisier = before._replace(noise=louder)
+    other = estimate_depth(scene.bare(), model.replace({"calibration.known": noisier}))
+    assert float(other.stats.noise.deviation) == pytest.approx(
+        3 * float(measured.stats.noise.deviation)
+    )
+
+
+def test_tiles_have_the_depth_of_the_image(scene):
+    whole = EdgeDepth.for_light_field(scene)(scene)
+    seen, before = [], estimate_depth.traces
+    tiled = depth_in_tiles(
+        scene, tiling=Tiling(40, 16), progress=lambda done, total: seen.append((done, total))
+    )
+    assert estimate_depth.traces <= before + 1
+    assert seen == [(1, 2), (2, 2)]
+    assert tiled.disparity.shape == tiled.error.shape == (40, 64)
+    apart = np.abs(tiled.disparity - np.asarray(whole.disparity))
+    assert np.median(apart) < 2e-3
+    truth = np.asarray(scene.truth.disparity)
+    wrong = [np.mean(np.abs(of - truth) > 0.07) for of in (tiled.disparity, whole.disparity)]
+    assert wrong[0] < 1.1 * wrong[1] + 0.005
+    points = tiled.points
+    assert points.valid.all()
+    assert len(points.xy) == tiled.stats.edges.valid == len(tiled.surface.score)
+    count = int(whole.stats.edges.valid)
+    assert abs(len(points.xy) - count) < 0.05 * count
+    assert (points.xy.min(0) > -1).all()
+    assert points.xy[:, 0].max() > 55
+    places = {tuple(xy) for xy in np.round(points.xy, 3).tolist()}
+    assert len(places) == len(points.xy)
+
+
+def test_models_that_read_all_views_are_refused(scene):
+    model = EdgeDepth.for_light_field(scene, views="all")
+    with pytest.raises(ValueError, match="tiles have those of the crosshair"):
+        depth_in_tiles(scene, model)
