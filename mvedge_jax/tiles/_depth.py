@@ -2,6 +2,7 @@
 
 import dataclasses
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -189,7 +190,7 @@ def _joined(
 def _summed(stats: Sequence[DepthStats], valid: int) -> DepthStats:
     """Statistics of all tiles."""
 
-    def total(*counts: Array) -> Array:
+    def total(*counts: Any) -> Array:
         return jnp.sum(jnp.stack(counts), axis=0)
 
     edges = jax.tree.map(total, *(of.edges for of in stats))
