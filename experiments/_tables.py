@@ -1,0 +1,303 @@
+"""The tables and figures of the pages, by name, as Markdown made of `results/*.json`.
+
+`pages.py` puts them between its markers. Each takes the results and the words behind its name.
+"""
+
+import json
+from collections.abc import Callable, Sequence
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from experiments._published import authors_program, published
+
+Row = dict[str, Any]
+
+
+class Results:
+    """What the scripts found, as the JSON files of a folder have it."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+
+    @cached_property
+    def files(self) -> dict[str, dict[str, Any]]:
+        """Every result by the name of its file."""
+        paths = sorted(self.folder.glob("*.json"))
+        return {path.stem: json.loads(path.read_text(encoding="utf-8")) for path in paths}
+
+    def rows(self, name: str, part: str = "rows") -> list[Row]:
+        """The rows of a result, or those of a part of it."""
+        if name not in self.files:
+            raise ValueError(f"{self.folder} has no {name}.json; it has {', '.join(self.files)}.")
+        content = self.files[name]["content"]
+        return content[part] if isinstance(content, dict) else content
+
+    def row(self, name: str, part: str = "rows", **where: str) -> Row:
+        """The one row that has the values of `where`."""
+        found = [
+            row
+            for row in self.rows(name, part)
+            if all(row.get(column) == value for column, value in where.items())
+        ]
+        if len(found) != 1:
+            raise ValueError(f"{name}.json has {len(found)} rows with {where}; expected one.")
+        return found[0]
+
+
+SCORES = ("MSE*100", "Q25*100", "BP(.01)", "BP(.03)", "BP(.07)")
+_HEADS = ("MSE x 100", "Q25 x 100", *SCORES[2:])
+# Of `table_edges.py`: how the pages call its rows.
+_README = {
+    "thesis": "preset `thesis` (Ch. 4 and 6 as printed, and corrected)",
+    "edges": "preset `edges`: the edges alone",
+    "edges without transmittance": "the same without transmittance",
+    "edges without sides": "the same without sides",
+    "full without edges": "preset `full` without edges",
+    "full": "preset `full`",
+}
+_PARTS = {
+    "thesis": '`"thesis"`',
+    "edges": '`"edges"`',
+    "edges without transmittance": '`"edges"`, `labels=NearestLabels()`',
+    "edges without sides": '`"edges"`, `sides=NoSides()`',
+    "full without edges": '`"full"`, `labels.weight` 0',
+    "full": '`"full"`',
+}
+
+
+def _number(value: float) -> str:
+    return f"{value:.2f}" if value < 10 else f"{value:.1f}"
+
+
+def _cells(row: Row, columns: Sequence[str]) -> list[str]:
+    """Scores as text: errors with two digits, shares of pixels in per cent."""
+    values = ((column, row.get(column)) for column in columns)
+    return [
+        "" if value is None else f"{value:.1f} %" if name.startswith("BP") else _number(value)
+        for name, value in values
+    ]
+
+
+def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    lines = [head, ["---"] * len(head), *rows]
+    return "\n".join("| " + " | ".join(line).strip() + " |" for line in lines)
+
+
+def accuracy(results: Results) -> str:
+    """README: two scenes, full frame, ours beside others."""
+    after = {
+        scene: dict(zip(SCORES, (row[column] for column in _MODEL), strict=True))
+        for scene in ("cotton", "backgammon")
+        for row in [results.row("table_7_2", scene=f"hci/{scene}", method="after")]
+    }
+    lines = [
+        ("`depth`, preset `full`", *_ours(results, "ours"), _seconds(results, "full")),
+        ('the same, `views="all"`', *_ours(results, "ours, all views"), _seconds(results, "all")),
+        (
+            "`depth`, then `optimize_edges`",
+            *(after[scene] for scene in ("cotton", "backgammon")),
+            f"{results.row('times', call='optimize')['first s']:.0f} more, compilation included",
+        ),
+    ]
+    for method, title in (
+        ("EPINET", "EPINET (learned; without 11 px of border)"),
+        ("FastLFnet", "FastLFnet (learned)"),
+        ("SPO", "SPO"),
+    ):
+        found = (
+            next((r for r in results.rows("peer_maps") if (r["scene"], r["method"]) == key), {})
+            for key in (("cotton", method), ("backgammon", method))
+        )
+        lines.append((title, *found, ""))
+    theirs = (authors_program(scene=scene)[0] for scene in ("cotton", "backgammon"))
+    lines.append(("the authors' code", *theirs, ""))
+    thesis = {
+        **published("6.1", scene="cotton", method="Ours")[0],
+        **published("7.2", scene="cotton", method="Ours-N")[0],
+    }
+    title, seconds = "dissertation, Ch. 6 (Tab. 6.1, 7.2)", f"{thesis['seconds']:.0f} (16 cores)"
+    lines.append((title, thesis, {}, seconds))
+    few = ("MSE*100", "BP(.03)", "BP(.07)")
+    head = ("", f"cotton: {_HEADS[0]}", *_HEADS[1:], f"backgammon: {_HEADS[0]}", *few[1:])
+    return _table(
+        (*head, "seconds"),
+        [(name, *_cells(a, SCORES), *_cells(b, few), end) for name, a, b, end in lines],
+    )
+
+
+# The columns of `table_7_2.py` that are `SCORES`.
+_MODEL = ("mse", "q25", "bad_01", "bad_03", "bad_07")
+
+
+def _ours(results: Results, method: str) -> tuple[Row, Row]:
+    cotton, backgammon = (
+        results.row("table_6_1", scene=scene, method=method) for scene in ("cotton", "backgammon")
+    )
+    return cotton, backgammon
+
+
+def _seconds(results: Results, call: str) -> str:
+    row = results.row("times", call=call)
+    return f"{row['later s']:.1f} (first call {row['first s']:.0f})"
+
+
+def views(results: Results) -> str:
+    """docs/choosing.md: what labels from more views cost."""
+    crosshair, every = (_seconds(results, call).strip(")") for call in ("full", "all"))
+    return _table(
+        ("`views=`", "labels are measured in", "seconds, first call"),
+        [
+            ('`"crosshair"` (default)', "the centre row and column of views", crosshair),
+            (
+                '`"all"`',
+                "these, and in two more solves at the end in all views, but beside depth steps",
+                every,
+            ),
+        ],
+    )
+
+
+def times(results: Results) -> str:
+    """docs/compile.md: seconds and memory of calls."""
+    titles = {
+        "full": '`depth`, preset `"full"`',
+        "all": 'the same, `views="all"`',
+        "gradient": "value and gradient in all numbers and the views",
+    }
+    lines = []
+    for call, title in titles.items():
+        row = results.row("times", call=call)
+        memory = f", {row['peak GiB']} GiB" if "peak GiB" in row else ""
+        lines.append((title, f"{row['first s']:g} s", f"{row['later s']} s{memory}"))
+    one, both = (
+        1000 * results.row("times", call=call)["later s"]
+        for call in ("diffusion", "diffusion, value and gradient")
+    )
+    lines.append(("one diffusion solve", "", f"{one:.0f} ms; value and gradient {both:.0f} ms"))
+    return _table(("", "first call", "later calls"), lines)
+
+
+def edges(results: Results) -> str:
+    """README: presets on cotton, and their mean over 13 scenes."""
+    few = ("MSE*100", *SCORES[2:])
+    lines = [
+        (
+            title,
+            *_cells(results.row("table_edges", scene="cotton", method=method), few),
+            *_cells(results.row("table_edges", "summary", scene="mean", method=method), SCORES),
+        )
+        for method, title in _README.items()
+    ]
+    return _table(("", f"cotton: {_HEADS[0]}", *few[1:], f"mean: {_HEADS[0]}", *_HEADS[1:]), lines)
+
+
+def parts(results: Results) -> str:
+    """docs/parts.md: mean and worst of 13 scenes."""
+    lines = [
+        (
+            title,
+            *(
+                cell
+                for what in ("mean", "worst")
+                for cell in _cells(
+                    results.row("table_edges", "summary", scene=what, method=method), SCORES
+                )
+            ),
+        )
+        for method, title in _PARTS.items()
+    ]
+    head = [f"{what}: {_HEADS[0]}" for what in ("mean", "worst")]
+    return _table(("", head[0], *_HEADS[1:], head[1], *_HEADS[1:]), lines)
+
+
+def scores(results: Results, name: str, scene: str, method: str, *columns: str) -> str:
+    """In a sentence: scores of a row, by the names of their columns."""
+    return ", ".join(_cells(results.row(name, scene=scene, method=method), columns))
+
+
+def step(results: Results, method: str) -> str:
+    """docs/differences.md: MSE x 100 and BP(.07) of cotton by a row of `thesis_steps.py`."""
+    return scores(results, "thesis_steps", "cotton", method, "MSE*100", "BP(.07)")
+
+
+_WITHIN = ("map within one %", "map within two %")
+
+
+def calibrated(results: Results, scene: str) -> str:
+    """In a sentence: per cent of a map within one and within two standard errors."""
+    one, two = (results.row("calibration", scene=scene)[column] for column in _WITHIN)
+    return f"{one:.0f} and {two:.0f} %"
+
+
+def calibration(results: Results) -> str:
+    """docs/choosing.md: per cent of the map within one and within two standard errors."""
+    return _table(
+        ("scene", "within one standard error", "within two"),
+        [
+            (row["scene"], *(f"{row[column]:.0f} %" for column in _WITHIN))
+            for row in results.rows("calibration")
+            if row["scene"] != "mean"
+        ],
+    )
+
+
+def codec(results: Results) -> str:
+    """docs/codec.md: bytes at equal errors."""
+    return _table(
+        ("map", "error (root mean square, px)", "bytes", "PNG", "JPEG 2000"),
+        [
+            (
+                row["scene"],
+                f"{row['rms error px']:.4f}",
+                *(f"{row[column]:.0f}" for column in ("bytes", "PNG bytes", "JPEG 2000 bytes")),
+            )
+            for row in results.rows("codec", "at equal error")
+        ],
+    )
+
+
+def beside(results: Results, scene: str) -> str:
+    """docs/results.md: all that is known of a scene, ours, published and scored by us."""
+    known = [
+        *(("ours", row) for row in results.rows("table_6_1")),
+        *(("our table of parts", row) for row in results.rows("table_edges")),
+        *(("published map", row) for row in results.rows("peer_maps")),
+        *(("run by us", row) for row in authors_program()),
+        *((f"thesis, Tab. {table}", row) for table in ("6.1", "7.2") for row in published(table)),
+    ]
+    return _table(
+        ("method", "from", *_HEADS, "seconds"),
+        [
+            (row["method"], source, *_cells(row, SCORES), f"{row.get('seconds', '')}")
+            for source, row in known
+            if row["scene"] == scene
+        ],
+    )
+
+
+def origins(results: Results) -> str:
+    """docs/results.md: where each file comes from."""
+    return _table(
+        ("file", "command", "commit", "date", "cores", "remark"),
+        [
+            (
+                f"`{name}.json`",
+                f"`{found['command']}`",
+                found["commit"],
+                found["date"][:10],
+                str(found.get("environment", {}).get("cores", "")),
+                found.get("source", ""),
+            )
+            for name, found in results.files.items()
+        ],
+    )
+
+
+TABLES: dict[str, Callable[..., str]] = {
+    make.__name__: make
+    for make in (
+        accuracy, edges, parts, views, times, scores, step, calibrated, calibration, codec,
+        beside, origins,
+    )
+}  # fmt: skip
