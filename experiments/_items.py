@@ -40,7 +40,7 @@ ITEMS = (
         "table_edges",
         "table_edges.py",
         "--scenes edges --size 64",
-        "--size 512",
+        "",
         "What the edges are worth: presets, and parts taken away",
     ),
     Item(
@@ -49,6 +49,13 @@ ITEMS = (
         "--scenes edges --size 96",
         "--ablations --size 512",
         "Table 6.1: the centre view's depth beside baselines",
+    ),
+    Item(
+        "peer_maps",
+        "peer_maps.py",
+        "--data {data}",
+        "--data {data}",
+        "Table 6.1: published maps of others by our metrics",
     ),
     Item(
         "table_6_2",
@@ -133,7 +140,7 @@ ITEMS = (
         "calibration",
         "calibration.py",
         "demo --size 96",
-        "cotton backgammon room bench demo edges --size 512",
+        "--map-only",
         "Are standard errors true?",
     ),
     Item(

@@ -8,11 +8,17 @@ What finished at this commit with the same arguments is not run again. The page,
 shows what each script wrote: its tables, its pictures, its seconds, or why there is nothing.
 `quick` uses small rendered scenes; `full` the published sizes and, where it is there, the
 development data.
+
+Scripts share a folder of compiled programs, besides benchmarks, which time the compiler, too. What
+the pages of the documentation show is renewed by
+
+    python experiments/pages.py --take results/all/table_edges/*.json
 """
 
 import argparse
 import html
 import json
+import os
 import subprocess
 import sys
 import time
@@ -51,9 +57,10 @@ def main() -> int:
         print(f"{row['name']}: {row['state']}, {row['seconds']:.0f} s", flush=True)
         _write_page(arguments.out, arguments.tier, commit, rows)
     _write_page(arguments.out, arguments.tier, commit, rows)
+    minutes = sum(row["seconds"] for row in rows) / 60
     print_table(
         [{name: row[name] for name in ("name", "what", "state", "seconds")} for row in rows],
-        title=f"{arguments.tier}, {commit}",
+        title=f"{arguments.tier}, {commit}, {minutes:.0f} minutes",
     )
     print(f"{arguments.out / 'index.html'}")
     return int(any(row["state"] == "failed" for row in rows))
@@ -91,7 +98,12 @@ def _run(
     with (out / "log.txt").open("w", encoding="utf-8") as log:
         try:
             code = subprocess.run(
-                command, cwd=HERE.parent, stdout=log, stderr=subprocess.STDOUT, timeout=limit
+                command,
+                cwd=HERE.parent,
+                env=_environment(item, out.parent / "programs"),
+                stdout=log,
+                stderr=subprocess.STDOUT,
+                timeout=limit,
             ).returncode
             why = "" if code == 0 else f"exit code {code}"
         except subprocess.TimeoutExpired:
@@ -105,6 +117,17 @@ def _run(
     )
     record.write_text(json.dumps(row, indent=2), encoding="utf-8")
     return row
+
+
+def _environment(item: Item, programs: Path) -> dict[str, str]:
+    """Variables of a script's process: where it finds what other scripts have compiled."""
+    if item.script.startswith("benchmarks/"):
+        return dict(os.environ)
+    cache = {
+        "JAX_COMPILATION_CACHE_DIR": str(programs.resolve()),
+        "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0.3",
+    }
+    return {**os.environ, **cache}
 
 
 _STYLE = """

@@ -7,9 +7,9 @@ A page has, where figures stand, a name from `_tables.py` and what it makes of t
 Each JSON file is what one run of a script has written, with its commit and digests of the code
 that it depends on. A result is stale when a file that it depends on has changed since.
 
-    python experiments/pages.py                                # write the pages
-    python experiments/pages.py --check                        # compare them, list what is stale
-    python experiments/pages.py --take results/all/*/*.json    # take new results, write the pages
+    python experiments/pages.py            # write the pages
+    python experiments/pages.py --check    # compare them, list what is stale
+    python experiments/pages.py --take results/table_edges/table_edges.json
 """
 
 import argparse

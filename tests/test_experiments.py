@@ -45,3 +45,18 @@ def test_the_table_of_edges_ends_with_the_mean_and_the_worst_scene():
         "full without edges",
         "full",
     ]
+
+
+def test_scripts_share_compiled_programs_but_benchmarks_compile_their_own(tmp_path, monkeypatch):
+    monkeypatch.delenv("JAX_COMPILATION_CACHE_DIR", raising=False)
+    items = {item.name: item for item in _items.ITEMS}
+    shared = page._environment(items["table_6_2"], tmp_path)
+    assert shared["JAX_COMPILATION_CACHE_DIR"] == str(tmp_path)
+    alone = page._environment(items["benchmark_depth"], tmp_path)
+    assert "JAX_COMPILATION_CACHE_DIR" not in alone
+
+
+def test_every_script_of_a_table_leaves_its_rows_as_json():
+    folder = Path(_items.__file__).parent
+    texts = {item.script: (folder / item.script).read_text("utf-8") for item in _items.ITEMS}
+    assert [script for script, text in texts.items() if "write_json(" not in text] == []
