@@ -136,6 +136,8 @@ def _words(node: Any) -> Iterator[str]:
         for name, value in ast.iter_fields(node):
             if name == "body" and isinstance(value, list) and value and _is_text(value[0]):
                 value = value[1:]
+            if isinstance(node, ast.JoinedStr):  # Python 3.12.1 adds empty texts
+                value = [part for part in value if getattr(part, "value", None) != ""]
             if value is not None and value != []:
                 yield f" {name}="
                 yield from _words(value)

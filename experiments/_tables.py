@@ -111,7 +111,7 @@ def accuracy(results: Results) -> str:
         rows = [row for table, m in both for row in published(table, scene=scene, method=m)]
         return {column: value for row in rows for column, value in row.items()}
 
-    more = f"{results.row('times', call='optimize')['first s']:.0f} more, compilation included"
+    more = f"{optimized('cotton', 'after')['seconds']:.0f} more, compilation included"
     lines = (
         ("`depth`, preset `full`", ours, "ours", _seconds(results, "full")),
         ('the same, `views="all"`', ours, "ours, all views", _seconds(results, "all")),
@@ -143,16 +143,16 @@ def accuracy(results: Results) -> str:
     )
 
 
-def _seconds(results: Results, call: str) -> str:
-    row = results.row("times", call=call)
-    return f"{row['later s']:.1f} (first call {row['first s']:.0f})"
+def _seconds(results: Results, stage: str) -> str:
+    row = results.row("times", stage=stage)
+    return f"{row['median s']:.1f}, first call {row['first s']:.0f}"
 
 
 def views(results: Results) -> str:
     """docs/choosing.md: what labels from more views cost."""
-    crosshair, every = (_seconds(results, call).strip(")") for call in ("full", "all"))
+    crosshair, every = (_seconds(results, stage) for stage in ("full", "all"))
     return _table(
-        ("`views=`", "labels are measured in", "seconds, first call"),
+        ("`views=`", "labels are measured in", "seconds (README)"),
         [
             ('`"crosshair"` (default)', "the centre row and column of views", crosshair),
             (
@@ -172,16 +172,18 @@ def times(results: Results) -> str:
         "gradient": "value and gradient in all numbers and the views",
     }
     lines = []
-    for call, title in titles.items():
-        row = results.row("times", call=call)
-        memory = f", {row['peak GiB']} GiB" if "peak GiB" in row else ""
-        lines.append((title, f"{row['first s']:g} s", f"{row['later s']} s{memory}"))
-    one, both = (
-        1000 * results.row("times", call=call)["later s"]
-        for call in ("diffusion", "diffusion, value and gradient")
-    )
-    lines.append(("one diffusion solve", "", f"{one:.0f} ms; value and gradient {both:.0f} ms"))
+    for stage, title in titles.items():
+        row = results.row("times", stage=stage)
+        memory = f", {row['peak MiB'] / 1024:.1f} GiB" if "peak MiB" in row else ""
+        lines.append((title, f"{row['first s']:.0f} s", f"{row['median s']:.1f} s{memory}"))
     return _table(("", "first call", "later calls"), lines)
+
+
+def gradient(results: Results) -> str:
+    """README, in a sentence: seconds and memory of value and gradient."""
+    row = results.row("times", stage="gradient")
+    first = f"{row['first s']:.0f} s on the first call"
+    return f"{row['median s']:.0f} s, {first}, and {row['peak MiB'] / 1024:.1f} GiB"
 
 
 def edges(results: Results) -> str:
@@ -309,7 +311,7 @@ def origins(results: Results) -> str:
 TABLES: dict[str, Callable[..., str]] = {
     make.__name__: make
     for make in (
-        accuracy, edges, parts, views, times, scores, step, program, calibrated, calibration, codec,
-        beside, origins,
+        accuracy, edges, parts, views, times, gradient, scores, step, program, calibrated,
+        calibration, codec, beside, origins,
     )
 }  # fmt: skip
