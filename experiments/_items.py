@@ -47,7 +47,7 @@ ITEMS = (
         "table_6_1",
         "table_6_1.py",
         "--scenes edges --size 96",
-        "--ablations --size 512",
+        "--ablations",
         "Table 6.1: the centre view's depth beside baselines",
     ),
     Item(
@@ -61,14 +61,14 @@ ITEMS = (
         "table_6_2",
         "table_6_2.py",
         "--scenes edges --size 96",
-        "--size 512",
+        "",
         "Table 6.2: how the side of an edge is chosen",
     ),
     Item(
         "table_6_3",
         "table_6_3.py",
         "--scenes edges --size 96",
-        "--size 512",
+        "",
         "Table 6.3, Figure 6.4: depth boundaries",
     ),
     Item(
@@ -248,5 +248,12 @@ ITEMS = (
         "--settings --repeats 1",
         "",
         "Seconds and memory of the centre view's depth",
+    ),
+    Item(
+        "benchmark_calls",
+        "benchmarks/depth.py",
+        None,
+        "--calls --repeats 3",
+        "Seconds and memory of presets and of the gradient",
     ),
 )
