@@ -5,6 +5,7 @@
 
 import json
 from collections.abc import Callable, Sequence
+from decimal import ROUND_HALF_UP, Decimal
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -66,17 +67,24 @@ _PARTS = {
 }
 
 
-def _number(value: float) -> str:
-    return f"{value:.2f}" if value < 10 else f"{value:.1f}"
+def _rounded(value: float, digits: int) -> str:
+    """With halves rounded up, as readers do with what is printed elsewhere."""
+    unit = Decimal(1).scaleb(-digits)
+    return str(Decimal(str(value)).quantize(unit, ROUND_HALF_UP))
 
 
 def _cells(row: Row, columns: Sequence[str]) -> list[str]:
-    """Scores as text: errors with two digits, shares of pixels in per cent."""
-    values = ((column, row.get(column)) for column in columns)
-    return [
-        "" if value is None else f"{value:.1f} %" if name.startswith("BP") else _number(value)
-        for name, value in values
-    ]
+    """Scores as text: errors with three digits at most, shares of pixels in per cent."""
+    cells = []
+    for column in columns:
+        value = row.get(column)
+        if value is None:
+            cells.append("")
+        elif column.startswith("BP"):
+            cells.append(f"{_rounded(value, 1)} %")
+        else:
+            cells.append(_rounded(value, 2 if value < 10 else 1))
+    return cells
 
 
 def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
@@ -274,16 +282,16 @@ def codec(results: Results) -> str:
 def beside(results: Results, scene: str) -> str:
     """docs/results.md: all that is known of a scene, ours, published and scored by us."""
     known = [
-        *(("ours", row) for row in results.rows("table_6_1")),
-        *(("our table of parts", row) for row in results.rows("table_edges")),
+        *(("`table_6_1.py`", row) for row in results.rows("table_6_1")),
+        *(("`table_edges.py`", row) for row in results.rows("table_edges")),
         *(("published map", row) for row in results.rows("peer_maps")),
         *(("run by us", row) for row in authors_program()),
         *((f"thesis, Tab. {table}", row) for table in ("6.1", "7.2") for row in published(table)),
     ]
     return _table(
-        ("method", "from", *_HEADS, "seconds"),
+        ("method", "from", *_HEADS),
         [
-            (row["method"], source, *_cells(row, SCORES), f"{row.get('seconds', '')}")
+            (row["method"], source, *_cells(row, SCORES))
             for source, row in known
             if row["scene"] == scene
         ],

@@ -49,6 +49,11 @@ def updated(page: Path, results: Results) -> tuple[str, list[str]]:
         made = TABLES[name](results, *words)
         if made.startswith("|"):
             made = f"\n\n{made}\n\n"
+        elif match.start() == 0 or text[match.start() - 1] == "\n":
+            # Markdown takes the rest of such a line for HTML.
+            raise ValueError(
+                f"{page}: `{_OPEN}{match['words']}` is within a sentence, not in front."
+            )
         if made != match["text"]:
             wrong.append(match["words"])
         return f"{_OPEN}{match['words']} -->{made}{_CLOSE}"
@@ -74,11 +79,15 @@ def stale(root: Path = ROOT) -> list[str]:
     """Results that are older than the code that they depend on, with the files that changed."""
     files = Results(root / "experiments" / "results").files
     now = digests({pattern for found in files.values() for pattern in found["depends"]}, root)
-    changed = {
-        name: [pattern for pattern, digest in found["depends"].items() if now[pattern] != digest]
-        for name, found in files.items()
-    }
-    return [f"{name}.json: {', '.join(patterns)}" for name, patterns in changed.items() if patterns]
+    lines = []
+    for name, found in files.items():
+        changed = [
+            pattern for pattern, digest in found["depends"].items() if now[pattern] != digest
+        ]
+        if changed:
+            more = f" and {len(changed) - 3} more" if len(changed) > 3 else ""
+            lines.append(f"{name}.json: {', '.join(changed[:3])}{more}")
+    return lines
 
 
 def take(paths: Sequence[Path], root: Path = ROOT) -> Iterator[Path]:
