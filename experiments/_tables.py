@@ -93,7 +93,9 @@ def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 
 # The columns of `table_7_2.py` that are `SCORES`.
-_MODEL = dict(zip(("mse", "q25", "bad_01", "bad_03", "bad_07"), SCORES, strict=True))
+_MODEL: dict[str, str] = dict(
+    zip(("mse", "q25", "bad_01", "bad_03", "bad_07"), SCORES, strict=True)
+)
 
 
 def accuracy(results: Results) -> str:
