@@ -96,7 +96,8 @@ def _short_of_memory(shortage: BaseException) -> str:
     need = str(shortage).rstrip(".") or "an array found no room"
     return (
         f"the memory does not suffice: {need}. Smaller or fewer views need less: --scale 0.5 needs "
-        "a quarter, --views 5 a third to a half; or end other programs."
+        "a quarter, --views 5 a third to a half; `mvedge depth --memory GB` works in tiles; or end "
+        "other programs."
     )
 
 

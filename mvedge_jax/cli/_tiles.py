@@ -94,7 +94,7 @@ def estimate_tiles(
         def advance(done: int, total: int) -> None:
             bar.update(task, completed=done, total=total)
 
-        result = depth_in_tiles(stored, model, tiling=tiling, key=key, progress=advance)
+        result = depth_in_tiles(stored, model=model, tiling=tiling, key=key, progress=advance)
     return model, result, {"estimation": round(time.perf_counter() - start, 3)}
 
 

@@ -28,11 +28,11 @@ _SAMPLES = 5
 
 def depth_in_tiles(
     views: StoredViews | LightField,
-    model: EdgeDepth | None = None,
     *,
+    model: EdgeDepth | None = None,
     tiling: Tiling | None = None,
-    key: PRNGKeyArray | None = None,
     progress: Callable[[int, int], None] | None = None,
+    key: PRNGKeyArray | None = None,
 ) -> DepthResult:
     """Depth of an image that is larger than the memory allows.
 
@@ -48,8 +48,8 @@ def depth_in_tiles(
         model: made for light fields of the shape of a tile; None for preset `"full"`. Its labels
             are measured in the crosshair.
         tiling: size and overlap of the tiles; None for tiles of 768 px.
-        key: of parts that draw; every tile has one of its own.
         progress: called with the number of tiles that are done and that there are.
+        key: of parts that draw; every tile has one of its own.
 
     Returns:
         See `DepthResult`; points without empty slots. Of `stats`, `valid` counts the

@@ -129,4 +129,4 @@ def test_tiles_have_the_depth_of_the_image(scene):
 def test_models_that_read_all_views_are_refused(scene):
     model = EdgeDepth.for_light_field(scene, views="all")
     with pytest.raises(ValueError, match="tiles have those of the crosshair"):
-        depth_in_tiles(scene, model)
+        depth_in_tiles(scene, model=model)
