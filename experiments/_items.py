@@ -79,6 +79,13 @@ ITEMS = (
         "Figures 6.5, 6.6: depth of every view, and its consistency",
     ),
     Item(
+        "every_view_lytro",
+        "every_view.py",
+        None,
+        "{data}/lytro/2067 --views 7",
+        "Figures 6.5, 6.6 of a light field without truth",
+    ),
+    Item(
         "table_7_1",
         "table_7_1.py",
         None,
