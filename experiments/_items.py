@@ -67,9 +67,16 @@ ITEMS = (
     Item(
         "figure_6_10",
         "figure_6_10.py",
-        "--scenes edges --size 64 --steps 3 --only refine.precision",
+        "--scenes edges --size 64 --steps 3 --only edges.lines.aligned edges.color_sigma",
         "--scenes edges demo --size 128",
-        "Figure 6.10: error against hyperparameters",
+        "Figure 6.10: error against the thesis' hyperparameters",
+    ),
+    Item(
+        "figure_6_10_full",
+        "figure_6_10.py",
+        None,
+        "--scenes edges demo --size 128 --preset full",
+        "Error against hyperparameters of preset full",
     ),
     Item(
         "every_view",
