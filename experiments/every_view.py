@@ -1,4 +1,4 @@
-"""Depth of every view: errors, hidden surfaces, consistency, seconds; Figures 6.5 and 6.6.
+"""Depth of every view: errors, hidden surfaces, consistency, seconds; Figures 6.5, 6.6 and B.2.
 
     python experiments/every_view.py demo edges crossing thin wide room bench --out results/views
     python experiments/every_view.py ../shared/data/lytro/2067 --views 7 --out results/lytro
@@ -129,7 +129,7 @@ def compared(
     hidden = None if truth is None else regions(np.asarray(truth))
     result = EdgeDepth.for_light_field(blind)(blind)
     there = light_field.available
-    rows, errors, printed = [], [], []
+    rows, errors, printed, slices = [], [], [], {}
     for method in arguments.methods:
         maps, seconds = timed(METHODS[method], blind, result, repeats=arguments.repeats)
         row = {"scene": name, "method": method}
@@ -144,6 +144,10 @@ def compared(
         row |= {"agree": 100 * float(agree), "6.10": 100 * float(printed[-1].mean)}
         rows.append({**row, "seconds": seconds.best, "first call": seconds.first})
         plot_view_maps(maps).savefig(arguments.out / f"{name}_{method}.png")
+        slices[method] = np.asarray(maps[light_field.centre[0]][:, light_field.views.shape[2] // 2])
+    if truth is not None:
+        slices["truth"] = np.asarray(truth[light_field.centre[0], :, truth.shape[2] // 2])
+    _slices(slices).savefig(arguments.out / f"figure_b_2_{name}.png")
     figures = {"": errors, "_printed": printed}
     for end, found in figures.items():
         if found:
@@ -151,6 +155,17 @@ def compared(
             figure.savefig(arguments.out / f"figure_6_5_{name}{end}.png")
     print_table(rows, title=name)
     return rows
+
+
+def _slices(maps: dict[str, np.ndarray]) -> Figure:
+    """Disparity along the EPI of the middle row, `[u, x]`, a strip per method (Fig. B.2)."""
+    figure = Figure(figsize=(7, 0.9 * len(maps) + 0.2), layout="constrained")
+    low, high = (f([f(each) for each in maps.values()]) for f in (np.min, np.max))
+    strips = figure.subplots(len(maps), 1, squeeze=False)[:, 0]
+    for axes, (method, each) in zip(strips, maps.items(), strict=True):
+        axes.imshow(each, aspect="auto", vmin=low, vmax=high, interpolation="nearest")
+        axes.set(ylabel=method, xticks=[], yticks=[])
+    return figure
 
 
 def _scatter(rows: list[dict[str, Any]], column: str, label: str) -> Figure:

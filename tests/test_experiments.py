@@ -1,10 +1,21 @@
 """What the experiments share: origins of results, the page's tables, the table of edges."""
 
+import importlib
 import json
 import sys
 from pathlib import Path
 
+import numpy as np
+import pytest
+
 from experiments import _items, _report, all as page, table_edges
+
+
+@pytest.fixture
+def script(monkeypatch):
+    """A script of the folder by its name, which imports what is beside it."""
+    monkeypatch.syspath_prepend(Path(_report.__file__).parent)
+    return importlib.import_module
 
 
 def test_results_tell_commit_and_command_and_are_shown_on_the_page(tmp_path, monkeypatch):
@@ -45,3 +56,29 @@ def test_the_table_of_edges_ends_with_the_mean_and_the_worst_scene():
         "full without edges",
         "full",
     ]
+
+
+def test_a_weight_of_ours_is_the_inverse_of_a_scale(script):
+    weighted = script("figure_a_1").weighted
+    usual = weighted("ours", "color", 1.0, 20.0)
+    double = weighted("ours", "color", 2.0, 20.0)
+    assert float(double["color"]) == pytest.approx(float(usual["color"]) / 2)
+    assert double["size"] == 20
+    place = weighted("ours", "position", 2.0, 20.0)
+    assert float(place["color"]) == pytest.approx(2 * float(usual["color"]))
+    for method in ("k-means", "thesis"):
+        one, two = (weighted(method, "disparity", f, 20.0) for f in (1.0, 2.0))
+        assert float(two.disparity) == pytest.approx(2 * float(one.disparity))
+
+
+def test_cards_stand_on_the_largest_steps_between_both_surfaces(script):
+    figure_6_11 = script("figure_6_11")
+    disparity = np.zeros((60, 80))
+    disparity[20:44, 30:] = 1.0
+    disparity[20:44, 60:] = 0.4
+    (first, at_first), (second, at_second) = figure_6_11.places(disparity, (12, 8))
+    assert at_first == pytest.approx(0.5)
+    assert abs(first[0] - 29.5) <= 8 or min(abs(first[1] - y) for y in (20, 44)) <= 12
+    assert 0 < at_second < 1
+    assert max(abs(first[0] - second[0]), abs(first[1] - second[1])) >= 5
+    assert figure_6_11.card(20).shape == (30, 20, 4)
