@@ -10,6 +10,7 @@ development data, so that its figures are beside ours for their size alone.
 """
 
 import argparse
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -65,13 +66,9 @@ def main() -> None:
         maps = [known[method].run(field) for method in arguments.methods]
         flat = jnp.full_like(maps[0], jnp.mean(maps[0]))
         for method, disparity in zip((*arguments.methods, "flat"), (*maps, flat), strict=True):
-            row: dict[str, Any] = {"scene": name, "method": method}
-            for space, column in (("rgb", "RGB x 100"), ("lab", "Lab")):
-                found = reprojection_error(
-                    disparity, field, space=space, targets=outermost(field)
-                )  # fmt: skip
-                row[column] = float(found.error)
-            rows.append(row)
+            score = partial(reprojection_error, disparity, field, targets=outermost(field))
+            rgb, lab = float(score(space="rgb").error), float(score(space="lab").error)
+            rows.append({"scene": name, "method": method, "RGB x 100": rgb, "Lab": lab})
         plot_disparity(maps, names=arguments.methods).savefig(arguments.out / f"{name}.png")
         print_table([row for row in rows if row["scene"] == name], title=name)
         write_csv(arguments.out / "table_c_1.csv", rows)

@@ -1,5 +1,6 @@
 """The named methods of the thesis, each against brute force or a closed form."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -52,8 +53,10 @@ def test_k_and_both_angles_are_numbers_of_the_search():
     run = jax.jit(lambda search: arm_lines(lab, bank, search, key=None))
 
     def found(**numbers):
-        fixed = {"capacity": 24, "levels": 1, "vote": False, "entropy": False}
-        return run(LineSearch(**fixed, **{k: jnp.asarray(v) for k, v in numbers.items()}))
+        search = LineSearch(capacity=24, levels=1, vote=False, entropy=False)
+        names, values = zip(*numbers.items(), strict=True) if numbers else ((), ())
+        values = [jnp.asarray(value) for value in values]
+        return run(eqx.tree_at(lambda s: [getattr(s, n) for n in names], search, values))
 
     usual = found()
     assert usual.keep.sum() >= 4
