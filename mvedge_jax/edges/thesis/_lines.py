@@ -152,11 +152,8 @@ def arm_lines(
             found = entropy_search(light, found, params.amplitude, params.decay, key=draw[0])
         cosine = alignment(light, found)
         keep = found.valid & (found.position > -0.5) & (found.position < width - 0.5)
-        if params.alignment == "count":
-            aligned = aligned_count(cosine, angle=params.aligned_angle)
-            keep = keep & (aligned.astype(cosine.dtype) >= params.aligned * views)
-        if params.alignment == "run":
-            keep = keep & (longest_run(cosine, angle=params.aligned_angle) >= params.run)
+        if params.alignment != "none":
+            keep = keep & _aligned(cosine, params)
         seen = line_visibility(
             cosine, found, width=width, tested=params.visibility, angle=params.visible_angle
         )
@@ -167,6 +164,14 @@ def arm_lines(
     if params.vote:
         keep = keep & (_votes(lines, keep, width=width, views=views) >= params.vote_floor)
     return ArmLines(lines, keep, visible, left)
+
+
+def _aligned(cosine: Float[Array, "m u"], params: LineSearch) -> Bool[Array, " m"]:
+    """The lines that pass Eq. 4.3, or the authors' test."""
+    if params.alignment == "run":
+        return longest_run(cosine, angle=params.aligned_angle) >= params.run
+    count = aligned_count(cosine, angle=params.aligned_angle).astype(cosine.dtype)
+    return count >= params.aligned * cosine.shape[1]
 
 
 def _votes(lines: EpiLines, keep: Array, *, width: int, views: int) -> Array:
