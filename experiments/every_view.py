@@ -1,6 +1,7 @@
-"""Depth of every view: errors, hidden surfaces, consistency, seconds; Figures 6.5 and 6.6.
+"""Depth of every view: errors, hidden surfaces, consistency, seconds; Figures 6.5, 6.6 and B.2.
 
     python experiments/every_view.py demo edges crossing thin wide room bench --out results/views
+    python experiments/every_view.py ../shared/data/lytro/2067 --views 7 --out results/lytro
 
 Scenes are folders, names of the development data, or of synthetic scenes (rendered at --size).
 All methods start from the same map of the centre view; its seconds are not in theirs, those of
@@ -9,7 +10,10 @@ finding the thesis' guides are. Per method and scene, MSE x 100 and share of pix
 does not show (mean over the off-centre views), and the centre view itself. `off/centre` is the MSE
 of the off-centre views over that of the centre. `cons` is the variance of map - truth between the
 views that truly see a point, x 100; `agree` is `metrics.view_consistency`, which knows no truth,
-x 100: a constant map agrees.
+x 100: a constant map agrees. `6.10` is that equation as the thesis prints it, x 100, see
+`metrics.printed_view_consistency`; the true maps have `truth 6.10`. A scene without truth in all
+views (HCI's, Stanford's, Lytro's) has only `agree`, `6.10` and the seconds, as in the thesis, which
+uses the central 7x7 views of a Lytro's.
 
 With --cost, the seconds of every view over the number of views, ours.
 """
@@ -24,13 +28,14 @@ import numpy as np
 from _report import peak_memory, print_table, timed, write_csv, write_json
 from _views import error_consistency, regions, scene, scores
 from matplotlib.figure import Figure
+from matplotlib.ticker import NullFormatter
 from peers.reprojection import reproject_views
 from peers.thesis_views import Guiding, thesis_views
 
 from mvedge_jax.all_views import ViewDepth, depth_of_views
 from mvedge_jax.depth import DepthResult, EdgeDepth, multiview_edges
 from mvedge_jax.lightfield import LightField
-from mvedge_jax.metrics import view_consistency
+from mvedge_jax.metrics import printed_view_consistency, view_consistency
 from mvedge_jax.plotting import plot_consistency, plot_view_maps
 
 Method = Callable[[LightField, DepthResult], jax.Array]
@@ -56,6 +61,12 @@ def thesis(light_field: LightField, result: DepthResult) -> jax.Array:
 
 
 METHODS: dict[str, Method] = {"ours": ours, "naive": naive, "thesis": thesis}
+ERROR = "error, px"
+# Of a column: the end of the name of Figure 6.6, and the label of its axis.
+SCATTERED = {
+    "cons": ("", "variance of the error between views x 100"),
+    "6.10": ("_printed", "Eq. 6.10 as printed x 100"),
+}
 
 
 def costs(light_field: LightField) -> list[dict[str, Any]]:
@@ -96,60 +107,79 @@ def main() -> None:
             _cost_plot(cost).savefig(arguments.out / "cost.png")
         # Programs of the whole chain are dropped, see `_scenes.scenes`.
         jax.clear_caches()
-        # After every scene: all of them take a while.
-        write_csv(arguments.out / "every_view.csv", rows)
+        # After every scene: all of them take a while. Scenes without truth lack columns.
+        columns = dict.fromkeys(column for row in rows for column in row)
+        write_csv(
+            arguments.out / "every_view.csv", [{c: row.get(c) for c in columns} for row in rows]
+        )
         content = {"rows": rows, "cost": cost, "peak GiB": peak_memory() / 2**30}
         write_json(arguments.out / "every_view.json", content)
-        _scatter(rows).savefig(arguments.out / "figure_6_6.png")
+        for column, (end, label) in SCATTERED.items():
+            if scored := [row for row in rows if column in row]:
+                figure = _scatter(scored, column, label)
+                figure.savefig(arguments.out / f"figure_6_6{end}.png")
 
 
 def compared(
     name: str, light_field: LightField, arguments: argparse.Namespace
 ) -> list[dict[str, Any]]:
     """The rows of one scene; its pictures are written."""
-    known = light_field.truth
-    if known is None or known.view_disparity is None:
-        raise ValueError(f"{name} has no ground truth of all views to score against.")
-    truth, blind = known.view_disparity, light_field.without_truth()
-    hidden = regions(np.asarray(truth))
+    known, blind = light_field.truth, light_field.without_truth()
+    truth = None if known is None else known.view_disparity
+    hidden = None if truth is None else regions(np.asarray(truth))
     result = EdgeDepth.for_light_field(blind)(blind)
-    rows, consistency = [], []
+    there = light_field.available
+    rows, errors, printed, slices = [], [], [], {}
     for method in arguments.methods:
         maps, seconds = timed(METHODS[method], blind, result, repeats=arguments.repeats)
-        consistency.append(error_consistency(maps, truth))
-        rows.append(
-            {
-                "scene": name,
-                "method": method,
-                **scores(maps, truth, hidden),
-                "cons": 100 * float(consistency[-1].mean),
-                "agree": 100 * float(view_consistency(maps).mean),
-                "seconds": seconds.best,
-                "first call": seconds.first,
-            }
-        )
+        row = {"scene": name, "method": method}
+        if truth is not None and hidden is not None:
+            errors.append(error_consistency(maps, truth))
+            row |= {**scores(maps, truth, hidden), "cons": 100 * float(errors[-1].mean)}
+            row["truth 6.10"] = 100 * float(printed_view_consistency(truth, available=there).mean)
+            figure = plot_view_maps(np.abs(np.asarray(maps - truth)), limits=(0, 0.3), name=ERROR)
+            figure.savefig(arguments.out / f"{name}_{method}_error.png")
+        agree = view_consistency(maps, available=there).mean
+        printed.append(printed_view_consistency(maps, available=there))
+        row |= {"agree": 100 * float(agree), "6.10": 100 * float(printed[-1].mean)}
+        rows.append({**row, "seconds": seconds.best, "first call": seconds.first})
         plot_view_maps(maps).savefig(arguments.out / f"{name}_{method}.png")
-        error = np.abs(np.asarray(maps - truth))
-        figure = plot_view_maps(error, limits=(0, 0.3), name="error, px")
-        figure.savefig(arguments.out / f"{name}_{method}_error.png")
-    figure = plot_consistency(consistency, names=arguments.methods)
-    figure.savefig(arguments.out / f"figure_6_5_{name}.png")
+        slices[method] = np.asarray(maps[light_field.centre[0]][:, light_field.views.shape[2] // 2])
+    if truth is not None:
+        slices["truth"] = np.asarray(truth[light_field.centre[0], :, truth.shape[2] // 2])
+    _slices(slices).savefig(arguments.out / f"figure_b_2_{name}.png")
+    figures = {"": errors, "_printed": printed}
+    for end, found in figures.items():
+        if found:
+            figure = plot_consistency(found, names=arguments.methods)
+            figure.savefig(arguments.out / f"figure_6_5_{name}{end}.png")
     print_table(rows, title=name)
     return rows
 
 
-def _scatter(rows: list[dict[str, Any]]) -> Figure:
+def _slices(maps: dict[str, np.ndarray]) -> Figure:
+    """Disparity along the EPI of the middle row, `[u, x]`, a strip per method (Fig. B.2)."""
+    figure = Figure(figsize=(7, 0.9 * len(maps) + 0.2), layout="constrained")
+    low, high = (f([f(each) for each in maps.values()]) for f in (np.min, np.max))
+    strips = figure.subplots(len(maps), 1, squeeze=False)[:, 0]
+    for axes, (method, each) in zip(strips, maps.items(), strict=True):
+        axes.imshow(each, aspect="auto", vmin=low, vmax=high, interpolation="nearest")
+        axes.set(ylabel=method, xticks=[], yticks=[])
+    return figure
+
+
+def _scatter(rows: list[dict[str, Any]], column: str, label: str) -> Figure:
     """Seconds against consistency, a mark per scene and a colour per method (Fig. 6.6)."""
     figure = Figure(figsize=(4.5, 3.4), layout="constrained")
     axes = figure.subplots()
     for method in dict.fromkeys(row["method"] for row in rows):
         own = [row for row in rows if row["method"] == method]
-        axes.loglog(
-            [row["seconds"] for row in own], [row["cons"] for row in own], "o", label=method
-        )
+        seconds, heights = ([row[name] for row in own] for name in ("seconds", column))
+        axes.semilogx(seconds, heights, "o", label=method)
         for row in own:
-            axes.annotate(row["scene"], (row["seconds"], row["cons"]), fontsize=6)
-    axes.set(xlabel="seconds for all views", ylabel="variance of the error between views x 100")
+            axes.annotate(row["scene"], (row["seconds"], row[column]), fontsize=6)
+    axes.set(xlabel="seconds for all views", ylabel=label, ylim=(0, None))
+    axes.xaxis.set_minor_formatter(NullFormatter())
     axes.legend()
     return figure
 

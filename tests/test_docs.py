@@ -15,10 +15,64 @@ _PACKAGE = Path(mvedge_jax.__file__).parent
 _PAGE = Path(__file__).parents[1] / "docs" / "equations.md"
 
 
-def _rows():
+_EXPERIMENTS = _PACKAGE.parent / "experiments"
+# What the thesis numbers, by chapter: how many of each.
+_NUMBERS = {
+    "Eq.": {"4": 11, "5": 4, "6": 10, "7": 16},
+    "Alg.": {"": 2},
+    "Tab.": {"6": 3, "7": 2, "C": 1},
+    "Fig.": {
+        **{"1": 2, "2": 1, "4": 7, "5": 9, "6": 11, "7": 12},
+        **{"A": 10, "B": 10, "C": 9},
+    },
+}
+
+
+def _rows(columns):
     lines = _PAGE.read_text(encoding="utf-8").splitlines()
     cells = [[cell.strip() for cell in line.split("|")[1:-1]] for line in lines if line[:1] == "|"]
-    return [row for row in cells if row[0] != "number" and set(row[0]) != {"-"}]
+    named = [row for row in cells if row[0] != "number" and set(row[0]) != {"-"}]
+    return [row for row in named if len(row) == columns]
+
+
+def _numbers(cell):
+    """The numbers in a cell, such as `Eq. 5.2 to 5.4`, one by one."""
+    found = []
+    number = r"(?:([A-C\d])\.)?(\d+)"
+    pattern = rf"(Eq\.|Alg\.|Tab\.|Fig\.) {number}(?: to (?:\1 )?{number})?"
+    for kind, chapter, first, _, last in re.findall(pattern, cell):
+        found += [(kind, chapter, n) for n in range(int(first), int(last or first) + 1)]
+    return found
+
+
+def test_every_number_of_the_thesis_is_on_the_page():
+    there = {number for row in _rows(5) + _rows(4) for number in _numbers(row[0])}
+    asked = {
+        (kind, chapter, n)
+        for kind, chapters in _NUMBERS.items()
+        for chapter, count in chapters.items()
+        for n in range(1, count + 1)
+    }
+    assert asked - there == set()
+    assert there - asked == set()
+
+
+@pytest.mark.parametrize("row", _rows(4), ids=lambda row: row[0])
+def test_a_figure_or_table_names_its_script_or_says_why_not(row):
+    _, what, script, picture = row
+    assert what
+    named = [_EXPERIMENTS / name for name in re.findall(r"`(?:experiments/)?(\w+\.py)", script)]
+    assert named or script.startswith("none: "), script
+    assert all(path.is_file() or (path.parent / "peers" / path.name).is_file() for path in named)
+    for target in re.findall(r"\]\[([^\]]+)\]", script):
+        _file_of(target)
+    for page in re.findall(r"\]\((images/[^)]+)\)", picture):
+        assert (_PAGE.parent / page).is_file(), page
+    written = re.findall(r"`([^`]+)\.png`", picture)
+    source = "".join(path.read_text(encoding="utf-8") for path in named if path.is_file())
+    for name in written:
+        # Names with a scene in them: what is around it stands in the script.
+        assert all(part in source for part in re.split(r"\{\w+\}", name)), name
 
 
 def _file_of(target):
@@ -27,7 +81,7 @@ def _file_of(target):
     return Path(inspect.getfile(function)).relative_to(_PACKAGE).as_posix()
 
 
-@pytest.mark.parametrize("row", _rows(), ids=lambda row: row[0])
+@pytest.mark.parametrize("row", _rows(5), ids=lambda row: row[0])
 def test_a_row_of_the_equations_names_what_is_there(row):
     _, _, functions, files, _ = row
     named = re.findall(r"`([^`]+\.py)`", files)

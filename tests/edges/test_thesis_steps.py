@@ -1,5 +1,6 @@
 """The named methods of the thesis, each against brute force or a closed form."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -7,7 +8,7 @@ import pytest
 from epi.slices import STEPS, VIEWS, WIDTH, epi_lines, smooth, step
 from scipy import ndimage
 
-from mvedge_jax.edges.thesis import joint_filter
+from mvedge_jax.edges.thesis import LineSearch, joint_filter
 from mvedge_jax.edges.thesis._alignment import (
     aligned_count,
     alignment,
@@ -15,7 +16,9 @@ from mvedge_jax.edges.thesis._alignment import (
     longest_run,
 )
 from mvedge_jax.edges.thesis._entropy import entropy_search, line_entropy
+from mvedge_jax.edges.thesis._lines import arm_lines
 from mvedge_jax.edges.thesis._vote import spatial_vote
+from mvedge_jax.epi import bank_radius, exponential_disparities, prewitt_bank
 
 
 def test_alignment_tells_true_slopes_from_false_ones():
@@ -37,6 +40,36 @@ def test_runs_and_counts_are_those_of_plain_loops():
         text = "".join("x" if value > 0.9 else " " for value in row)
         assert int(run) == max((len(part) for part in text.split()), default=0)
         assert int(count) == text.count("x")
+
+
+def test_k_and_both_angles_are_numbers_of_the_search():
+    # Two crossing edges, under noise, in two equal rows.
+    epi = 40 * step(20.0, 0.9) + 50 * step(24.0, -0.4)
+    noise = np.random.default_rng(0).normal(size=(VIEWS, 2, WIDTH))
+    lab = jnp.asarray(np.stack([epi, epi], 1) + noise)[..., None]
+    bank = prewitt_bank(
+        jnp.asarray(exponential_disparities(12, 1.2)), VIEWS, bank_radius(1.2, VIEWS)
+    )
+    run = jax.jit(lambda search: arm_lines(lab, bank, search, key=None))
+
+    def found(**numbers):
+        search = LineSearch(capacity=24, levels=1, vote=False, entropy=False)
+        names, values = zip(*numbers.items(), strict=True) if numbers else ((), ())
+        values = [jnp.asarray(value) for value in values]
+        return run(eqx.tree_at(lambda s: [getattr(s, n) for n in names], search, values))
+
+    usual = found()
+    assert usual.keep.sum() >= 4
+    # k of nothing keeps every line, k beyond all views none; so does an angle of 0.
+    assert found(aligned=0.0).keep.sum() > usual.keep.sum()
+    assert found(aligned=1.01).keep.sum() == 0
+    assert found(aligned_angle=0.0).keep.sum() == 0
+    wide = found(aligned_angle=np.pi / 4).keep.sum()
+    assert usual.keep.sum() <= wide <= found(aligned=0.0).keep.sum()
+    # A line is seen in fewer views where the angle is narrower, and in none where it is 0.
+    narrow = found(visible_angle=np.pi / 40).visible.sum()
+    assert 0 < narrow < usual.visible.sum()
+    assert found(visible_angle=0.0).visible.sum() == 0
 
 
 def test_a_line_is_hidden_where_a_nearer_one_covers_it():

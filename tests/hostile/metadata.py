@@ -12,10 +12,11 @@ from datasets.layouts import (
     write_hci,
     write_stanford,
 )
-from hostile.case import Case, refuses, survives
+from hostile.case import Case, mutated, refuses, survives
 from hostile.scenes import TRUTH, hci
 
 from mvedge_jax.datasets import load_ground_truth, load_light_field, read_pfm, write_pfm
+from mvedge_jax.datasets.photographs import read_colmap_depth
 
 # Names of folders that some program or other stumbles over.
 NAMES = [
@@ -31,6 +32,7 @@ def cases() -> Iterator[Case]:
     yield from _configurations()
     yield from _positions()
     yield from _maps()
+    yield from _colmap_maps()
     yield from _names()
 
 
@@ -196,6 +198,26 @@ def _maps() -> Iterator[Case]:
             survives(lambda: load_ground_truth(scene), "gt_disp_lowres.pfm")
 
         yield Case(f"a disparity of {value}", odd)
+
+
+def _colmap_maps() -> Iterator[Case]:
+    """Depth maps of COLMAP: headers of any kind, and bytes flipped, cut out or cut off."""
+    headers = [
+        b"", b"8", b"8&6", b"8&6&1", b"0&0&1&", b"-8&6&1&", b"8&6&3&", b"8.0&6&1&", b" 8&6&1&",
+        b"999999999&999999999&999999999&", b"9" * 5000 + b"&6&1&", b"&&&", b"\0" * 64,
+        "８&６&1&".encode(), b"8&5&1&", b"5&5&1&",
+    ]  # fmt: skip
+    contents = [header + bytes(100) for header in headers]
+    whole = b"4&3&1&" + np.linspace(1, 2, 12).astype("<f4").tobytes()
+    contents += [mutated(whole, seed) for seed in range(30)]
+    for index, content in enumerate(contents):
+
+        def run(folder: Path, content=content) -> None:
+            path = folder / "map.bin"
+            path.write_bytes(content)
+            survives(lambda: read_colmap_depth(path), "map.bin")
+
+        yield Case(f"depth map {index} of COLMAP: {content[:24]!r}", run)
 
 
 def _names() -> Iterator[Case]:

@@ -11,6 +11,7 @@ from mvedge_jax._crosshair import view_steps
 from mvedge_jax.epi import EpiLines
 
 Tested = Literal["all", "crossed"]
+Angle = Float[Array, ""] | float
 FILTER_ANGLE = math.pi / 13
 VISIBLE_ANGLE = math.pi / 10
 
@@ -53,30 +54,34 @@ def alignment(epi: Float[Array, "u x"], lines: EpiLines) -> Float[Array, "m u"]:
     return jnp.where(flat | ~inside | ~lines.valid[:, None], 0, cosine)
 
 
-def aligned_count(cosine: Float[Array, "m u"], *, angle: float = FILTER_ANGLE) -> Int[Array, " m"]:
+def _within(cosine: Float[Array, "m u"], angle: Angle) -> Bool[Array, "m u"]:
+    return cosine > jnp.cos(jnp.asarray(angle, cosine.dtype))
+
+
+def aligned_count(cosine: Float[Array, "m u"], *, angle: Angle = FILTER_ANGLE) -> Int[Array, " m"]:
     """How many rows are aligned.
 
     Args:
         cosine: see `alignment`.
-        angle: largest angle of an aligned gradient.
+        angle: largest angle of an aligned gradient, rad.
 
     Returns:
         Rows per line; the thesis keeps lines with a quarter of the height (Eq. 4.3).
     """
-    return (cosine > math.cos(angle)).sum(-1)
+    return _within(cosine, angle).sum(-1)
 
 
-def longest_run(cosine: Float[Array, "m u"], *, angle: float = FILTER_ANGLE) -> Int[Array, " m"]:
+def longest_run(cosine: Float[Array, "m u"], *, angle: Angle = FILTER_ANGLE) -> Int[Array, " m"]:
     """Length of the longest run of aligned rows.
 
     Args:
         cosine: see `alignment`.
-        angle: largest angle of an aligned gradient.
+        angle: largest angle of an aligned gradient, rad.
 
     Returns:
         Rows per line; the authors' code keeps lines with 4 or more.
     """
-    aligned = cosine > math.cos(angle)
+    aligned = _within(cosine, angle)
 
     def advance(carry: tuple[Array, Array], hit: Array) -> tuple[tuple[Array, Array], None]:
         run, best = carry
@@ -94,7 +99,7 @@ def line_visibility(
     *,
     width: int,
     tested: Tested = "all",
-    angle: float = VISIBLE_ANGLE,
+    angle: Angle = VISIBLE_ANGLE,
 ) -> Bool[Array, "m u"]:
     """In which views of an arm each line is seen: inside the image, where it is aligned.
 
@@ -105,7 +110,7 @@ def line_visibility(
         tested: which lines; with `"crossed"`, those that no nearer line crosses are seen in all
             views inside the image, and what the test says of the others is cleaned by a median of
             three along the views.
-        angle: largest angle of an aligned gradient.
+        angle: largest angle of an aligned gradient, rad.
 
     Returns:
         One row per line.
@@ -116,7 +121,7 @@ def line_visibility(
     steps = view_steps(views, cosine.dtype)
     x = lines.position[:, None] + steps[None] * lines.disparity[:, None]
     inside = (x >= -0.5) & (x <= width - 0.5) & lines.valid[:, None]
-    seen = cosine > math.cos(angle)
+    seen = _within(cosine, angle)
     if tested == "all":
         return seen & inside
     top = x[:, None, 0] - x[None, :, 0]

@@ -12,7 +12,15 @@ from mvedge_jax._params import at_least, number, one_of
 from mvedge_jax.epi import EpiLines, FilterBank, epi_edge_map, fit_lines, merge_scales
 from mvedge_jax.image import convolved, gaussian_taps
 
-from ._alignment import Tested, aligned_count, alignment, line_visibility, longest_run
+from ._alignment import (
+    FILTER_ANGLE,
+    VISIBLE_ANGLE,
+    Tested,
+    aligned_count,
+    alignment,
+    line_visibility,
+    longest_run,
+)
 from ._entropy import entropy_search
 from ._vote import spatial_vote
 
@@ -27,15 +35,18 @@ class LineSearch(eqx.Module):
         smoothing: standard deviation of the blur before the filters.
         suppression: radius in which a line removes others.
         vote_floor: least spatial vote of a line (Eq. 4.2).
-        amplitude: first step of the entropy search.
-        decay: factor per step.
+        amplitude: α, first step of the entropy search.
+        decay: t, factor per step.
+        aligned: k of Eq. 4.3: least share of the views in which a line is aligned, with `"count"`.
+        aligned_angle: τ_f, largest angle between a line and the gradient of the EPI (Eq. 4.3).
+        visible_angle: τ_v, the same where a line is seen (Eq. 4.4).
         capacity: slots for lines per EPI.
         modulate: multiply responses by the local standard deviation (Alg. 1). The authors compute
             and do not use it: with the vote, it rejects two points of five.
         interpolate: disparities between those of the filters, see `epi.epi_edge_map`; the thesis
             has the filters'.
         levels: scales of the spatial pyramid (4.1.4), 1 or 2.
-        alignment: keep lines aligned with the gradient in a quarter of the views (`"count"`,
+        alignment: keep lines aligned with the gradient in a share of the views (`"count"`,
             Eq. 4.3) or in `run` in a row (`"run"`, the authors'), or all (`"none"`).
         vote: keep lines with a spatial vote (4.1.3).
         entropy: search for lines of lower entropy (Eq. 4.5).
@@ -51,6 +62,9 @@ class LineSearch(eqx.Module):
     vote_floor: Float[Array, ""] = number(8e-5, threshold=True)
     amplitude: Float[Array, ""] = number(0.15, "px")
     decay: Float[Array, ""] = number(0.88)
+    aligned: Float[Array, ""] = number(0.25, "views", threshold=True)
+    aligned_angle: Float[Array, ""] = number(FILTER_ANGLE, "rad", threshold=True)
+    visible_angle: Float[Array, ""] = number(VISIBLE_ANGLE, "rad", threshold=True)
     capacity: int = eqx.field(static=True, default=256)
     modulate: bool = eqx.field(static=True, default=False)
     interpolate: bool = eqx.field(static=True, default=False)
@@ -138,11 +152,11 @@ def arm_lines(
             found = entropy_search(light, found, params.amplitude, params.decay, key=draw[0])
         cosine = alignment(light, found)
         keep = found.valid & (found.position > -0.5) & (found.position < width - 0.5)
-        if params.alignment == "count":
-            keep = keep & (4 * aligned_count(cosine) >= views)
-        if params.alignment == "run":
-            keep = keep & (longest_run(cosine) >= params.run)
-        seen = line_visibility(cosine, found, width=width, tested=params.visibility)
+        if params.alignment != "none":
+            keep = keep & _aligned(cosine, params)
+        seen = line_visibility(
+            cosine, found, width=width, tested=params.visibility, angle=params.visible_angle
+        )
         return found, keep, seen
 
     draws = () if key is None else (jax.random.split(key, count),)
@@ -150,6 +164,14 @@ def arm_lines(
     if params.vote:
         keep = keep & (_votes(lines, keep, width=width, views=views) >= params.vote_floor)
     return ArmLines(lines, keep, visible, left)
+
+
+def _aligned(cosine: Float[Array, "m u"], params: LineSearch) -> Bool[Array, " m"]:
+    """The lines that pass Eq. 4.3, or the authors' test."""
+    if params.alignment == "run":
+        return longest_run(cosine, angle=params.aligned_angle) >= params.run
+    count = aligned_count(cosine, angle=params.aligned_angle).astype(cosine.dtype)
+    return count >= params.aligned * cosine.shape[1]
 
 
 def _votes(lines: EpiLines, keep: Array, *, width: int, views: int) -> Array:
