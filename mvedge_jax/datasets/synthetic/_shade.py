@@ -217,23 +217,34 @@ def shade(
     length = jnp.sqrt(dot(direction, direction))
     view = _scale(direction, -1.0 / length)
     mirrored = along(_scale(view, jnp.full_like(distance, -1.0)), normal, 2.0 * dot(normal, view))
-    shine = look.specular * visible * (facing > 0).astype(distance.dtype)
-    peak = jnp.maximum(dot(mirrored, lamp), 1e-6)
-    shine = shine * jnp.exp(look.shininess * jnp.log(peak))
+
+    def highlight(lamp: Vector, arriving: Array) -> Array:
+        peak = jnp.maximum(dot(mirrored, lamp), 1e-6)
+        return look.specular * arriving * jnp.exp(look.shininess * jnp.log(peak))
+
+    shine = highlight(lamp, visible * (facing > 0).astype(distance.dtype))
+    # Further lamps: how much of their light surfaces scatter, and how much they reflect.
+    more = []
+    for x, y, z in light.fills[:, 0]:
+        scattered = jnp.maximum(dot(normal, (x, y, z)), 0.0)
+        lit = (scattered > 0).astype(distance.dtype)
+        more.append((scattered, highlight((x, y, z), lit)))
     mirror, around = look.mirror, 0.5 - 0.5 * mirrored[1]
     glow = mirror * _windows(mirrored)
 
     def channel(part: tuple[Array, ...]) -> Array:
-        dark, bright, over, lamp, sky, ground = part
+        dark, bright, over, lamp, sky, ground, fills = part
         albedo = dark + (bright - dark) * blend
         albedo = (albedo + (over - albedo) * accent) * tint
         diffuse = albedo * (ground + (sky - ground) * up + lamp * lambert)
         reflected = mirror * (ground + (sky - ground) * around) + glow + shine * lamp
+        for own, (scattered, shiny) in zip(fills, more, strict=True):
+            diffuse = diffuse + albedo * own * scattered
+            reflected = reflected + own * shiny
         return jnp.where(missed, sky, diffuse * (1.0 - mirror) + reflected)
 
-    return lax.map(
-        channel, (look.dark, look.light, look.accent, light.colour, light.sky, light.ground)
-    )
+    lights = light.colour, light.sky, light.ground, light.fills[:, 1].T
+    return lax.map(channel, (look.dark, look.light, look.accent, *lights))
 
 
 def lamp_directions(light: Light, samples: int) -> Float[Array, "3 s"]:
