@@ -47,7 +47,7 @@ def main() -> None:
     for number in range(arguments.count):
         key = jax.random.fold_in(jax.random.key(arguments.seed), number)
         start = time.perf_counter()
-        scene = synthetic.random_scene(key, split=arguments.split)
+        scene = synthetic.random_scene(split=arguments.split, key=key)
         field = synthetic.render(scene, shape=shape, samples=2, key=key)
         fields.append(field)
         low, high = np.asarray(scene.disparity_range).tolist()

@@ -24,11 +24,11 @@ _MARGIN = (0.01, 0.06)
 
 
 def random_scene(
-    key: PRNGKeyArray,
     *,
     split: Split = "train",
     disparity_range: tuple[float, float] | None = None,
     dtype: Any = jnp.float32,
+    key: PRNGKeyArray,
 ) -> Scene:
     """A scene like no other: a room, clutter, thin things, holes, light and a sensor, at random.
 
@@ -41,11 +41,11 @@ def random_scene(
     All scenes share one compiled renderer per size of the views.
 
     Args:
-        key: of everything that is drawn.
         split: scenes of one key are unrelated between splits.
         disparity_range: lowest and highest disparity, px per view step. By default it is drawn:
             half its width between .5 and 5 px, its middle near 0.
         dtype: floating dtype of the arrays and of what is rendered.
+        key: of everything that is drawn.
 
     Returns:
         A scene for `render` and `render_posed`. All that its views show lies within its range.
@@ -55,7 +55,7 @@ def random_scene(
 
     Example:
         >>> import jax
-        >>> scene = random_scene(jax.random.key(3), disparity_range=(-1.0, 1.0))
+        >>> scene = random_scene(key=jax.random.key(3), disparity_range=(-1.0, 1.0))
         >>> scene.disparity_range.tolist()
         [-1.0, 1.0]
     """
@@ -90,23 +90,23 @@ def random_scene(
 
 
 def random_light_fields(
-    key: PRNGKeyArray,
     *,
     shape: tuple[int, int, int, int],
     split: Split = "train",
     count: int,
     disparity_range: tuple[float, float] = (-2.0, 2.0),
     samples: int = 2,
+    key: PRNGKeyArray,
 ) -> Sequence[LightField]:
     """Light fields of random scenes of one shape and range, rendered when they are first read.
 
     Args:
-        key: of all scenes; scene `i` is that of the `i`-th key folded from it.
         shape: view rows, view columns (both odd), height and width in px.
         split: see `random_scene`.
         count: of scenes.
         disparity_range: of all scenes, so that one program serves them.
         samples: see `render`.
+        key: of all scenes; scene `i` is that of the `i`-th key folded from it.
 
     Returns:
         A sequence; what was rendered is kept.
@@ -123,7 +123,8 @@ class _Rendered(Sequence[LightField]):
     """Renders on demand."""
 
     def __init__(self, key: PRNGKeyArray, split: Split, count: int, *options: Any):
-        self._key, self._split, self._count = key, split, count
+        self._key, self._count = key, count
+        self._split: Split = split
         self._shape, self._range, self._samples = options
         self._known: dict[int, LightField] = {}
 
@@ -136,7 +137,7 @@ class _Rendered(Sequence[LightField]):
         place = range(self._count)[index]
         if place not in self._known:
             own = jax.random.fold_in(self._key, place)
-            scene = random_scene(own, split=self._split, disparity_range=self._range)
+            scene = random_scene(split=self._split, disparity_range=self._range, key=own)
             field = render(scene, shape=self._shape, samples=self._samples, key=own)
             self._known[place] = field.renamed(f"{self._split} scene {place}")
         return self._known[place]
