@@ -1,8 +1,9 @@
 """`mvedge learn`: numbers of the model learned by gradient from scenes with truth."""
 
+import contextlib
 import csv
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -97,37 +98,20 @@ def learn(
     with stage("choosing sizes"):
         model = options.model(fields[0].without_truth())
     folder_of = out.with_name(f"{out.name}.checkpoint") if checkpoint is None else checkpoint
+    choices: dict[str, Any] = {"steps": steps, "batch": batch, "prior": prior, "limit": limit}
+    choices |= {"check_every": check_every, "patience": patience}
     before = time.perf_counter()
     with output_folder(out, inputs=given, overwrite=overwrite) as folder:
-        with progress_bar() as bar:
-            task = bar.add_task("steps", total=steps)
-
-            def tell(now: Progress) -> None:
-                checked = f", validation {now.validation:.4g}" if held else ""
-                bar.update(task, completed=now.step, description=f"loss {now.loss:.4g}{checked}")
-
-            found = learn_from(
-                model,
-                what,
-                fields,
-                validation=held,
-                optimizer=optax.adam(optax.cosine_decay_schedule(rate, steps)),
-                steps=steps,
-                batch=batch,
-                prior=prior,
-                limit=limit,
-                check_every=check_every,
-                patience=patience,
-                checkpoint=folder_of,
-                progress=tell,
-                key=key,
-            )
+        with _telling(steps, checked=held is not None) as tell:
+            adam = optax.adam(optax.cosine_decay_schedule(rate, steps))
+            options_of = {"optimizer": adam, "checkpoint": folder_of, "progress": tell, "key": key}
+            found = learn_from(model, what, fields, validation=held, **choices, **options_of)
         report = {
             "scenes": [str(scene) for scene in given] or f"{random} random scenes of {shape}",
             "validation scenes": len(held or ()),
             "what": list(found.values),
-            "rate, prior, limit": [rate, prior, limit],
-            "batch": batch,
+            "rate": rate,
+            **choices,
             "seed": seed,
             "best step": found.best_step,
             "seconds": round(time.perf_counter() - before, 1),
@@ -136,6 +120,19 @@ def learn(
         }
         _write(folder, found, options.preset, report)
     _conclude(found, out)
+
+
+@contextlib.contextmanager
+def _telling(steps: int, *, checked: bool) -> Iterator[Callable[[Progress], None]]:
+    """A progress bar, and what moves it on."""
+    with progress_bar() as bar:
+        task = bar.add_task("steps", total=steps)
+
+        def tell(now: Progress) -> None:
+            validation = f", validation {now.validation:.4g}" if checked else ""
+            bar.update(task, completed=now.step, description=f"loss {now.loss:.4g}{validation}")
+
+        yield tell
 
 
 def _loaded(paths: Sequence[Path], held: int) -> tuple[_Fields, _Fields | None]:

@@ -138,7 +138,7 @@ def with_learned(model: _Module, path: Path, preset: str) -> _Module:
             f"--model {path}: expected learned.json of `mvedge learn` or best.json of `mvedge "
             f"sweep`, but it has no {missing}."
         ) from None
-    except (ValueError, TypeError, AttributeError) as mistake:
+    except (ValueError, TypeError, AttributeError, RecursionError) as mistake:
         raise ValueError(f"--model {path}: {mistake}") from None
     raise ValueError(f"--model {path}: it is for --preset {made}, not {preset}.")
 

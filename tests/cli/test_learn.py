@@ -153,6 +153,9 @@ def test_a_file_that_does_not_fit_is_told(tmp_path, content, message):
 def test_a_file_that_is_not_there_or_no_json_is_told(tmp_path):
     with pytest.raises(FileNotFoundError, match="there is no such file"):
         ModelOptions("edges", (), tmp_path / "none").check()
+    (tmp_path / "deep").write_text("[" * 200_000)
+    with pytest.raises(ValueError, match="--model .*deep: "):
+        ModelOptions("edges", (), tmp_path / "deep").check()
     (tmp_path / "text").write_text("no json")
     with pytest.raises(ValueError, match="--model .*text: Expecting value"):
         ModelOptions("edges", (), tmp_path / "text").check()

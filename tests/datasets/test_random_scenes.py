@@ -139,6 +139,8 @@ def test_mistakes_are_named():
             scene_of(0, disparity_range=limits)
     with pytest.raises(ValueError, match="`count` must be at least 1, got 0"):
         synthetic.random_light_fields(shape=SHAPE, count=0, key=jax.random.key(0))
+    with pytest.raises(ValueError, match="`shape` must have odd numbers of view rows"):
+        synthetic.random_light_fields(shape=(4, 4, 9, 9), count=1, key=jax.random.key(0))
 
 
 def test_double_precision_reaches_the_views():

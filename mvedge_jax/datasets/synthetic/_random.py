@@ -14,7 +14,7 @@ from mvedge_jax.lightfield import LightField
 from ._furniture import Dice, background, thing
 from ._make import BLOCK, make_scene, make_world
 from ._placing import depth
-from ._render import render
+from ._render import check_grid, render
 from .world import FOCUS, GAIN, Scene, Solid, Triple
 
 Split = Literal["train", "validation", "test"]
@@ -59,15 +59,10 @@ def random_scene(
         >>> scene.disparity_range.tolist()
         [-1.0, 1.0]
     """
-    if split not in _SPLITS:
-        raise ValueError(f"`split` must be one of {_SPLITS}, got {split!r}.")
+    _check_choice(split, disparity_range)
     folded = jax.random.fold_in(key, _SPLITS.index(split))
     dice = Dice(np.random.default_rng(np.asarray(jax.random.key_data(folded)).tolist()))
     low, high = _drawn_range(dice) if disparity_range is None else disparity_range
-    if not (np.isfinite([low, high]).all() and low < high):
-        raise ValueError(
-            f"`disparity_range` must be (low, high), finite with low < high, got {(low, high)}."
-        )
     near, far, rig = _rig(dice, low, high)
     solids, room = background(dice, far, near)
     wished = len(solids) + 3 + dice.index(BLOCK - len(solids) - 3)
@@ -112,10 +107,12 @@ def random_light_fields(
         A sequence; what was rendered is kept.
 
     Raises:
-        ValueError: `count` is below 1; when a scene is read, as `render` and `random_scene` do.
+        ValueError: `count` is below 1; or as `render` and `random_scene` do.
     """
     if count < 1:
         raise ValueError(f"`count` must be at least 1, got {count}.")
+    check_grid(shape, samples)
+    _check_choice(split, disparity_range)
     return _Rendered(key, split, count, shape, disparity_range, samples)
 
 
@@ -141,6 +138,15 @@ class _Rendered(Sequence[LightField]):
             field = render(scene, shape=self._shape, samples=self._samples, key=own)
             self._known[place] = field.renamed(f"{self._split} scene {place}")
         return self._known[place]
+
+
+def _check_choice(split: str, limits: tuple[float, float] | None) -> None:
+    if split not in _SPLITS:
+        raise ValueError(f"`split` must be one of {_SPLITS}, got {split!r}.")
+    if limits is not None and not (np.isfinite(limits).all() and limits[0] < limits[1]):
+        raise ValueError(
+            f"`disparity_range` must be (low, high), finite with low < high, got {limits}."
+        )
 
 
 def _drawn_range(dice: Dice) -> tuple[float, float]:

@@ -80,6 +80,18 @@ def _check_samples(samples: int) -> None:
         raise ValueError(f"`samples` must be between 1 and 16 per side of a pixel, got {samples}.")
 
 
+def check_grid(shape: tuple[int, ...], samples: int) -> tuple[int, int, int, int]:
+    """Refuses what `render` can't; the shape in Python's integers."""
+    _check_shape(shape, "view rows, view columns, height, width")
+    _check_samples(samples)
+    rows, columns, height, width = (int(n) for n in shape)
+    if rows % 2 == 0 or columns % 2 == 0:
+        raise ValueError(
+            f"`shape` must have odd numbers of view rows and columns, got {rows}x{columns}."
+        )
+    return rows, columns, height, width
+
+
 def _grid_pinhole(
     scene: Scene, shape: tuple[int, int, int, int], position: tuple[float, float]
 ) -> Pinhole:
@@ -146,14 +158,8 @@ def render(
         >>> light_field.views.shape, light_field.truth.view_disparity.shape
         ((3, 3, 16, 16, 3), (3, 3, 16, 16))
     """
-    _check_shape(shape, "view rows, view columns, height, width")
-    _check_samples(samples)
-    rows, columns, height, width = (int(n) for n in shape)
-    if rows % 2 == 0 or columns % 2 == 0:
-        raise ValueError(
-            f"`shape` must have odd numbers of view rows and columns, got {rows}x{columns}."
-        )
-    shape = (rows, columns, height, width)
+    shape = check_grid(shape, samples)
+    rows, columns, height, width = shape
     places = [_regular(shape, v, u) for v in range(rows) for u in range(columns)]
     if positions is not None:
         given = np.asarray(positions, float)
