@@ -151,9 +151,10 @@ _WHAT = {
 def trained(arguments: Arguments, seed: int) -> Learned:
     """A run."""
     shape = (arguments.views, arguments.views, arguments.size, arguments.size)
-    scenes, held = (
-        synthetic.random_light_fields(shape=shape, split=use, count=count, key=jax.random.key(0))
-        for use, count in (("train", arguments.scenes), ("validation", arguments.held))
+    key = jax.random.key(0)
+    scenes = synthetic.random_light_fields(shape=shape, count=arguments.scenes, key=key)
+    held = synthetic.random_light_fields(
+        shape=shape, split="validation", count=arguments.held, key=key
     )
     plain = EdgeDepth.for_light_field(scenes[0].without_truth(), preset="edges")
     model = with_networks(plain, jax.random.key(seed))
@@ -216,7 +217,7 @@ def main() -> None:
     for seed in range(arguments.seeds):
         found.append(trained(arguments, seed))
         plot_learning(found[-1]).savefig(arguments.out / f"seed_{seed}.png")
-        values = {path: np.asarray(value) for path, value in found[-1].values.items()}
+        values: Any = {path: np.asarray(value) for path, value in found[-1].values.items()}
         np.savez(arguments.out / f"seed_{seed}.npz", **values)
     minutes, memory = (time.perf_counter() - start) / 60, peak_memory() / 2**30
     rows = judged(arguments, found)
