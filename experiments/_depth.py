@@ -88,15 +88,6 @@ ABLATIONS = (
 )
 
 
-def robust_loss(disparity: jax.Array, light_field: LightField, scale: float = 0.03) -> jax.Array:
-    """Mean of `log(1 + (error / scale)²)` over the pixels whose truth is known; scale in px."""
-    truth = light_field.truth
-    if truth is None:
-        raise ValueError(f"scene {light_field.name} has no ground truth to learn from.")
-    error = jnp.where(truth.valid, disparity - truth.disparity, 0)
-    return jnp.mean(jnp.log1p((error / scale) ** 2))
-
-
 def score(
     name: str, method: Method, light_field: LightField, seconds: float, disparity: jax.Array
 ) -> dict[str, Any]:

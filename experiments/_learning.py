@@ -1,18 +1,15 @@
 """What the experiments that learn by gradient share: the loop, means over scenes, the picture."""
 
-import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import jax
-import jax.numpy as jnp
-import numpy as np
 import optax
 from _scenes import scenes
 from matplotlib.figure import Figure
 
-from mvedge_jax.edges import scene_range
+from mvedge_jax import learn
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.metrics import depth_scores
 
@@ -38,67 +35,48 @@ class Schedule:
 def of_one_range(names: Sequence[str], *, size: int, views: int = 9) -> dict[str, LightField]:
     """Rendered scenes with the widest of their ranges, so that one program serves them all."""
     fields = {name: field.crop_views(views) for name, field in scenes(None, names, size=size)}
-    lows, highs = zip(*(scene_range(field) for field in fields.values()), strict=True)
-    widest = (min(lows), max(highs))
-    return {
-        name: LightField(field.views, disparity_range=widest, truth=field.truth)
-        for name, field in fields.items()
-    }
+    ranged = (field.renamed("light field") for field in learn.of_one_range(list(fields.values())))
+    return dict(zip(fields, ranged, strict=True))
 
 
 def learned_by_seeds(
-    value_and_gradient: Callable[..., Any],
-    first: Any,
+    model: Any,
+    what: Sequence[str] | Callable[[str], bool],
     fields: Sequence[LightField],
     schedule: Schedule,
     *,
+    loss: Callable[[Any, LightField], jax.Array],
     limit: float = float("inf"),
-) -> list[tuple[Any, list[float]]]:
-    """What Adam ends at for every seed, and its losses.
+) -> list[learn.Learned]:
+    """What Adam ends at for every seed.
 
     Args:
-        value_and_gradient: of the loss, for what is learned and a scene.
-        first: what is learned, at its start.
+        model: see `learn.learn`.
+        what: leaves that are learned, likewise.
         fields: the scenes, drawn in an order of the seed's.
         schedule: of Adam.
+        loss: of a result and its scene.
         limit: of the norm of a scene's gradient; longer ones are shortened.
     """
-    return [
-        _learn(value_and_gradient, first, fields, schedule, seed, limit)
-        for seed in range(schedule.seeds)
-    ]
 
+    def run(seed: int) -> learn.Learned:
+        def tell(now: learn.Progress) -> None:
+            print(f"seed {seed}, step {now.step}: loss {now.loss:.5f}", flush=True)
 
-def _learn(
-    value_and_gradient: Callable[..., Any],
-    first: Any,
-    fields: Sequence[LightField],
-    schedule: Schedule,
-    seed: int,
-    limit: float,
-) -> tuple[Any, list[float]]:
-    adam = optax.adam(optax.cosine_decay_schedule(schedule.rate, schedule.steps))
-    learned, state, losses = first, adam.init(first), []
-    order, waiting = np.random.default_rng(seed), []
-    for step in range(schedule.steps):
-        start = time.perf_counter()
-        if len(waiting) < schedule.batch:
-            waiting += order.permutation(len(fields)).tolist()
-        drawn, waiting = waiting[: schedule.batch], waiting[schedule.batch :]
-        found = [value_and_gradient(learned, fields[k]) for k in drawn]
-        losses.append(sum(float(value) for value, _ in found) / len(found))
-        spent = time.perf_counter() - start
-        print(f"seed {seed}, step {step}: loss {losses[-1]:.5f}, {spent:.1f} s", flush=True)
-        slopes = [_shortened(slope, limit) for _, slope in found]
-        gradient = jax.tree.map(lambda *leaves: sum(leaves) / len(leaves), *slopes)
-        updates, state = adam.update(gradient, state, learned)
-        learned = optax.apply_updates(learned, updates)
-    return learned, losses
+        return learn.learn(
+            model,
+            what,
+            fields,
+            loss=loss,
+            optimizer=optax.adam(optax.cosine_decay_schedule(schedule.rate, schedule.steps)),
+            steps=schedule.steps,
+            batch=schedule.batch,
+            limit=limit,
+            progress=tell,
+            key=jax.random.key(seed),
+        )
 
-
-def _shortened(gradient: Any, limit: float) -> Any:
-    share = jnp.minimum(1.0, limit / jnp.maximum(optax.tree.norm(gradient), 1e-30))
-    return jax.tree.map(lambda leaf: share * leaf, gradient)
+    return [run(seed) for seed in range(schedule.seeds)]
 
 
 def scored(

@@ -13,11 +13,11 @@ between filters. Both are in the table, before anything is learned.
     python experiments/learn_bank.py --out results/learn_bank
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -28,6 +28,7 @@ from jax import Array
 
 from mvedge_jax import lean_jit
 from mvedge_jax.depth import EdgeDepth, multiview_edges
+from mvedge_jax.edges import EdgePoints
 from mvedge_jax.edges.thesis import ThesisEdges
 from mvedge_jax.epi import FilterBank
 from mvedge_jax.lightfield import LightField
@@ -69,6 +70,42 @@ class Change(NamedTuple):
     blur: Array
 
 
+class Points(eqx.Module):
+    """The points of a chain whose filters are changed.
+
+    Attributes:
+        changes: of the filters of either arm.
+        banks: the filters before.
+        chain: with the thesis' edges.
+    """
+
+    changes: tuple[Change, ...]
+    banks: tuple[FilterBank, ...]
+    chain: EdgeDepth
+
+    def changed(self) -> tuple[FilterBank, ...]:
+        """The filters of either arm."""
+        return tuple(_changed(*pair) for pair in zip(self.banks, self.changes, strict=True))
+
+    def __call__(self, field: LightField, *, key: Array | None = None) -> EdgePoints:
+        """Points; the entropy search draws alike every time."""
+        del key
+        model = self.chain.replace({"edges.banks": self.changed()})
+        return multiview_edges(field, model, key=jax.random.key(0)).points
+
+
+def errors(points: EdgePoints, field: LightField) -> tuple[Array, Array]:
+    """Errors of points, and which slots have a point."""
+    assert field.truth is not None
+    return _errors(points.xy, points.disparity, field.truth.disparity), points.valid
+
+
+def loss(points: EdgePoints, field: LightField) -> Array:
+    """What is lowered: see above."""
+    error, valid = errors(points, field)
+    return jnp.where(valid, jnp.log1p((error / 0.03) ** 2), 0).sum() / valid.sum()
+
+
 def main() -> None:
     """Learns, measures and draws."""
     arguments = tyro.cli(Arguments, description=__doc__)
@@ -78,40 +115,28 @@ def main() -> None:
     between = thesis.replace({"edges.lines.interpolate": True})
     assert isinstance(thesis.edges, ThesisEdges)
     banks = thesis.edges.prewitt(one.views.shape, one.views.dtype)
-    first = [_nothing(bank) for bank in banks]
-
-    def errors(changes: Sequence[Change], field: LightField, model: EdgeDepth):
-        across, down = (_changed(*pair) for pair in zip(banks, changes, strict=True))
-        model = model.replace({"edges.banks": (across, down)})
-        points = multiview_edges(field.without_truth(), model, key=jax.random.key(0)).points
-        assert field.truth is not None
-        return _errors(points.xy, points.disparity, field.truth.disparity), points.valid
-
-    def loss(changes: Sequence[Change], field: LightField) -> Array:
-        error, valid = errors(changes, field, between)
-        return jnp.where(valid, jnp.log1p((error / 0.03) ** 2), 0).sum() / valid.sum()
-
-    value_and_gradient = lean_jit(jax.value_and_grad(loss))
+    first = tuple(_nothing(bank) for bank in banks)
+    start = Points(first, tuple(banks), between)
     chosen = [fields[name] for name in arguments.learn]
-    runs = learned_by_seeds(value_and_gradient, first, chosen, arguments, limit=arguments.limit)
-    cases = [("thesis", first, thesis), ("Prewitt", first, between)]
-    cases += [(f"seed {k}", point, between) for k, (point, _) in enumerate(runs)]
-    measured = lean_jit(errors)
+    runs = learned_by_seeds(start, ["changes"], chosen, arguments, loss=loss, limit=arguments.limit)
+    cases = [("thesis", Points(first, tuple(banks), thesis)), ("Prewitt", start)]
+    cases += [(f"seed {k}", run.model) for k, run in enumerate(runs)]
+    measured = lean_jit(lambda field, model: errors(model(field.without_truth()), field))
     rows = []
     for name, field in fields.items():
-        for label, changes, model in cases:
-            error, valid = (np.asarray(a) for a in measured(changes, field, model))
+        for label, model in cases:
+            error, valid = (np.asarray(a) for a in measured(field, model))
             use = "learned from" if name in arguments.learn else "unseen"
             rows.append({"scene": name, "use": use, "bank": label, **_scores(error[valid])})
     title = f"points of the thesis' chain, {arguments.steps} steps of Adam at {arguments.rate}"
     print_table(rows, title=title)
     mean = means(rows, "bank")
     print_table(mean, title="means over scenes")
-    losses = [curve for _, curve in runs]
+    losses = [run.losses.tolist() for run in runs]
     write_csv(arguments.out / "learn_bank.csv", rows)
     write_json(arguments.out / "learn_bank.json", {"losses": losses, "means": mean, "scores": rows})
-    for seed, (changes, _) in enumerate(runs):
-        taps = [_changed(*pair).taps for pair in zip(banks, changes, strict=True)]
+    for seed, run in enumerate(runs):
+        taps = [bank.taps for bank in run.model.changed()]
         across, down = (np.asarray(t) for t in taps)
         np.savez(arguments.out / f"seed_{seed}.npz", across=across, down=down)
     figure = plot_learning(losses, rows, "bank", ("median", "> .07 %"))

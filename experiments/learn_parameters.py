@@ -11,7 +11,6 @@ have no derivative and stay. Taps of the filter bank are moved as they are.
     python experiments/learn_parameters.py --what taps --preset edges --rate 0.003 --steps 20
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -20,14 +19,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import tyro
-from _depth import robust_loss
 from _learning import Schedule, learned_by_seeds, means, of_one_range, plot_learning, scored
 from _report import print_table, write_csv, write_json
 
 from mvedge_jax import lean_jit
-from mvedge_jax.depth import EdgeDepth
+from mvedge_jax.depth import DepthResult, EdgeDepth
 from mvedge_jax.edges import OrientedEdges
-from mvedge_jax.epi import FilterBank
+from mvedge_jax.learn import Learned, RobustLoss
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.losses import LossWeights, gather_views, self_supervised_loss
 
@@ -71,30 +69,27 @@ def main() -> None:
     )
     one = next(iter(fields.values()))
     model = EdgeDepth.for_light_field(one, preset=arguments.preset)
-    first, model_of = _choice(arguments.what, one, model)
+    if arguments.what == "taps":
+        edges = model.edges
+        assert isinstance(edges, OrientedEdges)
+        model = model.replace({"edges.banks": edges.prewitt(one.views.shape)})
+    what = ["edges.banks"] if arguments.what == "taps" else _every_number
 
-    def estimate(learned: Any, field: LightField) -> jax.Array:
-        return model_of(learned)(field.without_truth(), key=jax.random.key(0)).disparity
+    def estimate(model: EdgeDepth, field: LightField) -> jax.Array:
+        return model(field.without_truth(), key=jax.random.key(0)).disparity
 
-    def loss(learned: Any, field: LightField) -> jax.Array:
-        found = estimate(learned, field)
-        if arguments.loss == "views":
-            return _held_out(found, field)
-        return robust_loss(found, field, arguments.scale)
-
-    value_and_gradient = lean_jit(jax.value_and_grad(loss))
+    loss = _held_out if arguments.loss == "views" else RobustLoss((arguments.scale,))
     chosen = [fields[name] for name in arguments.learn]
-    runs = learned_by_seeds(value_and_gradient, first, chosen, arguments)
-    cases = {"default": first, **{f"seed {k}": point for k, (point, _) in enumerate(runs)}}
+    runs = learned_by_seeds(model, what, chosen, arguments, loss=loss)
+    cases = {"default": model, **{f"seed {k}": run.model for k, run in enumerate(runs)}}
     rows = scored(lean_jit(estimate), cases, fields, arguments.learn, arguments.what)
     print_table(rows, title=f"{arguments.steps} steps of Adam at {arguments.rate}")
     mean = means(rows, arguments.what)
     print_table(mean, title="means")
-    best = runs[0][0]
-    changes = _changes(first, best) if arguments.what == "parameters" else []
+    changes = _changes(runs[0]) if arguments.what == "parameters" else []
     if changes:
         print_table(changes, title="the parameters that changed most, seed 0")
-    losses = [curve for _, curve in runs]
+    losses = [run.losses.tolist() for run in runs]
     write_csv(arguments.out / "learn_parameters.csv", rows)
     write_json(
         arguments.out / "learn_parameters.json",
@@ -104,43 +99,30 @@ def main() -> None:
     figure.savefig(arguments.out / "learn_parameters.png")
 
 
-def _held_out(disparity: jax.Array, field: LightField) -> jax.Array:
+def _every_number(path: str) -> bool:
+    return "banks" not in path
+
+
+def _held_out(result: DepthResult, field: LightField) -> jax.Array:
     """Reprojection error of the views that the crosshair's map was not made from."""
     vc, uc = field.centre
     away = [(v, u) for v, u in np.ndindex(field.available.shape) if v != vc and u != uc]
-    return self_supervised_loss(disparity, gather_views(field, choice=away), _ERROR_ALONE)[0]
+    views = gather_views(field, choice=away)
+    return self_supervised_loss(result.disparity, views, _ERROR_ALONE)[0]
 
 
-def _choice(
-    what: str, field: LightField, model: EdgeDepth
-) -> tuple[Any, Callable[[Any], EdgeDepth]]:
-    """What is learned, at its start, and the model that it makes."""
-    if what == "parameters":
-        return jax.tree.map(jnp.log, model), lambda logs: jax.tree.map(jnp.exp, logs)
-    edges = model.edges
-    assert isinstance(edges, OrientedEdges)
-    banks = edges.prewitt(field.views.shape)
-
-    def with_taps(taps: Any) -> EdgeDepth:
-        across, down = (FilterBank(bank.disparity, t) for bank, t in zip(banks, taps, strict=True))
-        return model.replace({"edges.banks": (across, down)})
-
-    return [bank.taps for bank in banks], with_taps
-
-
-def _changes(first: Any, best: Any, most: int = 12) -> list[dict[str, Any]]:
+def _changes(run: Learned, most: int = 12) -> list[dict[str, Any]]:
     """The parameters that moved most in their logarithm."""
-    pairs = zip(jax.tree_util.tree_leaves_with_path(first), jax.tree.leaves(best), strict=True)
     rows = [
         {
-            "parameter": jax.tree_util.keystr(path).lstrip("."),
-            "default": float(jnp.exp(default)),
-            "learned": float(jnp.exp(log)),
-            "factor": float(jnp.exp(log - default)),
+            "parameter": path,
+            "default": float(run.values[path]) / factor,
+            "learned": float(run.values[path]),
+            "factor": factor,
         }
-        for (path, default), log in pairs
+        for path, factor in run.factors().items()
     ]
-    rows.sort(key=lambda row: -abs(jnp.log(row["factor"])))
+    rows.sort(key=lambda row: -abs(np.log(row["factor"])))
     return rows[:most]
 
 

@@ -15,11 +15,11 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import tyro
-from _depth import robust_loss
 from _learning import Schedule, learned_by_seeds, means, of_one_range, plot_learning, scored
 from _report import print_table, write_json
 
 from mvedge_jax import EdgeDepth, lean_jit
+from mvedge_jax.learn import RobustLoss
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.smoothness import ColorAndDepth
 
@@ -73,21 +73,18 @@ def main() -> None:
     fields = of_one_range(names, size=arguments.size, views=arguments.views)
     chain = EdgeDepth.for_light_field(next(iter(fields.values())), preset="edges")
 
-    def estimate(smoothness: Corrected, field: LightField) -> jax.Array:
-        return chain.replace(smoothness=smoothness)(field.without_truth()).disparity
+    def estimate(model: EdgeDepth, field: LightField) -> jax.Array:
+        return model(field.without_truth()).disparity
 
-    def loss(smoothness: Corrected, field: LightField) -> jax.Array:
-        return robust_loss(estimate(smoothness, field), field)
-
-    rule = Corrected(jax.random.key(0))
+    rule = chain.replace(smoothness=Corrected(jax.random.key(0)))
     seen = [fields[name] for name in arguments.learn]
-    runs = learned_by_seeds(lean_jit(jax.value_and_grad(loss)), rule, seen, arguments)
-    cases = {"the rule": rule, **{f"seed {k}": network for k, (network, _) in enumerate(runs)}}
+    runs = learned_by_seeds(rule, ["smoothness"], seen, arguments, loss=RobustLoss((0.03,)))
+    cases = {"the rule": rule, **{f"seed {k}": run.model for k, run in enumerate(runs)}}
     rows = scored(lean_jit(estimate), cases, fields, arguments.learn, "smoothness")
     print_table(rows, title="labels of the edges alone")
     mean = means(rows, "smoothness")
     print_table(mean, title="means")
-    losses = [curve for _, curve in runs]
+    losses = [run.losses.tolist() for run in runs]
     write_json(
         arguments.out / "learned_smoothness.json",
         {"losses": losses, "means": mean, "scores": rows},

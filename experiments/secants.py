@@ -16,7 +16,6 @@ from typing import Any, Literal
 import jax
 import jax.numpy as jnp
 import tyro
-from _depth import robust_loss
 from _learning import of_one_range
 from _report import print_table, write_json
 
@@ -24,6 +23,7 @@ from mvedge_jax import lean_jit
 from mvedge_jax.depth import EdgeDepth
 from mvedge_jax.edges import OrientedEdges
 from mvedge_jax.epi import FilterBank
+from mvedge_jax.learn import robust_loss
 from mvedge_jax.lightfield import LightField
 
 # What moves: logarithms of the parameters, and shares by which taps are larger.
@@ -68,7 +68,7 @@ def main() -> None:
 
     def loss(moved: Moved, light_field: LightField) -> jax.Array:
         found = model_of(moved)(light_field.without_truth())
-        return robust_loss(found.disparity, light_field, arguments.scale)
+        return robust_loss(found.disparity, light_field, scales=(arguments.scale,))
 
     # The light field is an argument: the compiler would work a constant out at length.
     gradient, value = lean_jit(jax.grad(loss)), lean_jit(loss)

@@ -18,7 +18,6 @@ import jax
 import jax.numpy as jnp
 import optax
 import tyro
-from _depth import robust_loss
 from _learning import of_one_range
 from _report import print_table, write_json
 from jax import Array
@@ -28,6 +27,7 @@ from mvedge_jax import lean_jit
 from mvedge_jax.depth import EdgeDepth, PointWeight
 from mvedge_jax.edges import EdgePoints, OrientedEdges
 from mvedge_jax.epi import FilterBank
+from mvedge_jax.learn import robust_loss
 from mvedge_jax.lightfield import LightField
 
 
@@ -84,7 +84,7 @@ def main() -> None:
             for bank, share in zip(banks, moved, strict=True)
         )
         found = model.replace({"edges.banks": (across, down)})(field.without_truth())
-        return robust_loss(found.disparity, field, arguments.scale)
+        return robust_loss(found.disparity, field, scales=(arguments.scale,))
 
     value_and_gradient = lean_jit(jax.value_and_grad(loss))
     first = [jnp.zeros_like(bank.taps) for bank in banks]

@@ -25,6 +25,7 @@ COMMANDS = {
     "optimize": ("._optimize", "optimize"),
     "batch": ("._batch", "batch"),
     "sweep": ("._sweep", "sweep"),
+    "learn": ("._learn", "learn"),
     "export": ("._export", "export"),
     "demo": ("._demo", "demo"),
 }

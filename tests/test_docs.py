@@ -116,3 +116,13 @@ def test_parts_of_ones_own_run():
     assert names["losses"][-1] < 0.9 * names["losses"][0]
     assert int(names["points"].valid.sum()) > 100
     assert bool(names["result"].stats.converged)
+
+
+@pytest.mark.slow
+def test_the_page_on_learning_runs(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    names = _run("learning.md", slice(None))
+    assert len(names["learned"].validation) == 3
+    assert set(names["learned"].factors()) >= {"smoothness.color", "refine.precision"}
+    assert (tmp_path / "learning.png").stat().st_size > 10_000
+    assert names["light_field"].views.shape == (3, 3, 32, 32, 3)

@@ -2,13 +2,15 @@
 
 import contextlib
 import dataclasses
+import json
+from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
 import equinox as eqx
 import numpy as np
 import tyro
 
-from mvedge_jax._paths import describe
+from mvedge_jax._paths import describe, value_at
 from mvedge_jax._settings import Setting, of_preset, with_settings
 from mvedge_jax.depth import EdgeDepth
 from mvedge_jax.lightfield import LightField
@@ -29,10 +31,13 @@ class ModelOptions:
         set: a number or static field of the model by its path, such as smoothness.color=.3 or
             refine.solves=1, or refine.outline=none to leave a part out; may be given several times.
             report.json lists all paths.
+        learned: learned.json of `mvedge learn`, whose factors the numbers are multiplied by, or
+            best.json of `mvedge sweep`, whose setting they take; of the same preset. --set wins.
     """
 
     preset: Literal["full", "edges", "thesis"] = "full"
     set: Settings = ()
+    learned: Annotated[Path | None, tyro.conf.arg(name="model", metavar="FILE")] = None
 
     def check(self, *, all_views: bool = False) -> EdgeDepth:
         """Refuses mistakes before any light field is read, see `model`; a model to look at."""
@@ -62,11 +67,14 @@ class ModelOptions:
                 f"--all-views needs dense labels, which preset {self.preset} does not have; leave "
                 "out one of both."
             )
+        if self.learned is not None:
+            model = with_learned(model, self.learned, self.preset)
         return settled(model, self.set)
 
     def described(self, model: EdgeDepth) -> dict[str, Any]:
         """What a report says of the model: preset, numbers and static fields by path."""
-        return {"preset": self.preset, **described(model)}
+        learned = {} if self.learned is None else {"model": str(self.learned)}
+        return {"preset": self.preset, **learned, **described(model)}
 
 
 ModelArg = Annotated[ModelOptions, tyro.conf.arg(name="")]
@@ -93,6 +101,46 @@ def settled(model: _Module, words: tuple[str, ...]) -> _Module:
         except ValueError as mistake:
             raise ValueError(f"--set {path}: {mistake}") from None
     return model
+
+
+def with_learned(model: _Module, path: Path, preset: str) -> _Module:
+    """A model with what was learned, or found by a sweep.
+
+    Args:
+        model: of a preset.
+        path: learned.json or best.json.
+        preset: its name.
+
+    Returns:
+        The new model. Factors change what the model has for the views of its light field: numbers
+        in px per view step depend on how many there are.
+
+    Raises:
+        FileNotFoundError: there is no such file.
+        ValueError: naming the file, and what is wrong in it.
+    """
+    if not path.is_file():
+        raise FileNotFoundError(f"--model {path}: there is no such file.")
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+        made = found["preset"]
+        if "setting" in found:
+            values = dict(found["setting"])
+        else:
+            factors = {name: float(factor) for name, factor in found["factors"].items()}
+            values = {
+                name: factor * float(value_at(model, name)) for name, factor in factors.items()
+            }
+        if made == preset:
+            return with_settings(model, values)
+    except KeyError as missing:
+        raise ValueError(
+            f"--model {path}: expected learned.json of `mvedge learn` or best.json of `mvedge "
+            f"sweep`, but it has no {missing}."
+        ) from None
+    except (ValueError, TypeError, AttributeError, RecursionError) as mistake:
+        raise ValueError(f"--model {path}: {mistake}") from None
+    raise ValueError(f"--model {path}: it is for --preset {made}, not {preset}.")
 
 
 def settings_of(words: tuple[str, ...]) -> dict[str, Setting]:

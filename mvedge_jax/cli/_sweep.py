@@ -82,7 +82,7 @@ def sweep(
     journal = out.with_name(f"{out.name}.journal") if journal is None else journal
     before = time.perf_counter()
     with output_folder(out, inputs=scenes, overwrite=overwrite) as folder:
-        with _executor(workers, scheduler) as submit, _progress() as bar:
+        with _executor(workers, scheduler) as submit, progress_bar() as bar:
             task = bar.add_task("settings", total=trials)
             found = search(
                 [scene.resolve() for scene in scenes],
@@ -158,7 +158,8 @@ def _write(
     write_json(folder / "report.json", report)
 
 
-def _progress() -> Progress:
+def progress_bar() -> Progress:
+    """What is done of what there is, and the time it took."""
     return Progress(
         TextColumn("{task.description}"),
         BarColumn(),

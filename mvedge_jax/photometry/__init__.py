@@ -14,7 +14,6 @@ from ._calibration import (
 )
 from ._scene import (
     CalibratedViews as CalibratedViews,
-    Known as Known,
     PreparedViews as PreparedViews,
     first_labels as first_labels,
     hypothesis_count as hypothesis_count,

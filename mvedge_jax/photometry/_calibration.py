@@ -12,8 +12,8 @@ from mvedge_jax._params import at_least, cast
 from mvedge_jax.color import srgb_to_lab
 from mvedge_jax.lightfield import LightField
 
-from ._scene import CalibratedViews, Known, PreparedViews, first_labels, prepare, prepare_views
-from .brightness import Brightness, Exposure, GridViews, Noise
+from ._scene import CalibratedViews, PreparedViews, first_labels, prepare, prepare_views
+from .brightness import Brightness, Exposure, GridViews, Known, Noise
 from .matching import Matching
 from .measuring import Measurement, PhotometricLabels
 

@@ -17,7 +17,7 @@ from mvedge_jax.lightfield import LightField
 from .brightness._brightness import Brightness, NoiseModel
 from .brightness._denoise import blur_of, denoised, low_pass, passed, soften
 from .brightness._exposure import Exposure, expose
-from .brightness._noise import Noise, measure_noise
+from .brightness._noise import Known, Noise, measure_noise
 from .brightness._uncalibrated import Uncalibrated
 from .matching._cost import Matching, hypotheses
 from .matching._unexplained import between_views_variance
@@ -56,18 +56,6 @@ class CalibratedViews(NamedTuple):
         if not isinstance(self.views, Crosshair):
             raise TypeError("`views` must be a crosshair to have arms, got photographs.")
         return self.views
-
-
-class Known(NamedTuple):
-    """Brightness and noise that were measured before: of a whole image, or of an earlier frame.
-
-    Attributes:
-        exposure: of every view.
-        noise: of the views, exposure taken out.
-    """
-
-    exposure: Exposure
-    noise: Noise
 
 
 class PreparedViews(NamedTuple):

@@ -16,8 +16,8 @@ from mvedge_jax._stored_views import StoredViews
 from mvedge_jax.depth import DepthResult, DepthStats, EdgeDepth, estimate_depth
 from mvedge_jax.edges import scene_range
 from mvedge_jax.lightfield import LightField
-from mvedge_jax.photometry import Calibrate, Known
-from mvedge_jax.photometry.brightness import Exposure, GridViews, measure_noise
+from mvedge_jax.photometry import Calibrate
+from mvedge_jax.photometry.brightness import Exposure, GridViews, Known, measure_noise
 from mvedge_jax.photometry.matching import between_views_variance
 
 from ._layout import Tile, Tiling

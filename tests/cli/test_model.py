@@ -14,7 +14,7 @@ from mvedge_jax.lightfield import LightField
 from mvedge_jax.posed import StereoDepth
 from mvedge_jax.smoothness import ColorAndDepth
 
-COMMANDS = ("depth", "edges", "views", "superpixels", "batch", "sweep", "optimize")
+COMMANDS = ("depth", "edges", "views", "superpixels", "batch", "sweep", "learn", "optimize")
 
 
 @pytest.fixture

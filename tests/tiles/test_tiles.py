@@ -9,8 +9,7 @@ from datasets.layouts import known
 from mvedge_jax import EdgeDepth, LightField
 from mvedge_jax.datasets import synthetic
 from mvedge_jax.depth import estimate_depth
-from mvedge_jax.photometry import Known
-from mvedge_jax.photometry.brightness import Exposure
+from mvedge_jax.photometry.brightness import Exposure, Known
 from mvedge_jax.tiles import StoredViews, Tiling, Window, depth_in_tiles
 
 

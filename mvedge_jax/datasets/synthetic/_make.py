@@ -25,7 +25,7 @@ from .world import (
 )
 
 _PATTERNS, _CUTOUTS = get_args(Pattern), get_args(Cutout)
-_BLOCK = 32  # solids are padded to a multiple of it, so that scenes share a compiled function
+BLOCK = 32  # solids are padded to a multiple of it, so that scenes share a compiled function
 
 
 def _linear(colour: Triple) -> np.ndarray:
@@ -61,6 +61,7 @@ def make_world(
     ground: Triple = (0.28, 0.25, 0.22),
     softness: float = 0.03,
     shadow: float = 1.0,
+    fills: Sequence[tuple[Triple, Triple]] = (),
     seed: int = 0,
     dtype: Any = jnp.float32,
 ) -> World:
@@ -75,6 +76,7 @@ def make_world(
         ground: light from below, linear.
         softness: half the angle under which the lamp is seen, radians.
         shadow: how much of the lamp a solid takes away, in [0, 1]; 0 is quicker.
+        fills: further lamps, which cast no shadows: direction, any length, and linear light.
         seed: of the textures.
         dtype: floating dtype of the arrays, hence of the renderings.
 
@@ -93,7 +95,7 @@ def make_world(
     """
     if not solids:
         raise ValueError("`solids` must have at least one solid, got none.")
-    padding = -len(solids) % _BLOCK
+    padding = -len(solids) % BLOCK
     padded = [*solids, *[solids[0]] * padding]
 
     def floats(values: Any) -> Array:
@@ -125,6 +127,7 @@ def make_world(
             ground=floats(list(ground)),
             softness=floats(softness),
             shadow=floats(shadow),
+            fills=floats([(unit(towards), light) for towards, light in fills]).reshape(-1, 2, 3),
         ),
     )
 
@@ -180,7 +183,7 @@ def make_scene(
     return Scene(
         world,
         Rig(number(focal), number(gain), number(focus)),
-        Sensor(*map(number, (blur, read_noise, shot_noise, 0.0, 0.0, 0.0))),
+        Sensor(*map(number, (blur, read_noise, shot_noise, 0.0, 0.0, 0.0, 0.0))),
         jnp.asarray(np.asarray([low, high], float), dtype),
         name,
     )

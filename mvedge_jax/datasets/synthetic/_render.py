@@ -75,20 +75,21 @@ def _check_shape(shape: tuple[int, ...], names: str) -> None:
         raise ValueError(f"`shape` must be positive integers ({names}), got {shape}.")
 
 
-def check_shape(shape: tuple[int, ...]) -> tuple[int, int, int, int]:
-    """The shape of a light field as whole numbers, if it is one."""
+def _check_samples(samples: int) -> None:
+    if not 1 <= samples <= 16:
+        raise ValueError(f"`samples` must be between 1 and 16 per side of a pixel, got {samples}.")
+
+
+def check_grid(shape: tuple[int, ...], samples: int) -> tuple[int, int, int, int]:
+    """Refuses what `render` can't; the shape in Python's integers."""
     _check_shape(shape, "view rows, view columns, height, width")
+    _check_samples(samples)
     rows, columns, height, width = (int(n) for n in shape)
     if rows % 2 == 0 or columns % 2 == 0:
         raise ValueError(
             f"`shape` must have odd numbers of view rows and columns, got {rows}x{columns}."
         )
     return rows, columns, height, width
-
-
-def check_samples(samples: int) -> None:
-    if not 1 <= samples <= 16:
-        raise ValueError(f"`samples` must be between 1 and 16 per side of a pixel, got {samples}.")
 
 
 def grid_pinhole(
@@ -157,9 +158,8 @@ def render(
         >>> light_field.views.shape, light_field.truth.view_disparity.shape
         ((3, 3, 16, 16, 3), (3, 3, 16, 16))
     """
-    shape = check_shape(shape)
+    shape = check_grid(shape, samples)
     rows, columns, height, width = shape
-    check_samples(samples)
     places = [regular(shape, v, u) for v in range(rows) for u in range(columns)]
     if positions is not None:
         given = np.asarray(positions, float)
@@ -239,7 +239,7 @@ def render_posed(
         )
     matrix = np.broadcast_to(matrix, (len(pose), 3, 3))
     _check_shape(size, "height, width")
-    check_samples(samples)
+    _check_samples(samples)
     pinholes = [
         Pinhole(
             p[:3, 3].astype(dtype),

@@ -7,7 +7,7 @@ from jaxtyping import Float, PRNGKeyArray
 
 from mvedge_jax._stored_views import StoredViews
 
-from ._render import check_samples, check_shape, grid_pinhole, regular
+from ._render import check_grid, grid_pinhole, regular
 from ._trace import mode_of, trace_view
 from .world import Scene
 
@@ -47,8 +47,7 @@ def render_stored(
         >>> len(stored.planes), truth.shape
         (5, (16, 16))
     """
-    rows, columns, height, width = check_shape(shape)
-    check_samples(samples)
+    rows, columns, height, width = check_grid(shape, samples)
     mode = mode_of(scene, (height, width), samples)
     gain, focus = float(scene.rig.gain), float(scene.rig.focus)
     centre = rows // 2, columns // 2

@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import PRNGKeyArray
 
+from . import _placing as place
 from ._make import make_scene, make_world
 from ._materials import (
     BLUE,
@@ -25,62 +26,7 @@ from ._materials import (
     WOOD,
 )
 from ._solids import bar, box, plane, rotation, sphere
-from .world import FOCAL, FOCUS, GAIN, Material, Scene, Solid, Triple
-
-
-def _depth(disparity: float) -> float:
-    return 1.0 / (disparity / GAIN + 1.0 / FOCUS)
-
-
-def _at(x: float, y: float, disparity: float) -> Triple:
-    """The point that the centre view sees at `(x, y)`, in picture widths from its middle."""
-    z = _depth(disparity)
-    return x * z / FOCAL, y * z / FOCAL, z
-
-
-def _width(fraction: float, disparity: float) -> float:
-    """Metres that cover a fraction of the picture's width at a disparity."""
-    return fraction * _depth(disparity) / FOCAL
-
-
-def _card(
-    x: float,
-    y: float,
-    disparity: float,
-    size: tuple[float, float],
-    material: Material,
-    **options,
-) -> Solid:
-    """A plane placed and sized in picture widths."""
-    metres = (_width(size[0], disparity), _width(size[1], disparity))
-    return plane(_at(x, y, disparity), metres, material=material, **options)
-
-
-def _wall(disparity: float, material: Material) -> Solid:
-    return _card(0.0, 0.0, disparity, (4.0, 4.0), material)
-
-
-def _floor(y: float, nearest: float, farthest: float, material: Material) -> Solid:
-    """A level plane `y` metres below the cameras, between two disparities.
-
-    It ends where the scene's disparity range does: an outer view of a small picture sees its edge,
-    not something nearer than the range.
-    """
-    front, back = _depth(nearest), _depth(farthest)
-    centre = (0.0, y, 0.5 * (front + back))
-    axes = rotation(pitch=90.0)
-    return plane(centre, (60.0, back - front), axes=axes, material=material)
-
-
-def _rod(
-    start: tuple[float, float, float],
-    stop: tuple[float, float, float],
-    width: float,
-    material: Material,
-) -> Solid:
-    """A bar between points `(x, y, disparity)`; its width is in picture widths."""
-    middle = 0.5 * (start[2] + stop[2])
-    return bar(_at(*start), _at(*stop), 0.5 * _width(width, middle), material=material)
+from .world import Material, Scene, Solid, Triple
 
 
 class _Recipe(NamedTuple):
@@ -97,29 +43,29 @@ class _Recipe(NamedTuple):
 
 
 def _slanted() -> _Recipe:
-    floor = _floor(1.02, 2.2, -2.0, CHECKS)
+    floor = place.floor(1.02, 2.2, -2.0, CHECKS)
     left = plane((-1.62, 0.0, 4.6), (4.4, 5.0), axes=rotation(yaw=68.0), material=BRICK)
     right = plane((1.75, 0.0, 4.6), (4.4, 5.0), axes=rotation(yaw=-62.0), material=PLASTER)
     back = plane((0.0, 0.0, 6.2), (9.0, 6.0), axes=rotation(yaw=6.0, pitch=-9.0), material=SLATE)
     cards = [
-        _card(-0.12, -0.14, 0.2, (0.34, 0.3), DOTS, axes=rotation(yaw=48.0, roll=8.0)),
-        _card(0.17, 0.1, 0.7, (0.3, 0.34), MARBLE, axes=rotation(yaw=-40.0, pitch=22.0)),
-        _card(-0.2, 0.2, 0.9, (0.22, 0.2), MOSS, axes=rotation(pitch=55.0, roll=-12.0)),
-        _card(0.2, -0.28, 0.3, (0.3, 0.16), OCHRE, axes=rotation(pitch=-50.0, roll=10.0)),
+        place.card(-0.12, -0.14, 0.2, (0.34, 0.3), DOTS, axes=rotation(yaw=48.0, roll=8.0)),
+        place.card(0.17, 0.1, 0.7, (0.3, 0.34), MARBLE, axes=rotation(yaw=-40.0, pitch=22.0)),
+        place.card(-0.2, 0.2, 0.9, (0.22, 0.2), MOSS, axes=rotation(pitch=55.0, roll=-12.0)),
+        place.card(0.2, -0.28, 0.3, (0.3, 0.16), OCHRE, axes=rotation(pitch=-50.0, roll=10.0)),
     ]
-    return _Recipe([floor, left, right, back, *cards, _wall(-2.2, SLATE)], (-2.3, 2.3))
+    return _Recipe([floor, left, right, back, *cards, place.wall(-2.2, SLATE)], (-2.3, 2.3))
 
 
 def _edges() -> _Recipe:
     solids = [
-        _wall(-1.2, BRICK),
-        _card(-0.24, -0.2, -0.5, (0.34, 0.3), MARBLE),
-        _card(0.22, -0.22, 0.0, (0.26, 0.34), DOTS, axes=rotation(roll=18.0)),
-        _card(0.02, 0.02, 0.5, (0.24, 0.24), OCHRE, axes=rotation(roll=45.0)),
-        _card(-0.26, 0.25, 0.9, (0.32, 0.24), CHECKS, axes=rotation(roll=-9.0)),
-        _card(0.27, 0.24, 1.4, (0.26, 0.3), STRIPES, axes=rotation(roll=7.0)),
-        sphere(_at(0.0, 0.33, 1.2), _width(0.085, 1.2), material=BLUE),
-        sphere(_at(-0.03, -0.33, 0.6), _width(0.075, 0.6), material=MOSS),
+        place.wall(-1.2, BRICK),
+        place.card(-0.24, -0.2, -0.5, (0.34, 0.3), MARBLE),
+        place.card(0.22, -0.22, 0.0, (0.26, 0.34), DOTS, axes=rotation(roll=18.0)),
+        place.card(0.02, 0.02, 0.5, (0.24, 0.24), OCHRE, axes=rotation(roll=45.0)),
+        place.card(-0.26, 0.25, 0.9, (0.32, 0.24), CHECKS, axes=rotation(roll=-9.0)),
+        place.card(0.27, 0.24, 1.4, (0.26, 0.3), STRIPES, axes=rotation(roll=7.0)),
+        sphere(place.at(0.0, 0.33, 1.2), place.metres(0.085, 1.2), material=BLUE),
+        sphere(place.at(-0.03, -0.33, 0.6), place.metres(0.075, 0.6), material=MOSS),
     ]
     return _Recipe(solids, (-1.3, 1.9))
 
@@ -127,22 +73,22 @@ def _edges() -> _Recipe:
 def _thin() -> _Recipe:
     widths = (0.003, 0.005, 0.008, 0.012, 0.018)
     verticals = [
-        _rod((-0.44 + 0.075 * k, -0.5, 1.0), (-0.4 + 0.075 * k, 0.12, 0.8), width, material)
+        place.rod((-0.44 + 0.075 * k, -0.5, 1.0), (-0.4 + 0.075 * k, 0.12, 0.8), width, material)
         for k, (width, material) in enumerate(
             zip(widths, (SAND, RED, STRIPES, OCHRE, MARBLE), strict=True)
         )
     ]
     slanted = [
-        _rod((0.02, -0.46, 1.5), (0.48, -0.3, 0.4), 0.006, OCHRE),
-        _rod((0.05, -0.24, 0.4), (0.48, -0.46, 1.4), 0.01, RED),
-        _rod((0.04, -0.5, 0.9), (0.34, -0.12, 0.9), 0.004, SAND),
+        place.rod((0.02, -0.46, 1.5), (0.48, -0.3, 0.4), 0.006, OCHRE),
+        place.rod((0.05, -0.24, 0.4), (0.48, -0.46, 1.4), 0.01, RED),
+        place.rod((0.04, -0.5, 0.9), (0.34, -0.12, 0.9), 0.004, SAND),
     ]
     screens = [
-        _card(0.27, 0.04, 0.6, (0.42, 0.22), MARBLE, cutout="holes", cutout_size=0.13),
-        _card(-0.22, 0.32, 1.2, (0.5, 0.28), MOSS, cutout="leaves", cutout_size=0.26),
-        _card(0.27, 0.34, 1.0, (0.36, 0.22), WOOD, cutout="slats", cutout_size=0.12),
+        place.card(0.27, 0.04, 0.6, (0.42, 0.22), MARBLE, cutout="holes", cutout_size=0.13),
+        place.card(-0.22, 0.32, 1.2, (0.5, 0.28), MOSS, cutout="leaves", cutout_size=0.26),
+        place.card(0.27, 0.34, 1.0, (0.36, 0.22), WOOD, cutout="slats", cutout_size=0.12),
     ]
-    return _Recipe([_wall(-1.07, SLATE), *verticals, *slanted, *screens], (-1.1, 1.6))
+    return _Recipe([place.wall(-1.07, SLATE), *verticals, *slanted, *screens], (-1.1, 1.6))
 
 
 def _textureless() -> _Recipe:
@@ -151,32 +97,38 @@ def _textureless() -> _Recipe:
 
     wall = Material(dark=(0.7, 0.68, 0.63), light=(0.74, 0.72, 0.68), contrast=0.5, grain=2.5)
     solids = [
-        _wall(-1.2, wall),
-        _floor(1.02, 2.2, -1.2, paint((0.6, 0.6, 0.58))),
-        sphere(_at(-0.22, 0.12, 0.6), _width(0.17, 0.6), material=paint((0.75, 0.35, 0.25))),
-        sphere(_at(0.1, 0.27, 1.3), _width(0.09, 1.3), material=paint((0.92, 0.85, 0.55))),
+        place.wall(-1.2, wall),
+        place.floor(1.02, 2.2, -1.2, paint((0.6, 0.6, 0.58))),
+        sphere(
+            place.at(-0.22, 0.12, 0.6), place.metres(0.17, 0.6), material=paint((0.75, 0.35, 0.25))
+        ),
+        sphere(
+            place.at(0.1, 0.27, 1.3), place.metres(0.09, 1.3), material=paint((0.92, 0.85, 0.55))
+        ),
         box(
             (0.75, 0.4, 4.2),
             (0.75, 1.1, 0.75),
             axes=rotation(yaw=34.0),
             material=paint((0.36, 0.5, 0.62)),
         ),
-        _card(-0.02, -0.24, 0.0, (0.5, 0.2), paint((0.45, 0.55, 0.42)), axes=rotation(roll=-6.0)),
+        place.card(
+            -0.02, -0.24, 0.0, (0.5, 0.2), paint((0.45, 0.55, 0.42)), axes=rotation(roll=-6.0)
+        ),
     ]
     return _Recipe(solids, (-1.4, 2.3), softness=0.05)
 
 
 def _wide() -> _Recipe:
     solids = [
-        _wall(-3.45, PLASTER),
-        _floor(1.35, 1.2, -3.45, CHECKS),
-        _card(-0.27, -0.1, -2.4, (0.28, 0.5), BRICK),
-        box(_at(0.26, -0.02, -1.2), (1.1, 1.6, 1.1), axes=rotation(yaw=28.0), material=WOOD),
-        sphere(_at(-0.05, -0.22, 0.0), _width(0.12, 0.0), material=BLUE),
-        _card(-0.2, 0.22, 1.4, (0.26, 0.22), DOTS, axes=rotation(roll=10.0)),
-        sphere(_at(0.12, 0.2, 2.3), _width(0.1, 2.3), material=MOSS),
-        _rod((-0.46, -0.46, 3.4), (-0.3, 0.5, 3.0), 0.03, STRIPES),
-        _card(0.36, 0.35, 3.4, (0.18, 0.18), OCHRE, axes=rotation(roll=-14.0)),
+        place.wall(-3.45, PLASTER),
+        place.floor(1.35, 1.2, -3.45, CHECKS),
+        place.card(-0.27, -0.1, -2.4, (0.28, 0.5), BRICK),
+        box(place.at(0.26, -0.02, -1.2), (1.1, 1.6, 1.1), axes=rotation(yaw=28.0), material=WOOD),
+        sphere(place.at(-0.05, -0.22, 0.0), place.metres(0.12, 0.0), material=BLUE),
+        place.card(-0.2, 0.22, 1.4, (0.26, 0.22), DOTS, axes=rotation(roll=10.0)),
+        sphere(place.at(0.12, 0.2, 2.3), place.metres(0.1, 2.3), material=MOSS),
+        place.rod((-0.46, -0.46, 3.4), (-0.3, 0.5, 3.0), 0.03, STRIPES),
+        place.card(0.36, 0.35, 3.4, (0.18, 0.18), OCHRE, axes=rotation(roll=-14.0)),
     ]
     return _Recipe(solids, (-3.6, 3.6), shadow=0.0)
 
@@ -190,18 +142,18 @@ def _specular() -> _Recipe:
         return replace(material, specular=0.9, shininess=120.0, mirror=mirror)
 
     solids = [
-        _wall(-1.1, PLASTER),
-        _floor(1.02, 2.2, -1.1, replace(WOOD, mirror=0.12)),
-        sphere(_at(-0.25, 0.12, 0.7), _width(0.17, 0.7), material=glossy(BLUE, 0.2)),
-        sphere(_at(0.1, -0.06, 0.1), _width(0.14, 0.1), material=glossy(RED, 0.3)),
-        sphere(_at(0.1, 0.3, 1.6), _width(0.08, 1.6), material=glossy(MARBLE, 0.55)),
+        place.wall(-1.1, PLASTER),
+        place.floor(1.02, 2.2, -1.1, replace(WOOD, mirror=0.12)),
+        sphere(place.at(-0.25, 0.12, 0.7), place.metres(0.17, 0.7), material=glossy(BLUE, 0.2)),
+        sphere(place.at(0.1, -0.06, 0.1), place.metres(0.14, 0.1), material=glossy(RED, 0.3)),
+        sphere(place.at(0.1, 0.3, 1.6), place.metres(0.08, 1.6), material=glossy(MARBLE, 0.55)),
         box(
             (0.95, 0.45, 4.1),
             (0.6, 0.9, 0.6),
             axes=rotation(yaw=30.0),
             material=glossy(CHECKS, 0.15),
         ),
-        _rod((-0.4, -0.4, 0.6), (0.44, -0.26, 0.2), 0.03, glossy(OCHRE, 0.3)),
+        place.rod((-0.4, -0.4, 0.6), (0.44, -0.26, 0.2), 0.03, glossy(OCHRE, 0.3)),
     ]
     return _Recipe(solids, (-1.3, 2.3))
 
@@ -209,15 +161,15 @@ def _specular() -> _Recipe:
 def _crossing() -> _Recipe:
     fence = replace(SAND, tint=0.0)
     solids = [
-        _wall(-1.13, replace(BRICK, pattern="none")),
-        _card(0.0, 0.0, 0.87, (0.9, 0.5), fence, cutout="slats", cutout_size=0.24),
+        place.wall(-1.13, replace(BRICK, pattern="none")),
+        place.card(0.0, 0.0, 0.87, (0.9, 0.5), fence, cutout="slats", cutout_size=0.24),
     ]
     return _Recipe(solids, (-1.3, 1.1), shadow=0.0)
 
 
 def _still_life() -> _Recipe:
     top = 1.1  # height of the table, below the camera
-    table = _floor(top, 1.6, -1.35, replace(WOOD, mirror=0.04))
+    table = place.floor(top, 1.6, -1.35, replace(WOOD, mirror=0.04))
     ball = sphere(
         (-0.8, top - 0.68, 3.85), 0.26, material=replace(BLUE, specular=0.35, mirror=0.06)
     )
@@ -257,7 +209,7 @@ def _still_life() -> _Recipe:
         bunch.append(bar((0.16, top - 0.45, 3.7), tip, radius, material=bark))
         bunch.append(sphere(tip, 0.045, material=replace(RED, specular=0.2, grain=0.08)))
     stick = bar((1.12, top, 3.62), (0.62, -1.1, 3.8), 0.014, material=SAND)
-    wall = _wall(-1.35, BRICK)
+    wall = place.wall(-1.35, BRICK)
     solids = [wall, table, *books, ball, screen, chest, moss, *vase, *bunch, stick]
     return _Recipe(solids, (-1.5, 1.7))
 

@@ -154,6 +154,24 @@ def _hit(look: _Look, point: Vector, direction: Vector) -> _Hit:
     return _Hit(local, normal, u, v)
 
 
+def _highlight(look: _Look, mirrored: Vector, lamp: Vector, arriving: Array) -> Array:
+    """How much of a lamp's light is reflected towards the camera."""
+    peak = jnp.maximum(dot(mirrored, lamp), 1e-6)
+    return look.specular * arriving * jnp.exp(look.shininess * jnp.log(peak))
+
+
+def _further_lamps(
+    look: _Look, light: Light, normal: Vector, mirrored: Vector
+) -> list[tuple[Array, Array]]:
+    """How much of the light of each lamp beyond the first is scattered, and reflected."""
+    found = []
+    for x, y, z in light.fills[:, 0]:
+        scattered = jnp.maximum(dot(normal, (x, y, z)), 0.0)
+        lit = (scattered > 0).astype(scattered.dtype)
+        found.append((scattered, _highlight(look, mirrored, (x, y, z), lit)))
+    return found
+
+
 def shade(
     world: World,
     origin: Vector,
@@ -217,23 +235,24 @@ def shade(
     length = jnp.sqrt(dot(direction, direction))
     view = _scale(direction, -1.0 / length)
     mirrored = along(_scale(view, jnp.full_like(distance, -1.0)), normal, 2.0 * dot(normal, view))
-    shine = look.specular * visible * (facing > 0).astype(distance.dtype)
-    peak = jnp.maximum(dot(mirrored, lamp), 1e-6)
-    shine = shine * jnp.exp(look.shininess * jnp.log(peak))
+    shine = _highlight(look, mirrored, lamp, visible * (facing > 0).astype(distance.dtype))
+    more = _further_lamps(look, light, normal, mirrored)
     mirror, around = look.mirror, 0.5 - 0.5 * mirrored[1]
     glow = mirror * _windows(mirrored)
 
     def channel(part: tuple[Array, ...]) -> Array:
-        dark, bright, over, lamp, sky, ground = part
+        dark, bright, over, lamp, sky, ground, fills = part
         albedo = dark + (bright - dark) * blend
         albedo = (albedo + (over - albedo) * accent) * tint
         diffuse = albedo * (ground + (sky - ground) * up + lamp * lambert)
         reflected = mirror * (ground + (sky - ground) * around) + glow + shine * lamp
+        for own, (scattered, shiny) in zip(fills, more, strict=True):
+            diffuse = diffuse + albedo * own * scattered
+            reflected = reflected + own * shiny
         return jnp.where(missed, sky, diffuse * (1.0 - mirror) + reflected)
 
-    return lax.map(
-        channel, (look.dark, look.light, look.accent, light.colour, light.sky, light.ground)
-    )
+    lights = light.colour, light.sky, light.ground, light.fills[:, 1].T
+    return lax.map(channel, (look.dark, look.light, look.accent, *lights))
 
 
 def lamp_directions(light: Light, samples: int) -> Float[Array, "3 s"]:

@@ -92,12 +92,12 @@ class Mode(NamedTuple):
 
     size: tuple[int, int]
     samples: int
-    exposed: bool  # blur, noise, vignettes or gains
+    exposed: bool  # blur, noise, vignettes, gains or quantization
 
 
 def mode_of(scene: Scene, size: tuple[int, int], samples: int) -> Mode:
     s = scene.sensor
-    changes = s.blur, s.read_noise, s.shot_noise, s.vignette, s.gain
+    changes = s.blur, s.read_noise, s.shot_noise, s.vignette, s.gain, s.levels
     return Mode(size, samples, exposed=any(float(x) > 0 for x in changes))
 
 
@@ -175,6 +175,9 @@ def trace_view(
         lens = _lens(mode.size, sensor, jax.random.fold_in(own, 1))
         image = _encode(_blur(image, sensor.blur)) * lens[..., None]
         image = jnp.clip(_add_noise(image, sensor, own), 0.0, 1.0)
+        image = jnp.where(
+            sensor.levels > 0, jnp.round(image * sensor.levels) / sensor.levels, image
+        )
     else:
         image = _encode(image)
     return image, depth, ids

@@ -131,6 +131,7 @@ class Light(eqx.Module):
         ground: light from below, linear.
         softness: half the angle under which the lamp is seen, radians; it blurs shadows.
         shadow: how much of the lamp a solid takes away, 0 for no shadows (and quicker), 1 for all.
+        fills: direction (unit length) and colour (linear) of further lamps, which cast no shadows.
     """
 
     direction: Float[Array, "3"]
@@ -139,6 +140,7 @@ class Light(eqx.Module):
     ground: Float[Array, "3"]
     softness: Float[Array, ""]
     shadow: Float[Array, ""]
+    fills: Float[Array, "f 2 3"]
 
 
 class World(eqx.Module):
@@ -188,6 +190,7 @@ class Sensor(eqx.Module):
         vignette_shift: standard deviation of that center, another in every view, over the shorter
             side of the views.
         gain: standard deviation of the brightness of the views, relative.
+        levels: steps between black and white, such as 255 for 8 bits; 0 for no quantization.
     """
 
     blur: Float[Array, ""]
@@ -196,6 +199,7 @@ class Sensor(eqx.Module):
     vignette: Float[Array, ""]
     vignette_shift: Float[Array, ""]
     gain: Float[Array, ""]
+    levels: Float[Array, ""]
 
 
 class Scene(eqx.Module):

@@ -4,6 +4,7 @@ from ._brightness import Brightness as Brightness, NoiseModel as NoiseModel
 from ._denoise import denoised as denoised, low_pass as low_pass
 from ._exposure import Exposure as Exposure, expose as expose
 from ._noise import (
+    Known as Known,
     Noise as Noise,
     measure_noise as measure_noise,
     rough_brightness as rough_brightness,

@@ -56,6 +56,18 @@ class Noise(NamedTuple):
         return Noise(deviation, excess / (excess + 0.004**2), rounding)
 
 
+class Known(NamedTuple):
+    """Brightness and noise that were measured before: of a whole image, or of an earlier frame.
+
+    Attributes:
+        exposure: of every view.
+        noise: of the views, exposure taken out.
+    """
+
+    exposure: Exposure
+    noise: Noise
+
+
 @lean_jit
 def rough_brightness(
     light_field: LightField, *, params: Brightness | None = None
