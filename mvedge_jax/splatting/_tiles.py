@@ -1,4 +1,4 @@
-"""Which points every tile of the raster sees, nearest first."""
+"""The points of every tile of the raster, nearest first."""
 
 from typing import NamedTuple
 
@@ -11,10 +11,10 @@ from ._raster import SplatRaster
 
 
 class Tiling(NamedTuple):
-    """Lists of points per tile, and how to put the tiles back together."""
+    """Lists of points per tile, and the order of the tiles."""
 
     lists: Lists
-    place: Int[Array, "t"]  # group position of every tile, row by row
+    place: Int[Array, "t"]  # position of every tile in the groups, row by row
     overflow: Int[Array, ""]  # entries beyond the capacity
     longest: Int[Array, ""]  # points in the fullest tile
 
