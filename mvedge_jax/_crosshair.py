@@ -15,8 +15,8 @@ class Arm(NamedTuple):
     """One arm of the crosshair; of the vertical arm, images are transposed.
 
     Attributes:
-        planes: views as colour planes, `[s, c, y, x]`, sRGB, the last axis along the arm.
-        steps: disparity is multiplied by this to get from the centre view to each view, `[s]`.
+        planes: views as color planes, `[s, c, y, x]`, sRGB, the last axis along the arm.
+        steps: view steps from the centre view to each view, the factor of disparity, `[s]`.
         available: which views are there, `[s]`.
     """
 
@@ -47,13 +47,13 @@ class Crosshair(NamedTuple):
         return self.horizontal.planes[self.horizontal.centre]
 
     def mapped(self, function: Callable[[Array], Array]) -> "Crosshair":
-        """The same with a function's values for the planes of either arm."""
+        """The same with a function applied to the planes of both arms."""
         horizontal, vertical = (arm._replace(planes=function(arm.planes)) for arm in self)
         return Crosshair(horizontal, vertical)
 
 
 def view_steps(count: int, dtype: DTypeLike) -> Float[Array, " s"]:
-    """What disparity is multiplied by to get from the centre view to each view of a regular arm.
+    """View steps from the centre view to each view of a regular arm, the factors of disparity.
 
     Args:
         count: views of the arm; the centre one is number `count // 2`.

@@ -1,7 +1,7 @@
-"""Edits of a light field that are occluded rightly in every view (Thesis 6.7).
+"""Edits of a light field with correct occlusion in every view (Thesis 6.7).
 
 Every function takes the views with the disparity of all of them (`depth_of_views`) and returns a
-light field without ground truth. Where nothing is edited, views keep their bits.
+light field without ground truth. Unedited pixels keep their exact values.
 """
 
 import equinox as eqx
@@ -37,7 +37,7 @@ def insert_picture(
 
     Args:
         light_field: the views, sRGB.
-        disparities: of all views, px per view step: what is nearer than the picture hides it.
+        disparities: maps of all views, px per view step; nearer surfaces hide the picture.
         picture: sRGB and alpha, in [0, 1], one pixel of it to a pixel of the centre view.
         at: `(x, y)` of its middle in the centre view, px.
         disparity: of its middle, px per view step.

@@ -1,4 +1,4 @@
-"""The light field: a grid of views, what is known about it, and the slices the method reads."""
+"""The light field: a grid of views, optional metadata, and the slices that the method reads."""
 
 import dataclasses
 from collections.abc import Iterable
@@ -231,7 +231,7 @@ class LightField(eqx.Module):
         return LightField(**{**fields, **changes})
 
     def without_truth(self) -> "LightField":
-        """The same light field with nothing to cheat with."""
+        """Copy without ground truth."""
         return eqx.tree_at(lambda s: s.truth, self, None, is_leaf=lambda leaf: leaf is None)
 
     def renamed(self, name: str) -> "LightField":

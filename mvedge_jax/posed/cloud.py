@@ -15,12 +15,12 @@ from ._photographs import Photographs
 
 
 class Surface(NamedTuple):
-    """What a depth map shows, in space.
+    """The surface of a depth map, in space.
 
     Attributes:
         points: in the world, `[y, x, 3]`.
         normals: unit vectors towards the camera, `[y, x, 3]`.
-        whole: pixels whose neighbours belong to the same surface, so that they have a normal.
+        whole: pixels whose neighbors are on the same surface, so that they have a normal.
     """
 
     points: Float[Array, "y x 3"]
@@ -104,7 +104,7 @@ def camera_of_view(
         shape: height and width of the views, px.
 
     Returns:
-        Camera to world, metres, and intrinsics, px: the sensor's shift, by which one distance has
+        Camera to world, meters, and intrinsics, px. The sensor's shift, which gives one distance
         the disparity 0, moves the principal point.
     """
     dtype = away.dtype
