@@ -2,21 +2,30 @@
 
     python experiments/all.py --tier quick --out results/all
     python experiments/all.py --tier full --only table_6_1 robustness
+    python experiments/all.py --tier full --jobs 2
 
 Each script runs in a process of its own; one that fails, or runs out of time, stops no other.
 What finished at this commit with the same arguments is not run again. The page, `index.html`,
 shows what each script wrote: its tables, its pictures, its seconds, or why there is nothing.
 `quick` uses small rendered scenes; `full` the published sizes and, where it is there, the
 development data.
+
+Scripts share a folder of compiled programs; benchmarks, which time the compiler, too, do not, and
+run one by one after the others. With `--jobs` the seconds in other tables are those of a busy
+machine. What the pages of the documentation show is renewed by
+
+    python experiments/pages.py --take results/all/table_edges/*.json
 """
 
 import argparse
 import html
 import json
+import os
 import subprocess
 import sys
 import time
 from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from pathlib import Path
 from typing import Any
 
@@ -38,25 +47,48 @@ def main() -> int:
     parser.add_argument("--only", nargs="*", default=[], choices=[item.name for item in ITEMS])
     parser.add_argument("--again", action="store_true", help="run what is there already, too")
     parser.add_argument("--limit", type=float, default=None, help="seconds per script")
+    parser.add_argument("--jobs", type=int, default=1, help="scripts at once, besides benchmarks")
     arguments = parser.parse_args()
     commit = commit_now()
     limit = arguments.limit or LIMITS[arguments.tier]
-    rows = []
-    for item in ITEMS:
-        if arguments.only and item.name not in arguments.only:
-            rows.append(_earlier(item, arguments.out / item.name, commit))
-            continue
-        row = _run(item, arguments.tier, arguments.out / item.name, commit, limit, arguments.again)
-        rows.append(row)
+    begun = time.perf_counter()
+    asked = [item for item in ITEMS if not arguments.only or item.name in arguments.only]
+    rows = {
+        item.name: _earlier(item, arguments.out / item.name, commit)
+        for item in ITEMS
+        if item not in asked
+    }
+
+    def run(item: Item) -> dict[str, Any]:
+        place = arguments.out / item.name
+        return _run(item, arguments.tier, place, commit, limit, arguments.again)
+
+    def ordered() -> list[dict[str, Any]]:
+        return [rows[item.name] for item in ITEMS if item.name in rows]
+
+    def note(row: dict[str, Any]) -> None:
+        rows[row["name"]] = row
         print(f"{row['name']}: {row['state']}, {row['seconds']:.0f} s", flush=True)
-        _write_page(arguments.out, arguments.tier, commit, rows)
-    _write_page(arguments.out, arguments.tier, commit, rows)
+        _write_page(arguments.out, arguments.tier, commit, ordered())
+
+    with ThreadPoolExecutor(arguments.jobs) as pool:
+        running = [pool.submit(run, item) for item in asked if not _is_benchmark(item)]
+        for future in as_completed(running):
+            note(future.result())
+    for item in filter(_is_benchmark, asked):
+        note(run(item))
+    minutes = (time.perf_counter() - begun) / 60
     print_table(
-        [{name: row[name] for name in ("name", "what", "state", "seconds")} for row in rows],
-        title=f"{arguments.tier}, {commit}",
+        [{name: row[name] for name in ("name", "what", "state", "seconds")} for row in ordered()],
+        title=f"{arguments.tier}, {commit}, {minutes:.0f} minutes",
     )
     print(f"{arguments.out / 'index.html'}")
-    return int(any(row["state"] == "failed" for row in rows))
+    return int(any(row["state"] == "failed" for row in rows.values()))
+
+
+def _is_benchmark(item: Item) -> bool:
+    """Whether it times the compiler, too, and has to run alone."""
+    return item.script.startswith("benchmarks/")
 
 
 def _earlier(item: Item, out: Path, commit: str) -> dict[str, Any]:
@@ -91,7 +123,12 @@ def _run(
     with (out / "log.txt").open("w", encoding="utf-8") as log:
         try:
             code = subprocess.run(
-                command, cwd=HERE.parent, stdout=log, stderr=subprocess.STDOUT, timeout=limit
+                command,
+                cwd=HERE.parent,
+                env=_environment(item, out.parent / "programs"),
+                stdout=log,
+                stderr=subprocess.STDOUT,
+                timeout=limit,
             ).returncode
             why = "" if code == 0 else f"exit code {code}"
         except subprocess.TimeoutExpired:
@@ -105,6 +142,17 @@ def _run(
     )
     record.write_text(json.dumps(row, indent=2), encoding="utf-8")
     return row
+
+
+def _environment(item: Item, programs: Path) -> dict[str, str]:
+    """Variables of a script's process: where it finds what other scripts have compiled."""
+    if _is_benchmark(item):
+        return dict(os.environ)
+    cache = {
+        "JAX_COMPILATION_CACHE_DIR": str(programs.resolve()),
+        "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0.3",
+    }
+    return {**os.environ, **cache}
 
 
 _STYLE = """

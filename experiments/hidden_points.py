@@ -15,7 +15,7 @@ from pathlib import Path
 import jax
 import jax.numpy as jnp
 import numpy as np
-from _report import print_table, write_csv
+from _report import print_table, write_csv, write_json
 
 from mvedge_jax import lean_jit
 from mvedge_jax.lightfield import GroundTruth
@@ -107,6 +107,7 @@ def main() -> None:
         print(rows[-1], flush=True)
     print_table(rows, title="points that a nearer neighbour hides")
     write_csv(arguments.out / "hidden_points.csv", rows)
+    write_json(arguments.out / "hidden_points.json", rows)
 
 
 if __name__ == "__main__":

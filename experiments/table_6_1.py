@@ -1,29 +1,41 @@
 """Table 6.1: accuracy and time of the centre view's depth, with every baseline and ablation.
 
+What the thesis prints, what the authors' program scores and, where their maps are there, what
+others score (`peer_maps.py`) stands beside ours.
+
 python experiments/table_6_1.py --out results/table_6_1
 """
 
 import argparse
 import time
 from pathlib import Path
+from typing import Any
 
 import cv2
 import jax
 import numpy as np
 from _depth import ABLATIONS, EVERY, OURS, SPARSE, SWEEP, THESIS, as_image, score
+from _published import authors_program, published
 from _report import print_table, shared_data, write_csv, write_json
 from _scenes import scenes
+from peer_maps import peer_rows
 
-# Thesis, Tab. 6.1 and REFERENCE_NOTES 23 (the authors' code, run by us); full frame.
-PUBLISHED = (
-    ("sideboard", "thesis", 1.03, 1.22, None, None, None, 35.5),
-    ("dino", "thesis", 0.45, 0.85, None, None, None, 37.7),
-    ("cotton", "thesis", 0.70, 0.74, 56.2, 18.0, 4.86, 34.0),
-    ("boxes", "thesis", 7.52, 1.41, None, None, None, 34.3),
-    ("cotton", "authors' code", 0.693, 0.585, 59.4, 20.2, 4.70, None),
-    ("backgammon", "authors' code", 6.32, 0.490, 53.8, 16.6, 8.52, None),
-)
+from mvedge_jax.lightfield import GroundTruth
+
 COLUMNS = ("scene", "method", "MSE*100", "Q25*100", "BP(.01)", "BP(.03)", "BP(.07)", "seconds")
+
+
+def others(data: Path | None, scene: str, truth: GroundTruth) -> list[dict[str, Any]]:
+    """Rows of a scene that are not ours."""
+    rows = [*published("6.1", scene=scene), *published("7.2", scene=scene)]
+    thesis = [{**row, "method": f"thesis: {row['method']}"} for row in rows]
+    peers = [
+        {**row, "method": f"{row['method']}, without {row['margin px']} px of border"}
+        if row["margin px"]
+        else row
+        for row in peer_rows(data, scene, truth)
+    ]
+    return [*thesis, *authors_program(scene=scene), *peers]
 
 
 def main() -> None:
@@ -52,11 +64,10 @@ def main() -> None:
             picture = arguments.out / f"{name}_{method.name.replace(' ', '_')}.png"
             picture.parent.mkdir(parents=True, exist_ok=True)
             cv2.imwrite(str(picture), as_image(disparity, truth.disparity))
-        here: list[dict] = [{k: row[k] for k in COLUMNS} for row in rows if row["scene"] == name]
-        published: list[dict] = [
-            dict(zip(COLUMNS, row, strict=True)) for row in PUBLISHED if row[0] == name
-        ]
-        print_table(here + published, title=f"{name}: full frame")
+        here = [row for row in rows if row["scene"] == name]
+        shown = [*here, *others(arguments.data, name, truth)]
+        table = [{column: row.get(column) for column in COLUMNS} for row in shown]
+        print_table(table, title=f"{name}: full frame")
         # After every scene: a run that is stopped leaves what it has.
         write_csv(arguments.out / "table_6_1.csv", rows)
         write_json(arguments.out / "table_6_1.json", rows)

@@ -13,6 +13,7 @@ import cv2
 import jax
 import jax.numpy as jnp
 import numpy as np
+from _published import published
 from _report import print_table, shared_data, write_csv, write_json
 from scipy import interpolate, ndimage
 
@@ -35,18 +36,6 @@ from mvedge_jax.posed.sparse import (
     sparse_stereo,
 )
 
-# Thesis, Table 7.1: MSE and Q25 of COLMAP, DeepMVS, and its own method with sparse and with dense
-# points, of two scenes that were not published.
-PUBLISHED = (
-    ("Living Room-MVS", "thesis: DeepMVS", 1.99, 64.9),
-    ("Living Room-MVS", "thesis: COLMAP", 1.37, 4.44),
-    ("Living Room-MVS", "thesis: ours", 0.30, 14.8),
-    ("Living Room-MVS", "thesis: ours-C", 0.17, 4.22),
-    ("Piano-MVS", "thesis: DeepMVS", 1.51, 6.87),
-    ("Piano-MVS", "thesis: COLMAP", 2.56, 42.60),
-    ("Piano-MVS", "thesis: ours", 0.81, 2.15),
-    ("Piano-MVS", "thesis: ours-C", 0.69, 1.37),
-)
 # Depth by the name of the method.
 Maps = dict[str, np.ndarray]
 LIVING_ROOM = (525.0, 525.0, 319.5, 239.5)
@@ -249,8 +238,7 @@ def main() -> None:
             means.append({"method": name, **numbers})
         print_table(mine, title=scene)
         print_table(means, title=f"{scene}: mean over {len(indices)} references")
-    keys = ("scene", "method", "MSE", "Q25")
-    print_table([dict(zip(keys, row, strict=True)) for row in PUBLISHED], title="published")
+    print_table(published("7.1"), title="thesis, Tab. 7.1: scenes that were not published")
 
 
 if __name__ == "__main__":

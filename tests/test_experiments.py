@@ -4,7 +4,13 @@ import json
 import sys
 from pathlib import Path
 
-from experiments import _items, _report, all as page, table_edges
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from experiments import _items, _report, all as page, peer_maps, table_edges
+from mvedge_jax.datasets import write_pfm
+from mvedge_jax.lightfield import GroundTruth
 
 
 def test_results_tell_commit_and_command_and_are_shown_on_the_page(tmp_path, monkeypatch):
@@ -45,3 +51,34 @@ def test_the_table_of_edges_ends_with_the_mean_and_the_worst_scene():
         "full without edges",
         "full",
     ]
+
+
+def test_scripts_share_compiled_programs_but_benchmarks_compile_their_own(tmp_path, monkeypatch):
+    monkeypatch.delenv("JAX_COMPILATION_CACHE_DIR", raising=False)
+    items = {item.name: item for item in _items.ITEMS}
+    shared = page._environment(items["table_6_2"], tmp_path)
+    assert shared["JAX_COMPILATION_CACHE_DIR"] == str(tmp_path)
+    alone = page._environment(items["benchmark_depth"], tmp_path)
+    assert "JAX_COMPILATION_CACHE_DIR" not in alone
+
+
+def test_every_script_of_a_table_leaves_its_rows_as_json():
+    folder = Path(_items.__file__).parent
+    texts = {item.script: (folder / item.script).read_text("utf-8") for item in _items.ITEMS}
+    assert [script for script, text in texts.items() if "write_json(" not in text] == []
+
+
+def test_a_published_map_is_scored_on_the_pixels_that_it_has(tmp_path):
+    truth = GroundTruth(jnp.zeros((40, 40), jnp.float32), jnp.ones((40, 40), bool))
+    place = tmp_path / "peer_results" / "spo"
+    place.mkdir(parents=True)
+    write_pfm(place / "edges.pfm", np.full((36, 36), 0.05, np.float32))
+    (row,) = peer_maps.peer_rows(tmp_path, "edges", truth)
+    assert (row["method"], row["margin px"]) == ("SPO", 2)
+    assert row["source"] == "published map, peer_results/spo/edges.pfm"
+    np.testing.assert_allclose(row["MSE*100"], 0.25, rtol=1e-5)
+    assert (row["BP(.03)"], row["BP(.07)"]) == (100, 0)
+    assert list(peer_maps.peer_rows(tmp_path, "demo", truth)) == []
+    write_pfm(place / "edges.pfm", np.zeros((36, 30), np.float32))
+    with pytest.raises(ValueError, match=r"edges.pfm has \(36, 30\) px; expected the views' \(40"):
+        list(peer_maps.peer_rows(tmp_path, "edges", truth))

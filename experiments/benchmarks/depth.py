@@ -5,6 +5,8 @@
 Each stage is compiled and timed alone, on the inputs that the chain gives it; "all stages" is the
 one program that `estimate_depth` is, so the sum differs from it by what XLA fuses. It is compiled
 first and the compiler's memory given back before it runs. "first" is the sum of both.
+
+`--calls` times what the README names, one after the other: presets, and the gradient.
 """
 
 import argparse
@@ -43,6 +45,7 @@ def main() -> None:
     parser.add_argument("--preset", choices=["full", "edges"], default="full")
     parser.add_argument("--only-all", action="store_true", help="the whole chain alone")
     parser.add_argument("--gradient", action="store_true", help="the chain and its derivatives")
+    parser.add_argument("--calls", action="store_true", help="presets and gradient: times.json")
     parser.add_argument("--settings", action="store_true", help="`vmap` over settings instead")
     parser.add_argument("--all-views", action="store_true", help="labels from the whole grid")
     arguments = parser.parse_args()
@@ -81,6 +84,14 @@ def main() -> None:
         return result
 
     before = time.perf_counter()
+    if arguments.calls:
+        # In order of memory: the peak is that of the process so far.
+        every = EdgeDepth.for_light_field(light_field, views="all")
+        measure("full", estimate_depth, light_field, model)
+        measure("all", estimate_depth, light_field, every)
+        measure("gradient", _gradient, model, light_field)
+        write_json(arguments.out / "times.json", rows)
+        return
     measure("all stages", estimate_depth, light_field, model)
     if arguments.gradient:
         measure("value and gradient", _gradient, model, light_field)

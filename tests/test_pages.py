@@ -1,0 +1,147 @@
+"""Figures of the pages are those of the results; results know the code that they depend on."""
+
+import importlib
+import json
+import shutil
+import warnings
+from pathlib import Path
+
+import pytest
+
+from experiments import _report, pages
+from experiments._published import published
+from experiments._tables import TABLES, Results
+
+
+@pytest.fixture
+def copy(tmp_path):
+    """A checkout with all that pages are made of."""
+    for name in ("docs", "experiments", "mvedge_jax"):
+        skip = shutil.ignore_patterns("images", "*.png", "*.js", "__pycache__")
+        shutil.copytree(_report.ROOT / name, tmp_path / name, ignore=skip)
+    shutil.copy(_report.ROOT / "README.md", tmp_path)
+    return tmp_path
+
+
+# Stale results are listed, not an error: renewing them takes hours.
+@pytest.mark.filterwarnings("default:stale")
+def test_every_figure_of_the_pages_is_that_of_the_results():
+    assert pages.disagreements() == []
+    for line in pages.stale():
+        warnings.warn(f"stale: {line}", stacklevel=1)
+
+
+def test_a_wrong_figure_on_a_page_is_found_and_mended(copy, capsys):
+    page = copy / "docs" / "accuracy.md"
+    right = page.read_text(encoding="utf-8")
+    figure = "| 64.9 % |"
+    assert figure in right
+    page.write_text(right.replace(figure, "| 64.8 % |", 1), encoding="utf-8")
+    assert pages.disagreements(copy) == ["docs/accuracy.md: edges"]
+    assert pages.main(["--check"], copy) == 1
+    assert "differs from the results: docs/accuracy.md: edges" in capsys.readouterr().out
+    assert pages.main([], copy) == 0
+    assert page.read_text(encoding="utf-8") == right
+
+
+def test_another_result_shows_on_every_page_that_has_it(copy):
+    path = copy / "experiments" / "results" / "table_edges.json"
+    found = json.loads(path.read_text(encoding="utf-8"))
+    for row in found["content"]["summary"]:
+        row["MSE*100"] += 1
+    path.write_text(json.dumps(found), encoding="utf-8")
+    assert pages.disagreements(copy) == ["docs/accuracy.md: edges", "docs/parts.md: parts"]
+
+
+def test_a_marker_without_an_end_and_an_unknown_name_are_errors(copy):
+    page, results = copy / "page.md", Results(copy / "experiments" / "results")
+    page.write_text("<!-- results: edges -->\n")
+    with pytest.raises(ValueError, match="page.md: each `<!-- results: ...` needs"):
+        pages.updated(page, results)
+    page.write_text("<!-- results: edge --><!-- /results -->")
+    with pytest.raises(ValueError, match="page.md: 'edge' is none of the tables accuracy, edges"):
+        pages.updated(page, results)
+    page.write_text("<!-- results: program cotton --><!-- /results -->")
+    with pytest.raises(ValueError, match="`<!-- results: program cotton` is within a sentence"):
+        pages.updated(page, results)
+    page.write_text("<!-- results: step no_such_step --><!-- /results -->")
+    with pytest.raises(ValueError, match="thesis_steps.json has 0 rows with .*no_such_step"):
+        pages.updated(page, results)
+    with pytest.raises(ValueError, match="has no table_0.json; it has calibration, codec"):
+        results.rows("table_0")
+
+
+def test_every_table_is_on_a_page_and_every_result_is_small():
+    text = "".join(page.read_text(encoding="utf-8") for page in pages.pages(_report.ROOT))
+    assert {name for name in TABLES if f"<!-- results: {name} " not in text} == set()
+    folder = _report.ROOT / "experiments" / "results"
+    assert {path.name for path in folder.glob("*.json") if path.stat().st_size > 2**16} == set()
+
+
+def test_a_result_is_stale_when_code_changes_but_not_when_a_comment_does(copy, capsys):
+    folder = copy / "experiments" / "results"
+    shutil.rmtree(folder)
+    folder.mkdir()
+    origin = {"commit": "", "date": "", "command": ""}
+    depends = _report.digests(["mvedge_jax/epi/*.py", "mvedge_jax/metrics/*.py"], copy)
+    found = {**origin, "depends": depends, "content": []}
+    (folder / "found.json").write_text(json.dumps(found))
+    for page in pages.pages(copy):
+        page.unlink()
+    (copy / "README.md").write_text("no figures")
+    module = copy / "mvedge_jax" / "metrics" / "depth.py"
+    text = module.read_text(encoding="utf-8")
+    module.write_text("# Another comment.\n\n" + text, encoding="utf-8")
+    assert pages.stale(copy) == []
+    module.write_text(text + "\n_ANOTHER = 1\n", encoding="utf-8")
+    assert pages.stale(copy) == ["found.json: mvedge_jax/metrics/*.py"]
+    assert pages.main(["--check"], copy) == 0
+    assert "stale: found.json: mvedge_jax/metrics/*.py" in capsys.readouterr().out
+    assert pages.main(["--check", "--strict"], copy) == 1
+
+
+def test_comments_docstrings_and_layout_are_no_code():
+    one = 'def f(a, b):\n    """Text."""\n    # why\n    return a + "b" * (b)\n'
+    two = "def f(\n    a,\n    b,\n):\n    return a + 'b' * b\n"
+    assert _report.code_of(one) == _report.code_of(two)
+    for other in ("a - 'b' * b", "a + 'c' * b", "b + 'b' * a", "a + 'b' * b + None"):
+        assert _report.code_of(two.replace("a + 'b' * b", other)) != _report.code_of(two)
+
+
+def test_a_result_depends_on_what_its_process_imported(tmp_path):
+    importlib.import_module("mvedge_jax.metrics")
+    depends = _report.imported_code()
+    assert "mvedge_jax/metrics/*.py" in depends
+    assert "experiments/pages.py" in depends
+    assert "experiments/_report.py" not in depends
+    assert not any(Path(pattern).is_absolute() for pattern in depends)
+    _report.write_json(tmp_path / "found.json", [{"a": 1 / 3}], depends=["experiments/all.py"])
+    found = json.loads((tmp_path / "found.json").read_text(encoding="utf-8"))
+    assert found["depends"] == _report.digests(["experiments/all.py"])
+    assert found["content"] == [{"a": 0.333333}]
+    assert '\n  {"a": 0.333333}\n' in (tmp_path / "found.json").read_text(encoding="utf-8")
+
+
+def test_new_results_are_taken_and_other_files_are_not(copy, tmp_path):
+    new, other = tmp_path / "run" / "table_edges.json", tmp_path / "run" / "run.json"
+    old = copy / "experiments" / "results" / "table_edges.json"
+    found = json.loads(old.read_text(encoding="utf-8"))
+    _report.write_json(new, found["content"])
+    other.write_text('{"state": "done"}')
+    assert list(pages.take([new, other], copy)) == [old]
+    assert json.loads(old.read_text(encoding="utf-8"))["date"] != found["date"]
+
+
+def test_published_tables_are_those_that_the_thesis_prints():
+    (ours,) = published("6.1", scene="average", method="Ours")
+    assert (ours["MSE*100"], ours["Q25*100"], ours["seconds"]) == (2.43, 1.05, 35.4)
+    scenes = ("sideboard", "dino", "cotton", "boxes")
+    for method in ("Jeon", "Zhang", "Jiang", "Shi", "Li", "Wang", "Ours"):
+        rows = [published("6.1", scene=scene, method=method)[0] for scene in scenes]
+        (mean,) = published("6.1", scene="average", method=method)
+        assert mean["MSE*100"] == pytest.approx(sum(row["MSE*100"] for row in rows) / 4, abs=0.03)
+        assert mean["seconds"] == pytest.approx(sum(row["seconds"] for row in rows) / 4, abs=0.9)
+    (cotton,) = published("7.2", scene="cotton", method="Ours")
+    assert [cotton[name] for name in ("MSE*100", "BP(.01)", "BP(.07)")] == [3.07, 31.1, 4.06]
+    with pytest.raises(ValueError, match="`table` must be one of 6.1, 6.2, .*got '5.1'"):
+        published("5.1")
