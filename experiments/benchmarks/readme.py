@@ -2,8 +2,8 @@
 
     python experiments/benchmarks/readme.py --light-field ../shared/data/hci/cotton [--tree PATH]
 
-The Python blocks of the README up to its gradient run word for word in a process of its own without any
-compilation cache, once up to its gradient and once with it; the light field stands in for "cotton".
+The first Python blocks of the README run word for word in a process of their own without any
+compilation cache, once up to the gradient and once with it; the light field stands in for "cotton".
 """
 
 import argparse
