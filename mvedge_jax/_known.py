@@ -25,7 +25,7 @@ class Camera(eqx.Module):
 
     @accepts_numpy
     def depth(self, disparity: Float[Array, "*s"]) -> Float[Array, "*s"]:
-        """Distance along the optical axis, metres, of a disparity in px per view step.
+        """Distance along the optical axis, meters, of a disparity in px per view step.
 
         Disparities at or beyond that of infinity give `inf`.
         """
@@ -36,7 +36,7 @@ class Camera(eqx.Module):
 
     @accepts_numpy
     def disparity(self, depth: Float[Array, "*s"]) -> Float[Array, "*s"]:
-        """Disparity, px per view step, of a distance in metres."""
+        """Disparity, px per view step, of a distance in meters."""
         dtype = depth.dtype
         scale = (self.focal_px * self.baseline).astype(dtype)
         return scale * (1.0 / depth - (1.0 / self.focus_distance).astype(dtype))
@@ -50,9 +50,9 @@ class GroundTruth(eqx.Module):
     """Ground truth of a scene; never read by the method, only by evaluation.
 
     Attributes:
-        disparity: px per view step, at the centre view's pixel centers; 0 where not `valid`.
+        disparity: px per view step, at the center view's pixel centers; 0 where not `valid`.
         valid: where `disparity` is known.
-        object_ids: an integer per object of the centre view.
+        object_ids: an integer per object of the center view.
         view_disparity: `disparity` of every view.
         view_ids: `object_ids` of every view.
     """

@@ -24,7 +24,7 @@ def _outline() -> Outline:
 
 
 class ViewDepth(eqx.Module):
-    """Depth of every view, with measurement of surfaces that the centre view does not show.
+    """Depth of every view, with measurement of surfaces that the center view does not show.
 
     Attributes:
         matching: costs of the hypotheses about such surfaces.
@@ -38,7 +38,7 @@ class ViewDepth(eqx.Module):
         precision: standard error at which a label counts half as much as a perfect one.
         stiffness: weight of an uncut edge between pixels relative to a perfect label.
         trust: residual of a label that halves its weight.
-        capacity: slots for samples of surfaces that the centre view does not show; overflow is
+        capacity: slots for samples of surfaces that the center view does not show; overflow is
             counted and left out.
         hypotheses: disparities tried per pixel, in views of half the size.
         solves: number of measurements, each followed by a diffusion, of the surfaces that a view

@@ -1,4 +1,4 @@
-"""Measurement, in other views, of the surfaces that the centre view does not show."""
+"""Measurement, in other views, of the surfaces that the center view does not show."""
 
 from typing import Any, NamedTuple
 
@@ -39,7 +39,7 @@ _CORNERS = ((-1.0, -1.01), (1.01, -1.0), (1.0, 1.01), (-1.01, 1.0))
 
 
 def outermost(light_field: LightField) -> Int[Array, "r 2"]:
-    """Indices `(v, u)` of the views that show most of the surfaces hidden from the centre view.
+    """Indices `(v, u)` of the views that show most of the surfaces hidden from the center view.
 
     Args:
         light_field: any grid of views.
@@ -58,7 +58,7 @@ def outermost(light_field: LightField) -> Int[Array, "r 2"]:
 def _contradicted(
     samples: Samples, disparity: Float[Array, "y x"], step: Float[Array, "2"]
 ) -> Bool[Array, "y x"]:
-    """Pixels of a view whose surface the centre view would show in front, but does not."""
+    """Pixels of a view whose surface the center view would show in front, but does not."""
     height, width = disparity.shape
     centre = lax.stop_gradient(samples.disparity[: height * width]).reshape(height, width)
     disparity = lax.stop_gradient(disparity)
@@ -86,13 +86,13 @@ def uncovered(
     noise: Noise,
     model: ViewDepth,
 ) -> tuple[Samples, Int[Array, ""]]:
-    """Adds the surfaces that the outermost views show and the centre view does not.
+    """Adds the surfaces that the outermost views show and the center view does not.
 
     Views are processed in turn: pixels of a view that no sample explains are measured there,
     around a first guess that continues the surface behind.
 
     Args:
-        samples: samples of the centre view.
+        samples: samples of the center view.
         light_field: the views.
         exposure: exposure of all views.
         noise: noise of all views after exposure.

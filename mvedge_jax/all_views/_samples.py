@@ -14,10 +14,10 @@ class Samples(NamedTuple):
     """Surface samples, measured in any view.
 
     Attributes:
-        xy: position in the centre view, px, where a nearer surface may hide it or beyond its frame.
+        xy: position in the center view, px, where a nearer surface may hide it or beyond its frame.
         disparity: px per view step.
         error: standard error of the disparity, px.
-        uncovered: whether the sample was measured in another view than the centre view.
+        uncovered: whether the sample was measured in another view than the center view.
         valid: slots in use.
     """
 
@@ -31,15 +31,15 @@ class Samples(NamedTuple):
 def samples_of(
     disparity: Float[Array, "y x"], error: Float[Array, "y x"], *, capacity: int
 ) -> Samples:
-    """The pixels of the centre view as samples, with room for more.
+    """The pixels of the center view as samples, with room for more.
 
     Args:
-        disparity: map of the centre view, px per view step.
+        disparity: map of the center view, px per view step.
         error: its standard error, px.
         capacity: slots for samples that other views add.
 
     Returns:
-        Samples, those of the centre view first, row by row.
+        Samples, those of the center view first, row by row.
     """
     size, dtype = disparity.size, disparity.dtype
     rows, columns = jnp.indices(disparity.shape)

@@ -27,7 +27,7 @@ class ViewDepths(NamedTuple):
         disparity: px per view step, larger is nearer, `[v, u, y, x]`.
         error: standard error of the disparity, px, `[v, u, y, x]`. In holes it includes the
             difference of the surfaces around.
-        source: source of each pixel, `[v, u, y, x]`: 0, visible in the centre view; 1, in other
+        source: source of each pixel, `[v, u, y, x]`: 0, visible in the center view; 1, in other
             views only; 2, in none, and continued from the surface behind.
         overflow: number of samples of other views without a slot (`ViewDepth.capacity`).
     """
@@ -52,14 +52,14 @@ def _validate(light_field: Any, result: Any, model: Any) -> tuple[Any, ...]:
 def depth_of_views(light_field: LightField, result: DepthResult, model: ViewDepth) -> ViewDepths:
     """Estimates the disparity of every pixel of every view.
 
-    1. The pixels of the centre view are surface samples. The corner views show most of the
+    1. The pixels of the center view are surface samples. The corner views show most of the
        surfaces hidden from it. In each corner view in turn, pixels that no sample explains are
        measured in the row and the column of views through it, and added.
     2. Every view is drawn from all samples: the nearest wins, a remaining hole continues the
        surface behind it, and the view's own colors decide on which side of a depth step the pixels
        beside it are.
 
-    The maps agree by construction, as every pixel of every view is one of the samples. The centre
+    The maps agree by construction, as every pixel of every view is one of the samples. The center
     view keeps its own map.
 
     Args:

@@ -34,7 +34,7 @@ from ._output import output_folder, write_json
 
 
 class _Estimate(NamedTuple):
-    """Result of a method: the centre view's disparity; its points and model, if any."""
+    """Result of a method: the center view's disparity; its points and model, if any."""
 
     disparity: Array
     points: EdgePoints | None = None

@@ -1,4 +1,4 @@
-"""`mvedge depth`: a dense disparity map of the centre view."""
+"""`mvedge depth`: a dense disparity map of the center view."""
 
 import platform
 import time
@@ -52,7 +52,7 @@ def depth(
     options: ModelArg = FULL,
     seed: int = 0,
 ) -> None:
-    """Estimates the disparity of every pixel of a light field's centre view.
+    """Estimates the disparity of every pixel of a light field's center view.
 
     OUT gets disparity.pfm, disparity16.png (range in report.json), disparity.png in color, its
     standard error as standard_error.pfm and .png, points.npz, points.csv, report.json and,

@@ -35,7 +35,7 @@ def edges(
     options: ModelArg = FULL,
     seed: int = 0,
 ) -> None:
-    """Finds edge points with their disparities in a light field's centre view.
+    """Finds edge points with their disparities in a light field's center view.
 
     OUT gets points.npz, points.csv (one row per point, for a spreadsheet), points.png (over the
     image, colored by disparity), epi_horizontal.png and epi_vertical.png (the EPI of either arm

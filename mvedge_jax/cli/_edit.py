@@ -41,18 +41,18 @@ def edit(
     """Edits a light field with correct occlusion in every view.
 
     One of three: --insert puts a picture with alpha on a plane; --mask with --colour paints a
-    surface of the centre view; --mask alone removes the marked surface. OUT is a light field in the
+    surface of the center view; --mask alone removes the marked surface. OUT is a light field in the
     layout of the HCI benchmark, with views.png and report.json.
 
     Args:
         scene: folder or file of a light field; `mvedge info` checks it.
         out: folder to write.
         insert: picture to insert, with or without alpha.
-        at: x and y of the picture's middle in the centre view, px; by default the middle of the
+        at: x and y of the picture's middle in the center view, px; by default the middle of the
             view.
         disparity: disparity of the picture, px per view step, larger is nearer.
         slant: change of its disparity per px along x and y.
-        mask: picture of the centre view's size, white in the pixels to edit.
+        mask: picture of the center view's size, white in the pixels to edit.
         colour: red, green and blue of the paint, 0..1.
         overwrite: replace OUT if it is a result of mvedge without other files in it.
     """

@@ -42,7 +42,7 @@ def evaluate(
     HCI benchmark). A map smaller than the ground truth is taken as its center.
 
     Args:
-        result: disparity map of the centre view (.pfm), px per view step, larger is nearer.
+        result: disparity map of the center view (.pfm), px per view step, larger is nearer.
         scene: folder or file of a light field with ground truth.
         crop: pixels to leave out on each side of the ground truth, in addition to the full frame.
         out: folder for scores.json, scores.csv, the error maps and the disparity map.

@@ -18,8 +18,8 @@ class EveryView(NamedTuple):
 
     Attributes:
         depths: the maps.
-        model: model of the centre view.
-        seconds: time from the centre view's map to all maps.
+        model: model of the center view.
+        seconds: time from the center view's map to all maps.
         doubts: problems of the maps, one sentence each.
     """
 
@@ -36,7 +36,7 @@ def every_view(
 
     Args:
         light_field: without ground truth.
-        options: options of the model of the centre view.
+        options: options of the model of the center view.
         seed: seed of the random search of preset thesis.
 
     Returns:

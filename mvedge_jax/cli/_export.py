@@ -32,7 +32,7 @@ def export(
     OUT gets, for ply: NAME.ply for every view with depth, colored points with normals and standard
     errors; for colmap: images and sparse/0, a model in text form, with the edge points; for
     nerfstudio: images, transforms.json, depth maps and masks. The unit is that of the cameras,
-        meters for light fields; the world is the centre view's camera.
+        meters for light fields; the world is the center view's camera.
 
     Args:
         source: a light field (cameras and views only), or a result of mvedge depth, views or

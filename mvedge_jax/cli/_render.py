@@ -37,7 +37,7 @@ def render(
     OUT becomes a scene folder of the HCI 4D benchmark: input_CamNNN.png, gt_disp_lowres.pfm,
     parameters.cfg; and beyond the benchmark, disparity and object ids of every view
     (gt_disp_lowres_CamNNN.pfm, objectids_lowres_CamNNN.png) and the views that show each pixel of
-    the centre view (visible_CamNNN.png).
+    the center view (visible_CamNNN.png).
 
     Args:
         name: demo, slanted, edges, thin, textureless, wide, noisy, specular or crossing.

@@ -53,13 +53,13 @@ def superpixels(
     Args:
         scene: folder or file of a light field; `mvedge info` checks it.
         out: folder to write.
-        size: side of a superpixel in the centre view, px.
+        size: side of a superpixel in the center view, px.
         count: approximate number of superpixels, in place of --size.
-        pick: x and y in the centre view, px, of a superpixel to recolor.
+        pick: x and y in the center view, px, of a superpixel to recolor.
         colour: red, green and blue of the picked superpixel, 0..1.
         views: use the central VIEWS x VIEWS views only; odd.
         overwrite: replace OUT if it is a result of mvedge without other files in it.
-        options: options of the model of the centre view's depth.
+        options: options of the model of the center view's depth.
         seed: seed of the random search of preset thesis.
     """
     options.check()
@@ -143,7 +143,7 @@ def _write(folder: Path, light_field: LightField, found: Superpixels) -> None:
 
 
 def _score(folder: Path, light_field: LightField, found: Superpixels) -> dict[str, float]:
-    """Scores that the ground truth allows: all, those of the centre view, or shape alone."""
+    """Scores that the ground truth allows: all, those of the center view, or shape alone."""
     truth, labels = light_field.truth, found.labels
     ids = disparity = None
     if truth is not None and truth.view_disparity is not None:

@@ -54,7 +54,7 @@ def view(
         scene: the light field, if the result does not name it or it has moved.
         reference: photograph of a `mvedge stereo` result to show; by default the first one.
         superpixels: result of `mvedge superpixels` for the scene, shown as colors.
-        hidden: result of `mvedge views` for the scene: adds surfaces that the centre view does not
+        hidden: result of `mvedge views` for the scene: adds surfaces that the center view does not
             show.
         html: write one self-contained file, .html, instead of serving it.
         quality: image quality of the views, 1 to 100 (lossless); less makes the page smaller.

@@ -15,7 +15,7 @@ def view_maps(path: Path, shape: tuple[int, ...], *names: str) -> list[np.ndarra
     Args:
         path: the file.
         shape: `[v, u, y, x]` of the views.
-        *names: disparity, error, or source: 0 for surfaces visible in the centre view, 1 in other
+        *names: disparity, error, or source: 0 for surfaces visible in the center view, 1 in other
             views only, 2 in none.
 
     Returns:

@@ -44,7 +44,7 @@ def views(
         out: folder to write.
         views: use the central VIEWS x VIEWS views only; odd.
         overwrite: replace OUT if it is a result of mvedge without other files in it.
-        options: options of the model of the centre view.
+        options: options of the model of the center view.
         seed: seed of the random search of preset thesis.
     """
     options.check()

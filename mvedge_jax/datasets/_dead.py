@@ -43,7 +43,7 @@ def find_dead_views(light_field: LightField) -> dict[tuple[int, int], str]:
     the views have contrast; noise does not count as contrast. A view is saturated if nearly all of
     it is black or white and most others are not. It is partly black if its black share exceeds
     that of the others by a fifth; all of it is then left out. It is a repetition if it equals
-    another view exactly and most neighbors differ; of equal views, only the centre view is
+    another view exactly and most neighbors differ; of equal views, only the center view is
     trusted.
 
     Properties that all views share are ignored: plain walls, dark scenes, vignettes, no parallax.
@@ -91,7 +91,7 @@ def leave_out_dead_views(
         columns: likewise.
 
     Raises:
-        ValueError: the centre view does not show the scene.
+        ValueError: the center view does not show the scene.
 
     Warns:
         UserWarning: naming their files.

@@ -215,7 +215,7 @@ def _view_order(views: h5py.Dataset, truth: Truth) -> tuple[bool, bool]:
             continue
         place = (middle - 1, uc) if axis == 0 else (vc, middle - 1)
         view = views[place].astype(np.float32)
-        # The view before the centre sees a point at +d by the convention, at -d if reversed.
+        # The view before the center sees a point at +d by the convention, at -d if reversed.
         errors = [_difference(centre, view, sign * truth.disparity, axis) for sign in (1, -1)]
         flips.append(bool(errors[1] < errors[0]))
     return flips[0], flips[1]

@@ -33,7 +33,7 @@ def load_light_field(
 ) -> LightField:
     """Reads a light field, whatever its layout.
 
-    | layout | recognised by | brings along |
+    | layout | recognized by | brings along |
     |---|---|---|
     | HCI 4D benchmark | `input_CamNNN.png` | `parameters.cfg`, `gt_disp_lowres.pfm`, object ids |
     | old HCI benchmark | `.h5`, `.hdf5` with `LF` | `GT_DEPTH`, `GT_LABELS` |
@@ -88,7 +88,7 @@ def load_light_field(
             crosshair is missing.
         ValueError: if files are truncated, unreadable, of different sizes, contradict each other,
             do not form an odd square grid or a single odd row or column, claim more than `max_gb`,
-            or hold ground truth that is not finite; if the centre view does not show the scene; or
+            or hold ground truth that is not finite; if the center view does not show the scene; or
             if an option is out of range. The message names the file.
 
     Warns:
@@ -135,7 +135,7 @@ def load_light_field(
 
 
 def load_ground_truth(path: str | os.PathLike) -> GroundTruth:
-    """Reads the ground truth of a light field, and of its views only the centre view.
+    """Reads the ground truth of a light field, and of its views only the center view.
 
     Args:
         path: a folder or a file, as for `load_light_field`.
@@ -144,9 +144,9 @@ def load_ground_truth(path: str | os.PathLike) -> GroundTruth:
         The ground truth at full size, views in the order of the convention.
 
     Raises:
-        FileNotFoundError: if there is no light field at `path`, or no centre view.
+        FileNotFoundError: if there is no light field at `path`, or no center view.
         ValueError: if it comes without ground truth, or the ground truth cannot be read, is not
-            finite, or is not of the centre view's size.
+            finite, or is not of the center view's size.
     """
     with open_source(Path(path)) as source:
         if source.truth is None:

@@ -26,7 +26,7 @@ class Views(NamedTuple):
     Attributes:
         images: the epipolar axis is `x`, `[s, y, x, c]`.
         there: which views are available.
-        steps: view steps from the centre view, the factors of disparity, float32.
+        steps: view steps from the center view, the factors of disparity, float32.
     """
 
     images: Float[np.ndarray, "s y x c"]
@@ -35,7 +35,7 @@ class Views(NamedTuple):
 
     @property
     def middle(self) -> int:
-        """Index of the centre view."""
+        """Index of the center view."""
         return len(self.there) // 2
 
     @property
@@ -57,7 +57,7 @@ class Views(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class Strips:
-    """Matches along one arm at strips of rows: `y` centre rows, all columns."""
+    """Matches along one arm at strips of rows: `y` center rows, all columns."""
 
     y: np.ndarray
     disparity: Float[np.ndarray, "e x"]
@@ -69,7 +69,7 @@ class Matches:
     """Matches along one arm, `through` all views and through the better `half` of them.
 
     A surface beside an occluder is hidden in the views of one half, but not of the other.
-    `missing` is +1 where the views before the centre lack the match of `half`, -1 where those
+    `missing` is +1 where the views before the center lack the match of `half`, -1 where those
     after it do, 0 where neither; `gradient` is that along x; `everywhere` is where `through` holds
     in every single view.
     """

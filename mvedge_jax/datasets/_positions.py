@@ -1,4 +1,4 @@
-"""Positions of views, from a source or a file, in view steps from the centre view."""
+"""Positions of views, from a source or a file, in view steps from the center view."""
 
 import math
 from pathlib import Path
@@ -29,7 +29,7 @@ def with_positions(source: Source, path: Path) -> Source:
     Raises:
         FileNotFoundError: there is no such file.
         ValueError: the file cannot be read, a line is malformed, names a view that is not in the
-            grid or was named before, or the remaining rows and columns have another centre view,
+            grid or was named before, or the remaining rows and columns have another center view,
             which has no ground truth.
     """
     if not path.exists():
@@ -88,7 +88,7 @@ def view_positions(
         columns: likewise.
 
     Returns:
-        View steps from the centre view; None if unknown, or regular to 2 % of a step.
+        View steps from the center view; None if unknown, or regular to 2 % of a step.
 
     Raises:
         ValueError: the positions do not form rows and columns; names the source.

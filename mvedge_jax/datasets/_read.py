@@ -83,7 +83,7 @@ def _differs(
     found: str = "",
     wanted: str = "",
 ) -> ValueError:
-    """The error for a view whose size or depth differs from the centre view's."""
+    """The error for a view whose size or depth differs from the center view's."""
     return ValueError(
         f"{file} is {own[0]}x{own[1]} px (height x width){found}; expected {side[0]}x{side[1]}"
         f"{wanted}, as {centre}."

@@ -1,4 +1,4 @@
-"""Dense depth of the centre view from multi-view edges: a chain of parts (Thesis 4 and 6.1).
+"""Dense depth of the center view from multi-view edges: a chain of parts (Thesis 4 and 6.1).
 
 Subpackage: `solves` (from labels to the map).
 """

@@ -1,4 +1,4 @@
-"""`EdgeDepth`: from the views of a light field to the depth of its centre view, made of parts."""
+"""`EdgeDepth`: from the views of a light field to the depth of its center view, made of parts."""
 
 from collections.abc import Mapping
 from typing import Any, Literal
@@ -32,14 +32,14 @@ Preset = Literal["full", "edges", "thesis"]
 
 
 class EdgeDepth(eqx.Module):
-    r"""Depth of the centre view from multi-view edges, a chain of parts.
+    r"""Depth of the center view from multi-view edges, a chain of parts.
 
     1. `calibration`: brightness and noise are measured once and removed from the views.
     2. `measurement`: disparity and standard error of every pixel, from the views that show it.
     3. `edges`: filters in epipolar-plane images locate edge points (Thesis 4.1); the measurement
        gives their disparity.
     4. `sides`: the surface that each point's label belongs to (4.2.2), and depth edges (4.3).
-    5. `labels`: the points' labels on the pixels of the centre view.
+    5. `labels`: the points' labels on the pixels of the center view.
     6. `dense`: a label measured at every pixel, or None for the edges alone.
     7. `smoothness`, `solver`, `refine`: labels are diffused (6.1) repeatedly. The smoothness cuts
        edges between surfaces, and sharpening moves depth steps onto color steps. Pixels beside
@@ -128,7 +128,7 @@ class EdgeDepth(eqx.Module):
         return replaced(self, {**(choices or {}), **parts})
 
     def __call__(self, light_field: LightField, *, key: PRNGKeyArray | None = None) -> DepthResult:
-        """Estimates the disparity of every pixel of the centre view, see `estimate_depth`.
+        """Estimates the disparity of every pixel of the center view, see `estimate_depth`.
 
         Args:
             light_field: the crosshair of views is read, or all of them; ground truth is not.
@@ -146,7 +146,7 @@ class EdgeDepth(eqx.Module):
 def depth(
     light_field: LightField, *, preset: Preset = "full", key: PRNGKeyArray | None = None
 ) -> DepthResult:
-    """Estimates the disparity of every pixel of a light field's centre view.
+    """Estimates the disparity of every pixel of a light field's center view.
 
     Args:
         light_field: ground truth is not read.

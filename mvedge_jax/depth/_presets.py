@@ -36,7 +36,7 @@ _FILL = 0.65
 # Ranges in files are rounded: differences up to this, px per view step, are ignored.
 _ROUNDED = 0.02
 
-# Defaults in px per view step are for light fields with views this far from the centre view.
+# Defaults in px per view step are for light fields with views this far from the center view.
 _REACH = 4
 _PER_STEP = (
     "measurement.largest_step",
@@ -131,7 +131,7 @@ def for_few_views(model: "EdgeDepth", farthest: int) -> dict[str, Any]:
 
     Args:
         model: a preset's model with the numbers for 9x9 views.
-        farthest: view steps from the centre view to the outermost one.
+        farthest: view steps from the center view to the outermost one.
 
     Returns:
         Values by path; none for 9x9 views and more.

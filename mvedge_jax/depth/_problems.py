@@ -29,7 +29,7 @@ def problems(result: "DepthResult") -> tuple[str, ...]:
 
 
 def _vignette_doubts(exposure: Any, *, most: float = 0.3) -> list[str]:
-    """Warns of strong vignettes: their differences are removed, the centre view's own is not."""
+    """Warns of strong vignettes: their differences are removed, the center view's own is not."""
     uneven = np.asarray(exposure.unevenness)
     if not (uneven > most).any():
         return []

@@ -43,7 +43,7 @@ class DepthStats(NamedTuple):
 
 
 class DepthResult(NamedTuple):
-    """Depth of the centre view, with the edges and statistics behind it.
+    """Depth of the center view, with the edges and statistics behind it.
 
     Attributes:
         disparity: px per view step, larger is nearer, `[y, x]`.

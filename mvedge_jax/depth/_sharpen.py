@@ -55,7 +55,7 @@ class Sharpen(eqx.Module):
 
         Args:
             disparity: px per view step, `[y, x]`.
-            guide: the centre view, sRGB, three channels `[c, y, x]`.
+            guide: the center view, sRGB, three channels `[c, y, x]`.
 
         Returns:
             The sharpened map. Differentiable; which level crosses one half is a selection.

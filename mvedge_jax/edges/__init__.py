@@ -1,4 +1,4 @@
-"""Multi-view edges: points in the centre view and their disparity (Thesis 4.1).
+"""Multi-view edges: points in the center view and their disparity (Thesis 4.1).
 
 Subpackages: `sides` (the surface of an edge, and depth edges; Thesis 4.2.2, 4.3), `thesis` (points
     by the thesis' own steps).

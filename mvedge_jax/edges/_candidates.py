@@ -1,4 +1,4 @@
-"""Candidate pixels: those at which the filter bank or the centre view alone finds an edge."""
+"""Candidate pixels: those at which the filter bank or the center view alone finds an edge."""
 
 from typing import NamedTuple
 
@@ -18,7 +18,7 @@ class Candidates(NamedTuple):
         column: x of each candidate.
         valid: which slots hold a candidate.
         found: whether the filter response is a maximum along x, and along y.
-        alone: whether only the contrast of the centre view is a maximum.
+        alone: whether only the contrast of the center view is a maximum.
         total: number of candidates.
         overflow: number of candidates without a slot.
     """
@@ -62,16 +62,16 @@ def find_candidates(
     *,
     capacity: int,
 ) -> Candidates:
-    """Local maxima of the filter response or of the centre view's contrast, along x or y.
+    """Local maxima of the filter response or of the center view's contrast, along x or y.
 
     Near a crossing of lines, the stronger line raises the response of all filters that cross it,
-    so the weaker line is no maximum there, although the centre view shows it clearly.
+    so the weaker line is no maximum there, although the center view shows it clearly.
 
     Args:
         strength: filter responses along x and along y.
         centre: see `contrast`.
         floor: weakest response.
-        centre_floor: weakest contrast of the centre view, whose noise is not averaged.
+        centre_floor: weakest contrast of the center view, whose noise is not averaged.
         capacity: number of slots.
 
     Returns:

@@ -27,7 +27,7 @@ class EdgeDetector(Protocol):
     """
 
     def __call__(self, evidence: Evidence, *, key: PRNGKeyArray | None = None) -> Edges:
-        """Finds the points of the centre view.
+        """Finds the points of the center view.
 
         Args:
             evidence: calibrated views and measurement.
@@ -43,7 +43,7 @@ class OrientedEdges(eqx.Module):
     """Edges by oriented Prewitt filters (Thesis 4.1.1), their disparity by the measurement.
 
     A bank of filters gives edge strength and position along every horizontal and vertical EPI.
-    Local maxima along either direction become points, one per pixel; so do those of the centre
+    Local maxima along either direction become points, one per pixel; so do those of the center
     view's own contrast, to find lines that cross a stronger one. Points that the views do not
     determine are dropped, in place of Thesis 4.1.3 and 4.1.5.
 
@@ -52,7 +52,7 @@ class OrientedEdges(eqx.Module):
         filters: number of filters.
         capacity: slots for points.
         spacing: spacing of the filters, px per view step.
-        farthest: view steps from the centre view to the outermost one of a light field that comes
+        farthest: view steps from the center view to the outermost one of a light field that comes
             with `positions`; None for a regular grid.
         banks: filters of the horizontal and of the vertical arm; None for Prewitt filters. Give
             them (`prewitt`) to learn them.
@@ -115,7 +115,7 @@ class OrientedEdges(eqx.Module):
         Args:
             views: a shape that begins with the rows and columns of the grid of views.
             dtype: dtype of the filters.
-            steps: view steps from the centre view to the views of the horizontal and the vertical
+            steps: view steps from the center view to the views of the horizontal and the vertical
                 arm, at most `farthest`, for a light field with `positions`.
 
         Returns:
@@ -148,7 +148,7 @@ class OrientedEdges(eqx.Module):
 
 
 def _longest(params: OrientedEdges, views: int) -> int:
-    """View steps from the centre view to the outermost one of an arm of so many views."""
+    """View steps from the center view to the outermost one of an arm of so many views."""
     return views // 2 if params.farthest is None else params.farthest
 
 

@@ -7,12 +7,12 @@ from mvedge_jax._params import jax_array, readable
 
 
 class EdgePoints(eqx.Module):
-    """A padded set of points of the centre view, each on an edge visible in many views.
+    """A padded set of points of the center view, each on an edge visible in many views.
 
     Slots that are not `valid` hold zeros and mean nothing.
 
     Attributes:
-        xy: position in the centre view, px, sub-pixel along the directions in which an edge was
+        xy: position in the center view, px, sub-pixel along the directions in which an edge was
             found.
         disparity: px per view step, larger is nearer.
         confidence: strength of the edge in (0, 1).

@@ -48,7 +48,7 @@ class RangeSearch:
 def _coarse(
     light_field: LightField, disparities: Array, noise: Noise, *, window: int
 ) -> tuple[Array, ...]:
-    """Best disparity, its cost, and the contrast of the centre view, per pixel."""
+    """Best disparity, its cost, and the contrast of the center view, per pixel."""
     lab = srgb_to_lab(light_field.centre_view)
     params = cast(Matching(), lab.dtype)
     planes = jnp.moveaxis(lab, -1, 0)

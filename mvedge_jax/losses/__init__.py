@@ -1,4 +1,4 @@
-"""What the optimisation minimises (Thesis 7.1.4).
+"""What the optimization minimizes (Thesis 7.1.4).
 
 Rooms: `terms` (the summands), `features` (what views are compared in).
 """

@@ -80,7 +80,7 @@ def occlusion_masks(
     """Which pixels each view sees, without gradient.
 
     Args:
-        disparity: of the centre view.
+        disparity: of the center view.
         views: the views; those that are not available see nothing.
         binned: by the authors' 32 bins rather than by an exact z-buffer.
 
@@ -105,11 +105,11 @@ def self_supervised_loss(
     """The loss (7.16): how badly a disparity map explains the views.
 
     Args:
-        disparity: of the centre view, px per view step.
+        disparity: of the center view, px per view step.
         views: the views.
         weights: of the terms.
         visible: mask M; by default the exact z-buffer of `disparity`.
-        features: what images are compared by; colours by default.
+        features: what images are compared by; colors by default.
         similarity: compute the SSIM term at all; it costs as much as the rest.
 
     Returns:

@@ -89,7 +89,7 @@ def start_from_image(start: Start, centre: Float[Array, "y x c"]) -> Start:
 
     Args:
         start: a model.
-        centre: the centre view, sRGB.
+        centre: the center view, sRGB.
 
     Returns:
         The model with the new Q. Differentiable in the view.
@@ -118,7 +118,7 @@ def start_from_points(
         disparity: their labels.
         error: their standard errors.
         valid: points that take part; those outside the image do not.
-        centre: the centre view.
+        centre: the center view.
         first: a first dense map, the source of depth steps.
         fit: see `StartFit`.
 

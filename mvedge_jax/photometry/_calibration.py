@@ -110,7 +110,7 @@ class Evidence(NamedTuple):
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Rows and columns of the centre view."""
+        """Rows and columns of the center view."""
         height, width = self.calibrated.guide.shape[1:]
         return height, width
 

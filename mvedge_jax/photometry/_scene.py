@@ -81,7 +81,7 @@ def hypothesis_count(span: float, steps: int) -> int:
 
     Args:
         span: width of the range, px per view step.
-        steps: from the centre view to the outermost one.
+        steps: from the center view to the outermost one.
 
     Returns:
         The number, at least 2.
@@ -94,7 +94,7 @@ def occluder_radius(span: float, steps: int, shape: tuple[int, int]) -> int:
 
     Args:
         span: width of the range, px per view step.
-        steps: from the centre view to the outermost one.
+        steps: from the center view to the outermost one.
         shape: of the views, px.
 
     Returns:
@@ -221,7 +221,7 @@ def recentred(
 
     Args:
         light_field: the views as they came.
-        view: index `(v, u)` of the new centre view, traced.
+        view: index `(v, u)` of the new center view, traced.
         exposure: exposure of the light field.
         noise: noise of its views after exposure.
         params: parameters of the denoising of the guide; None for the defaults.

@@ -125,7 +125,7 @@ class SparseStereo(NamedTuple):
     Attributes:
         depth: distance along the optical axis, in the unit of the poses, `[y, x]`.
         disparity: px per baseline, `[y, x]`.
-        diffused: disparity of the points, diffused without optimisation.
+        diffused: disparity of the points, diffused without optimization.
         model: points and smoothness with the lowest loss.
         loss: per iteration after points were added.
     """

@@ -58,7 +58,7 @@ def edge_smoothness(
     pixel keep structures that are two pixels wide.
 
     Args:
-        lab: centre view in CIELAB, L in 0..100, `[c, y, x]`.
+        lab: center view in CIELAB, L in 0..100, `[c, y, x]`.
         disparity: a map from an earlier pass, px per view step, `[y, x]`.
         params: c, s, a and b, and `floor`, t0.
 

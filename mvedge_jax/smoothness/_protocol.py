@@ -31,7 +31,7 @@ class Smoothness(Protocol):
         """Weights of the edges to the right and downwards.
 
         Args:
-            guide: centre view in CIELAB, L in 0..100, denoised.
+            guide: center view in CIELAB, L in 0..100, denoised.
             disparity: the map of the previous diffusion, px per view step.
             depth_edge: depth-edge confidence (Thesis 4.3), px per px; 0 where sides are not
                 estimated.

@@ -49,7 +49,7 @@ def make_tiles(
     rows, columns = -(-shape[0] // tile), -(-shape[1] // tile)
     tiles = rows * columns
     span = -(-2 * radius // tile) + 1
-    # Pixel k covers [k - ½, k + ½]; only pixel centres matter, so tile j covers [j t, j t + t - 1].
+    # Pixel k covers [k - ½, k + ½]; only pixel centers matter, so tile j covers [j t, j t + t - 1].
     safe = jnp.where(usable[:, None], xy, -4.0 * (radius + tile))
     limit = float(tile * (max(rows, columns) + span + 2))
     safe = jnp.clip(safe, -limit, limit)

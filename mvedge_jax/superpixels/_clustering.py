@@ -25,8 +25,8 @@ class SuperpixelClustering(eqx.Module):
 
     Attributes:
         capacity: slots for superpixels.
-        margin: margin around the centre view's frame for surfaces that other views show, px.
-        size: side of a superpixel in the centre view, px. The target number of superpixels is the
+        margin: margin around the center view's frame for surfaces that other views show, px.
+        size: side of a superpixel in the center view, px. The target number of superpixels is the
             area of the view over `size` squared; a scene with many smaller surfaces has more.
         color: difference of color, CIELAB, equivalent to a distance of `size`.
         depth: difference from the plane of a superpixel equivalent to a distance of `size`, px per

@@ -1,4 +1,4 @@
-"""Clusters of the centre view's pixels, each with a position, a color and a slanted plane."""
+"""Clusters of the center view's pixels, each with a position, a color and a slanted plane."""
 
 from typing import NamedTuple
 
@@ -13,12 +13,12 @@ from ._clustering import SuperpixelClustering, grid_of
 
 # A cluster reaches into its own cell of the grid and the eight around it.
 _CELLS = tuple((dy, dx) for dy in (-1, 0, 1) for dx in (-1, 0, 1))
-# One of each pair of opposite neighbours.
+# One of each pair of opposite neighbors.
 _HALF = ((0, 1), (1, 0), (1, 1), (1, -1))
 
 
 class Surface(NamedTuple):
-    """Features of the centre view's pixels.
+    """Features of the center view's pixels.
 
     Attributes:
         xy: positions, px.
@@ -35,7 +35,7 @@ class Surface(NamedTuple):
 
 
 class Grid(NamedTuple):
-    """Square cells over the centre view.
+    """Square cells over the center view.
 
     Attributes:
         rows: number of rows.
@@ -67,7 +67,7 @@ class Clusters(NamedTuple):
 def surface_of(
     lab: Float[Array, "y x 3"], disparity: Float[Array, "y x"], step: Float[Array, ""]
 ) -> Surface:
-    """Collects the features of the centre view's pixels."""
+    """Collects the features of the center view's pixels."""
     rows, columns = jnp.indices(disparity.shape)
     xy = jnp.stack([columns, rows], axis=-1).astype(disparity.dtype)
     links = jnp.stack([_linked(disparity, step, *offset) for offset in _HALF])

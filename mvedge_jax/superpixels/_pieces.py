@@ -17,7 +17,7 @@ _JOINS = 6
 
 
 class Pieces(NamedTuple):
-    """Connected pieces of the centre view.
+    """Connected pieces of the center view.
 
     Attributes:
         sums: sums of ones, colors and disparities over the pixels of each piece.

@@ -33,7 +33,7 @@ from ._superpixels import check_depths
 
 
 class SoftSuperpixels(NamedTuple):
-    """Shares of each pixel of the centre view in superpixels.
+    """Shares of each pixel of the center view in superpixels.
 
     Attributes:
         shares: shares of the superpixels of the nine cells around a pixel; they sum to 1.
@@ -58,7 +58,7 @@ def soft_superpixels(
     depths: ViewDepths,
     model: SuperpixelClustering,
 ) -> SoftSuperpixels:
-    r"""Assigns pixels of the centre view to the clusters of `superpixels` by shares.
+    r"""Assigns pixels of the center view to the clusters of `superpixels` by shares.
 
     A pixel p belongs to cluster k of the nine cells around it with the share
     $\exp(-D_k(p) / T) / \sum_j \exp(-D_j(p) / T)$, D the distance that `superpixels` measures and T
@@ -66,8 +66,8 @@ def soft_superpixels(
     contours, no connected pieces and no search for a number: cells have `model.size`.
 
     Args:
-        light_field: the centre view is read.
-        depths: the centre view's disparity is read.
+        light_field: the center view is read.
+        depths: the center view's disparity is read.
         model: see `SuperpixelClustering`; `margin` and `attempts` are not read. Gradients reach
             `color`, `depth`, `limit`, `slope` and `temperature`.
 
@@ -135,8 +135,8 @@ def through_superpixels(
     """Averages an image over soft superpixels and maps the means back to pixels.
 
     Args:
-        soft: soft superpixels of the centre view.
-        image: values of the centre view's size.
+        soft: soft superpixels of the center view.
+        image: values of the center view's size.
 
     Returns:
         The image, each pixel the mean of its superpixels' means. Differentiable in both; its

@@ -36,12 +36,12 @@ class Superpixels(NamedTuple):
     Attributes:
         labels: label of every pixel of every view, `[v, u, y, x]`, from 1 on; 0 for none.
         valid: rows of the tables in use.
-        xy: mean position in the centre view, px, also of labels that it does not show.
+        xy: mean position in the center view, px, also of labels that it does not show.
         plane: disparity at `xy`, px per view step, and its change per px along x and y.
         colour: mean color, sRGB.
-        area: number of pixels in the centre view.
+        area: number of pixels in the center view.
         parents: the least label among those connected without a depth step.
-        neighbours: pairs of labels that touch in the centre view, the smaller one first; 0 where
+        neighbours: pairs of labels that touch in the center view, the smaller one first; 0 where
             unused.
         linked: pairs that touch without a depth step.
         number: number of superpixels; those beyond the capacity have no label.
@@ -67,7 +67,7 @@ def superpixels(
 ) -> Superpixels:
     """Cuts a light field into small patches of surface, each with one label in every view.
 
-    1. The pixels of the centre view are clustered by position, color and a slanted plane per
+    1. The pixels of the center view are clustered by position, color and a slanted plane per
        cluster, with short contours; the cell size is adapted until the number of superpixels is
        right.
     2. Clusters are split into connected pieces and at every depth step. Small pieces join the most
@@ -75,7 +75,7 @@ def superpixels(
     3. Surfaces that only other views show continue the superpixels of the same surface around
        them, by disparity, or become new superpixels.
     4. Every pixel of every view gets the label of the surface that it shows, by its disparity:
-       views agree by construction, and outlines are those of the centre view. Fragments of a few
+       views agree by construction, and outlines are those of the center view. Fragments of a few
        pixels join a neighbor. A superpixel whose middle is hidden in a view has two pieces there.
 
     Args:
@@ -161,7 +161,7 @@ class _Search(NamedTuple):
 
 
 def _counted(surface: Surface, model: SuperpixelClustering) -> tuple[Array, Array]:
-    """Labels of the centre view, about as many as the target, and their number."""
+    """Labels of the center view, about as many as the target, and their number."""
     shape = surface.disparity.shape[0], surface.disparity.shape[1]
     pixels = jnp.asarray(shape[0] * shape[1], surface.disparity.dtype)
     wanted = pixels / model.size**2

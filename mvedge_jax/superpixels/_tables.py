@@ -36,7 +36,7 @@ def tables_of(
     margin: int,
     capacity: int,
 ) -> Tables:
-    """Tables of superpixels in the centre view and, from the canvas, of those in other views."""
+    """Tables of superpixels in the center view and, from the canvas, of those in other views."""
     vc, uc = light_field.centre
     centre, dtype = labels[vc, uc], surface.disparity.dtype
     area = jnp.zeros(capacity + 1, jnp.int32).at[centre].add(1)[1:]
@@ -95,7 +95,7 @@ def _planes(
 
 
 def _touching(labels: Array, surface: Surface, capacity: int) -> tuple[Array, Array]:
-    """Pairs of labels that touch in the centre view, and whether without a depth step."""
+    """Pairs of labels that touch in the center view, and whether without a depth step."""
     codes = []
     for link, offset in ((surface.links[0], (0, 1)), (surface.links[1], (1, 0))):
         other = shifted(labels, *offset, 0)

@@ -1,4 +1,4 @@
-"""Labels of all views from those of the centre view: each surface is labeled once."""
+"""Labels of all views from those of the center view: each surface is labeled once."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -19,10 +19,10 @@ _FILLS = 3
 
 
 class Canvas(NamedTuple):
-    """Surfaces in the coordinates of the centre view, with a margin around its frame.
+    """Surfaces in the coordinates of the center view, with a margin around its frame.
 
     Attributes:
-        front: disparity of the surface in the centre view, NaN beyond its frame.
+        front: disparity of the surface in the center view, NaN beyond its frame.
         back: disparity of the nearest surface that only other views show; NaN without one.
         front_labels: labels of `front`, 0 for none.
         back_labels: labels of `back`, 0 for none.
@@ -45,7 +45,7 @@ def canvas_of(
 
     Args:
         disparities: of all views, px per view step.
-        labels: of the centre view, from 1 on.
+        labels: of the center view, from 1 on.
         step: two surfaces differ by more than this, px per view step.
         margin: around the frame, px.
 
@@ -99,7 +99,7 @@ def continued(
     *,
     capacity: int,
 ) -> tuple[Canvas, Int[Array, ""]]:
-    """Labels surfaces hidden from the centre view, by the same surface around or with new labels.
+    """Labels surfaces hidden from the center view, by the same surface around or with new labels.
 
     Args:
         canvas: canvas with labels of the front.
@@ -174,7 +174,7 @@ def labelled(
 
     Args:
         disparities: of all views, px per view step.
-        labels: of the centre view, from 1 on.
+        labels: of the center view, from 1 on.
         canvas: with labels.
         step: two surfaces differ by more than this, px per view step.
         fragment: pieces with fewer pixels than this, separate from the rest of their label, join a
@@ -192,7 +192,7 @@ def labelled(
         behind = jnp.abs(back[place] - disparity) <= step
         label = jnp.where(in_front, front_labels[place], jnp.where(behind, back_labels[place], 0))
         label = _filled(label, disparity)
-        # An outline that is wider in this view than in the centre view is cut to the latter.
+        # An outline that is wider in this view than in the center view is cut to the latter.
         moved = forward_warp(labels[..., None].astype(disparity.dtype), centre, view)
         wide = moved.hit & ~in_front & (moved.disparity < disparity - step)
         label = jnp.where(wide, moved.image[..., 0].astype(jnp.int32), label)

@@ -79,7 +79,7 @@ def forward_warp(
     Args:
         image: values of this view.
         disparity: px per view step, larger is nearer.
-        step: `(u_c - u, v_c - v)` from the centre view to view `(v, u)`.
+        step: `(u_c - u, v_c - v)` from the center view to view `(v, u)`.
 
     Returns:
         The reprojected image. Differentiable with respect to `image` and, in its `disparity`

@@ -86,7 +86,7 @@ def bidirectional(
 
     Args:
         points: positions, disparities, unit normals.
-        gray: centre view in [0, 1], `[y, x]`.
+        gray: center view in [0, 1], `[y, x]`.
         params: see `DirectionalDiffusion`.
         respond: response to the depth profiles at -3..3 px along the normals; the larger one gives
             the side.

@@ -22,7 +22,7 @@ def reprojection_score(
 ) -> Float[Array, " n"]:
     """Reprojection error of the backward map minus that of the forward map at every point.
 
-    All crosshair views are warped to the centre by either map, occlusions left out; the error of a
+    All crosshair views are warped to the center by either map, occlusions left out; the error of a
     pixel is its mean absolute color difference over the views that show it.
 
     Args:

@@ -71,7 +71,7 @@ def surface_vectors(
         response: response of the bidirectional diffusion, px, `[n]`, or None.
         disparity: a dense map, or None.
         params: see `SideVote`.
-        shape: rows and columns of the centre view.
+        shape: rows and columns of the center view.
         reach: distance over which the score is averaged along the edge to either side, px.
 
     Returns:
@@ -127,7 +127,7 @@ def along_edge(
     Args:
         points: positions and normals.
         score: positive speaks for `+normal`.
-        shape: rows and columns of the centre view.
+        shape: rows and columns of the center view.
         reach: to either side along the tangent, px; 0 returns the score.
 
     Returns:

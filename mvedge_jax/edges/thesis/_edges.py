@@ -44,7 +44,7 @@ class ThesisEdges(eqx.Module):
         disparity_sigma: standard deviation of the joint filter in disparity.
         color_sigma: standard deviation of the joint filter in color, in the units of `color`.
         color: color space of the joint filter: `"lab"`, L* in 0..100, or the authors' `"srgb"`.
-        hidden: keep points that the centre view does not show (Eq. 4.4), for other views.
+        hidden: keep points that the center view does not show (Eq. 4.4), for other views.
         fewest_views: least number of views that must show a point.
     """
 
@@ -163,7 +163,7 @@ def _of_both(across: ArmLines, down: ArmLines, part: ThesisEdges) -> list[Array]
         epi = jnp.arange(own.keep.shape[0], dtype=own.lines.position.dtype)[:, None]
         epi, along = jnp.broadcast_to(epi, own.keep.shape), own.lines.position
         xy = jnp.stack([along, epi] if own is across else [epi, along], -1)
-        # The authors hide a point from the other arm where the centre view does not show it.
+        # The authors hide a point from the other arm where the center view does not show it.
         shown = own.visible[..., own.visible.shape[-1] // 2, None]
         others = jnp.broadcast_to(shown, (*own.keep.shape, other.visible.shape[-1]))
         order = [others, own.visible] if own is across else [own.visible, others]

@@ -31,7 +31,7 @@ def joint_filter(
         xy: positions, px.
         disparity: px per view step.
         valid: which slots hold a point; others keep their value.
-        color: colors of the centre view; CIELAB in the thesis, sRGB in [0, 1] in the authors'
+        color: colors of the center view; CIELAB in the thesis, sRGB in [0, 1] in the authors'
             program.
         space_sigma: px; 10 in the thesis; the program has 10 on an image of twice the size.
         disparity_sigma: px per view step; 0.1 in the thesis.

@@ -96,7 +96,7 @@ class ByEvidence(Approach):
         Args:
             light_field: its views validate the result.
             prepared: from `prepare`.
-            state: of the optimisation.
+            state: of the optimization.
 
         Returns:
             The map, px per view step, and the verdict, which always keeps it.

@@ -104,7 +104,7 @@ class ByReprojection(Approach):
         Args:
             light_field: its crosshair of views is read.
             prepared: from `prepare`.
-            state: of the optimisation.
+            state: of the optimization.
 
         Returns:
             The map, px per view step, and the verdict on the change before it was polished.

@@ -97,7 +97,7 @@ def agreed_correction(
     clear = _unbent(disparity, params.depth_step, margin)
     steps = jnp.pad(views.steps, ((1, 0), (0, 0))).astype(views.centre.dtype)
     splines = _splines(views, GridShift(steps))
-    # A view's step is odd or even; the centre view belongs to both halves.
+    # A view's step is odd or even; the center view belongs to both halves.
     odd = jnp.mod(jnp.round(jnp.sum(steps, axis=1)), 2) == 1
     centre = jnp.all(steps == 0, axis=1)
     measuring = replace(params.measuring, radius=radius)
@@ -127,7 +127,7 @@ def agreed_correction(
 
 
 def _splines(views: Views, shifts: GridShift) -> ViewSplines:
-    """All views with the centre one first."""
+    """All views with the center one first."""
     images = jnp.concatenate([views.centre[None], views.others])
     there = jnp.pad(views.available, (1, 0), constant_values=True)
     return ViewSplines.of(ViewSet(images, shifts, there))

@@ -49,7 +49,7 @@ def relocate_steps(
 
     Args:
         disparity: the map, px per view step, finite.
-        image: centre view, sRGB in [0, 1].
+        image: center view, sRGB in [0, 1].
         params: see `StepRelocation`.
         reach: distance from a step within which the map is discarded, px; static.
 

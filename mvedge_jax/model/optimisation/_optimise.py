@@ -139,7 +139,7 @@ def advance(state: State, routine: Routine, objective: Objective) -> tuple[State
     Args:
         state: the current state.
         routine: what every iteration does.
-        objective: what is minimised.
+        objective: what is minimized.
 
     Returns:
         The new state and the history of these iterations.
@@ -199,7 +199,7 @@ def optimise(
     Args:
         state: from `begin`, or from a file; finished iterations of `routine` are skipped.
         routine: what every iteration does.
-        objective: what is minimised.
+        objective: what is minimized.
         strategy: adds or moves points between pieces; by default `FixedPoints()`.
         progress: called after every piece with a `Progress`.
 

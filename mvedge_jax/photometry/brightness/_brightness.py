@@ -42,7 +42,7 @@ class Brightness(eqx.Module):
             cameras.
         alike: number of blocks with a common error by parallax, some 4x4.
         blur: standard deviation of the blur against the bias of gains by noise.
-        vignette_rough: variation over the frame of a view's brightness relative to the centre
+        vignette_rough: variation over the frame of a view's brightness relative to the center
             view's, as a standard deviation of logs, that is attributed to the scene while no
             disparity is known.
         vignette_prior: the same along a disparity map.
@@ -53,7 +53,7 @@ class Brightness(eqx.Module):
         vignette_side: least shorter side of the views for which `vignette_rough` and
             `vignette_prior` hold; for smaller views, in which parallax moves a larger part, they
             grow in proportion.
-        black: brightness below which a pixel of the centre view is black.
+        black: brightness below which a pixel of the center view is black.
         dark: brightness below which a pixel of the other views is dark.
         noise: parameters of the noise and of the denoising of the guide.
         vignette_steps: steps of gradient descent of the vignette fit.

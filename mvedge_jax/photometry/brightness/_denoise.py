@@ -18,7 +18,7 @@ from ._noise import Noise
 def denoised(
     image: Float[Array, "c y x"], noise: Noise, *, params: NoiseModel | None = None
 ) -> Float[Array, "c y x"]:
-    """Denoises the centre view with its edges kept, as a guide.
+    """Denoises the center view with its edges kept, as a guide.
 
     An adaptive Wiener filter over 7x7 px: a pixel becomes the local mean if the local variance is
     that of the noise, and keeps its value if the variance is much larger.

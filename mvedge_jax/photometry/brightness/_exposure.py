@@ -17,17 +17,17 @@ class Exposure(NamedTuple):
 
     Attributes:
         scale: factor for all views that brightens dark scenes, from 1 to `Brightness.brightest`.
-        gain: brightness of each view relative to the centre view, `[v, u]`, or of each photograph
+        gain: brightness of each view relative to the center view, `[v, u]`, or of each photograph
             relative to the first, `[s]`; views are divided by it. 1 for views that were not
             measured.
         vignette: variation of the log of that brightness over the frame of the view: coefficients
             `[..., i, j]` of the products of Legendre polynomials of degree `i` down and `j` across
             the frame, each of mean square 1; 0 if the variation is no larger than that of scenes
-            without vignettes; None for 0 everywhere. Only ratios to the centre view are observed,
+            without vignettes; None for 0 everywhere. Only ratios to the center view are observed,
             so its own vignette shows in parallax alone: a pixel that moves outwards becomes
             darker. The radial vignette common to all views is found along a disparity map with
             surfaces of different disparities side by side, and is part of the coefficients. The
-            rest of the centre view's vignette stays in all views.
+            rest of the center view's vignette stays in all views.
     """
 
     scale: Float[Array, ""]
@@ -36,7 +36,7 @@ class Exposure(NamedTuple):
 
     @property
     def unevenness(self) -> Float[Array, "*views"]:
-        """Standard deviation over the frame of each log vignette relative to the centre view's."""
+        """Standard deviation over the frame of each log vignette relative to the center view's."""
         if self.vignette is None:
             return jnp.zeros_like(self.gain)
         shape = self.gain.shape

@@ -67,7 +67,7 @@ def rough_brightness(
         params: see `Brightness`; None for the defaults.
 
     Returns:
-        `Uncalibrated.rough_exposure`, and the noise of the centre view alone. Differentiable.
+        `Uncalibrated.rough_exposure`, and the noise of the center view alone. Differentiable.
 
     Example:
         >>> import jax, jax.numpy as jnp
@@ -94,12 +94,12 @@ def measure_noise(
     """Measures the noise of a scene.
 
     The result is the lower of two estimates: second differences in the smoothest regions of the
-    centre view, too large if texture is everywhere, and the residual of the best disparity between
+    center view, too large if texture is everywhere, and the residual of the best disparity between
     views, too large on gloss. Neither may lie below the rounding error of the views: that of 8 or
     10 bits if all colors lie on such steps, else that of `NoiseModel.finest`.
 
     Args:
-        centre: the centre view, `[c, y, x]`, multiplied by `exposure`.
+        centre: the center view, `[c, y, x]`, multiplied by `exposure`.
         exposure: see `Exposure.scale`.
         between: the second estimate, see `between_views_variance`; None leaves it out.
         params: see `NoiseModel`; None for the defaults.

@@ -16,7 +16,7 @@ def lit(arms: Crosshair, params: Brightness) -> Float[Array, "y x"]:
     """0 in the vignette mask and around it, 1 elsewhere.
 
     The mask of the lens has the same position in every view. So a pixel is in the mask if it is
-    black in the centre view, dark at the same position in half of the others, and so are all
+    black in the center view, dark at the same position in half of the others, and so are all
     pixels between it and one side of the frame. The outline of the mask is no edge of the scene.
 
     Args:

@@ -1,4 +1,4 @@
-"""Vignettes: variation over the frame of a view's brightness relative to the centre view's."""
+"""Vignettes: variation over the frame of a view's brightness relative to the center view's."""
 
 from typing import NamedTuple
 
@@ -119,14 +119,14 @@ def vignettes(
     """Robust fit of smooth log ratios, shrunk by their share of chance.
 
     Args:
-        logs: log ratio of every view to the centre view at every position.
+        logs: log ratio of every view to the center view at every position.
         known: 1 where both show the scene, 0 elsewhere.
         basis: see `basis_at`.
         params: see `Brightness`.
         least: standard deviation of the log ratios over all views and the frame that scenes
             without vignettes have.
         shape: rows and columns of the views.
-        moved: difference of `radial` between the positions in the view and in the centre view, by
+        moved: difference of `radial` between the positions in the view and in the center view, by
             parallax; None if no disparity is known.
 
     Returns:

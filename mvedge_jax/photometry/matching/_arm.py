@@ -19,11 +19,11 @@ Corner = tuple[Array | int, Array | int]
 
 
 class Half(NamedTuple):
-    """The views on one side of the centre view that a sweep compares.
+    """The views on one side of the center view that a sweep compares.
 
     Attributes:
         planes: colors, padded along the arm by its length, `[s, c, y, x]`.
-        steps: view steps from the centre view.
+        steps: view steps from the center view.
         there: 1 for available views, 0 for others.
     """
 
@@ -36,7 +36,7 @@ class Swept(NamedTuple):
     """An arm prepared for a sweep.
 
     Attributes:
-        centre: colors of the centre view, `[c, y, x]`.
+        centre: colors of the center view, `[c, y, x]`.
         halves: the other views.
         support: window weights of the cost.
         wide: window weights of the drift: a window twice as wide with as many pixels.
@@ -54,8 +54,8 @@ class Limits(NamedTuple):
     """The numbers of a cost.
 
     Attributes:
-        truncation: squared differences of colour that count half.
-        drift: largest change of colour that is taken out.
+        truncation: squared differences of color that count half.
+        drift: largest change of color that is taken out.
         alpha: dominance of the noise.
     """
 
@@ -69,7 +69,7 @@ def swept(arm: Arm, lab: Array, share: Array, same_color: Array, window: int) ->
 
     Args:
         arm: low-passed.
-        lab: the centre view in CIELAB, in the arm's orientation.
+        lab: the center view in CIELAB, in the arm's orientation.
         share: how much of the drift is granted, likewise.
         same_color: see `Matching`.
         window: half the width of the window, px.
@@ -120,7 +120,7 @@ def moved_cost(
 
 
 def reach_of(window: int) -> int:
-    """Radius of the centre view's pixels that a cost reads, px.
+    """Radius of the center view's pixels that a cost reads, px.
 
     Args:
         window: half the width of the window of the cost; that of the drift is twice as wide.
@@ -145,7 +145,7 @@ def _better_half(arm: Swept, changes: list[list[Array]], limits: Limits) -> Arra
 
 
 def shifted(half: Half, disparity: Array, corner: Corner, size: tuple[int, int]) -> list[Array]:
-    """Pixels of every view of a half that a disparity moves to a part of the centre view.
+    """Pixels of every view of a half that a disparity moves to a part of the center view.
 
     Args:
         half: with padded planes.
@@ -173,7 +173,7 @@ def shifted_to(half: Half, disparity: Array, view: int, corner: Corner) -> list[
 
 
 def _changes(moved: list[Array], steps: Array, centre: Array, disparity: Array) -> list[Array]:
-    """Colors of every view of a half at a disparity minus those of the centre view."""
+    """Colors of every view of a half at a disparity minus those of the center view."""
     width = centre.shape[2]
     result = []
     for part, step in zip(moved, unstack(steps), strict=True):
@@ -199,7 +199,7 @@ def _better(first: Array, second: Array, alpha: Array) -> Array:
 def _drift(
     halves: tuple[Half, Half], changes: list[list[Array]], weights: Array, limit: Array
 ) -> Float[Array, "h y x"]:
-    """Change of a window's gray value per view step, by regression through the centre view."""
+    """Change of a window's gray value per view step, by regression through the center view."""
     ends = [jnp.max(jnp.abs(half.steps), initial=1) for half in halves]
 
     def trend(half: Half, changes: list[Array], last: Array) -> Array:
@@ -228,7 +228,7 @@ def _per_view(half: Half, changes: list[Array]) -> Iterator[tuple[Array, Array, 
 
 
 def halves_of(arm: Arm) -> tuple[Half, Half]:
-    """The views of an arm that a sweep compares, on either side of the centre view."""
+    """The views of an arm that a sweep compares, on either side of the center view."""
     width = arm.planes.shape[3]
     indices = sweep_views(arm.planes.shape[0])
 

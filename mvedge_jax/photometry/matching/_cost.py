@@ -28,7 +28,7 @@ class Matching(eqx.Module):
     Attributes:
         truncation: squared color differences saturate at this many times the scene's noise, so
             that a view in which the pixel is hidden does not dominate.
-        drift: allowed change of a window's mean color, sRGB, from the centre view to the last one,
+        drift: allowed change of a window's mean color, sRGB, from the center view to the last one,
             by gloss and shading. It falls with the dominance of noise, which looks like drift.
         slant: penalty of a change by one hypothesis between neighboring pixels; costs are at most
             2.
@@ -72,7 +72,7 @@ def hypotheses(
     A pixel beside a nearer surface is hidden in the views of one side of each arm. So only the
     half of each arm that agrees better counts:
     $\min(C_{left}, C_{right}) + \min(C_{above}, C_{below})$, each a mean of truncated
-    squared color differences to the centre view over a color-weighted window. The views of a
+    squared color differences to the center view over a color-weighted window. The views of a
     `ViewSet` have no sides: the better half of all of them counts, twice.
 
     On glossy and on dark surfaces the color of a window drifts from view to view, by more than its
@@ -85,7 +85,7 @@ def hypotheses(
 
     Args:
         views: views, low-passed according to the noise.
-        lab: the centre view in CIELAB, denoised, `[c, y, x]`.
+        lab: the center view in CIELAB, denoised, `[c, y, x]`.
         disparities: what to try, px per view step, increasing, evenly spaced.
         params: see `Matching`.
         window: half the width of the window, px.
@@ -115,7 +115,7 @@ def best_match(
 
     Args:
         views: views after exposure and gains.
-        lab: the centre view in CIELAB, `[c, y, x]`.
+        lab: the center view in CIELAB, `[c, y, x]`.
         disparities: what to try, px per view step, increasing, evenly spaced.
         params: see `Matching`.
         window: half the width of the window, px.
@@ -179,7 +179,7 @@ def shared_drift(noise: Noise, lab: Float[Array, "c y x"], params: Matching) -> 
 
 
 def cheapest(total: Float[Array, "d y x"], disparities: Float[Array, " d"]) -> Array:
-    """The disparity of least cost, refined by a parabola through it and its neighbours."""
+    """The disparity of least cost, refined by a parabola through it and its neighbors."""
     count = disparities.shape[0]
     winner = jnp.argmin(total, axis=0)[None]
     inner = jnp.clip(winner, 1, max(count - 2, 1))

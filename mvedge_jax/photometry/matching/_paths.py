@@ -20,14 +20,14 @@ def aggregate(
     r"""Sums, over four directions, the cost of the cheapest path that ends at each pixel.
 
     Along a path, a change by one disparity costs `slant` and a larger one
-    $j = \mathrm{jump} / (1 + |\Delta Lab| / \mathrm{colour})$:
+    $j = \mathrm{jump} / (1 + |\Delta Lab| / \mathrm{color})$:
     $L(p, d) = C(p, d) + \min(L(q, d), L(q, d \pm 1) + s, \min_k L(q, k) + j) - \min_k L(q, k)$
     with $q$ the pixel before $p$. Pixels without texture follow their surface, however far its
     texture is.
 
     Args:
         cost: per disparity and pixel, `[d, y, x]`.
-        lab: centre view in CIELAB, `[c, y, x]`.
+        lab: center view in CIELAB, `[c, y, x]`.
         slant: penalty of a step to the next disparity, in units of `cost`.
         jump: penalty of any other step between pixels of the same color.
         colour: step of CIELAB color that halves the penalty of a jump.

@@ -35,7 +35,7 @@ def plane_sweep(
     window: int = 2,
     disparity_range: tuple[float, float] | Float[Array, "2"] | None = None,
 ) -> PlaneSweep:
-    """Disparity of the centre view by winner-takes-all over planes.
+    """Disparity of the center view by winner-takes-all over planes.
 
     The matching cost is that of `hypotheses`: truncated color differences in a color-weighted
     window, over the better half of either arm. The plane of least cost wins, and a parabola

@@ -48,7 +48,7 @@ def pooled(
 
     Args:
         cost: per disparity and pixel, `[d, y, x]`.
-        lab: the denoised centre view in CIELAB, `[c, y, x]`.
+        lab: the denoised center view in CIELAB, `[c, y, x]`.
         noise: pooling fades with its `alpha`.
         params: see `Pooling`.
 

@@ -46,7 +46,7 @@ class _Region(NamedTuple):
     Attributes:
         corner: first row and column of the part.
         wanted: cotangents of the costs of the part; 0 around it, `[d, y, x]`.
-        local: centre view, weights and share of drift there.
+        local: center view, weights and share of drift there.
     """
 
     corner: Corner

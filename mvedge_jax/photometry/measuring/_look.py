@@ -21,9 +21,9 @@ class ArmSplines(NamedTuple):
     """The views of an arm as coefficients of cubic splines along it.
 
     Attributes:
-        centre: coefficients of the centre view, `[c, y, x]`.
+        centre: coefficients of the center view, `[c, y, x]`.
         others: coefficients of the other views, separate to avoid copies, `[s, c, y, x]`.
-        steps: view steps from the centre view to each other one, `[s]`.
+        steps: view steps from the center view to each other one, `[s]`.
         available: which of the other views are read, `[s]`.
     """
 
@@ -169,7 +169,7 @@ class CrosshairSplines(NamedTuple):
 
 
 class _ArmViews(NamedTuple):
-    """Colors, gradients and weights of the views of an arm without the centre view."""
+    """Colors, gradients and weights of the views of an arm without the center view."""
 
     own: Array
     weight: Array
@@ -195,7 +195,7 @@ def _arm_views(arm: ArmSplines, disparity: Array, params: Measuring) -> _ArmView
         relative = tuple(v - c for v, c in zip(values, centre, strict=True))
         return (seen.astype(disparity.dtype), *relative, *slopes)
 
-    # Colors are relative to the centre view, whose own are therefore 0.
+    # Colors are relative to the center view, whose own are therefore 0.
     seen, *rest = lax.map(one, (arm.others, arm.steps, arm.available))
     relative, gradients = rest[: len(centre)], rest[len(centre) :]
     first = _moments(seen, arm.steps, relative, gradients, jnp.ones_like(disparity), slopes)
@@ -211,7 +211,7 @@ def _moments(
     own: Array,
     slopes: list[Array],
 ) -> _Moments:
-    """Sums over the views; `own` and `slopes` are weight and gradients of the centre view."""
+    """Sums over the views; `own` and `slopes` are weight and gradients of the center view."""
     step = steps[:, None, None]
     first = weight * step
     return _Moments(
@@ -228,7 +228,7 @@ def _moments(
 def _trusted(
     seen: Array, values: list[Array], moments: _Moments, params: Measuring
 ) -> tuple[Array, Array]:
-    """Weights of the centre view and of the others: outliers from the mean weigh less."""
+    """Weights of the center view and of the others: outliers from the mean weigh less."""
     means = [c / moments.weight for c in moments.colour]
     spread = moments.power
     for mean, colour in zip(means, moments.colour, strict=True):

@@ -78,7 +78,7 @@ def labels(
 
     Args:
         found: normal equations around `disparity`, see `CrosshairSplines.look`.
-        lab: the centre view in CIELAB, `[c, y, x]`.
+        lab: the center view in CIELAB, `[c, y, x]`.
         disparity: the map to improve, px per view step, `[y, x]`.
         params: see `Measuring`.
         passes: passes over the neighborhood: 1 for 3x3 pixels, 2 for 7x7, 3 for 15x15.
@@ -195,7 +195,7 @@ def shared(
 
     Args:
         measured: result of `labels`.
-        lab: the centre view in CIELAB, `[c, y, x]`.
+        lab: the center view in CIELAB, `[c, y, x]`.
         params: see `Measuring`.
         passes: passes over the neighborhood, see `labels`.
 
@@ -224,7 +224,7 @@ def mismatch(
 
     Args:
         found: result of `look` around `disparity`.
-        lab: the centre view in CIELAB, `[c, y, x]`.
+        lab: the center view in CIELAB, `[c, y, x]`.
         disparity: px per view step, `[y, x]`.
         params: see `Measuring`.
         passes: passes over the neighborhood.

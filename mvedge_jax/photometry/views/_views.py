@@ -60,7 +60,7 @@ class ViewSet(NamedTuple):
 
 
 def views_of(light_field: LightField) -> ViewSet:
-    """All views of a light field, the centre view first.
+    """All views of a light field, the center view first.
 
     Args:
         light_field: the views.
