@@ -1,4 +1,4 @@
-"""The views that a depth map is held against, in the layout that the losses read."""
+"""The views of the losses: the center view and those compared with it."""
 
 from collections.abc import Sequence
 
@@ -15,7 +15,7 @@ class Views(eqx.Module):
     """A center view and views around it, as channel planes.
 
     Attributes:
-        centre: the image whose disparity is sought.
+        centre: the image whose disparity is estimated.
         others: the views that are warped to it.
         steps: `(u_c - u, v_c - v)` of every view.
         available: views that take part.

@@ -1,4 +1,4 @@
-"""What images are compared by: colors, a filter bank, or the first layers of VGG16."""
+"""Image features to compare: colors, a filter bank, or the first layers of VGG16."""
 
 import zipfile
 from pathlib import Path
@@ -13,7 +13,7 @@ from mvedge_jax._params import cast, number
 from mvedge_jax._product import FULL
 from mvedge_jax.color import srgb_to_gray
 
-# Bytes of an array of weights, which none of ours comes near: a file may claim anything.
+# Maximum size of a weight array in bytes; guards against corrupt headers.
 _MOST = 10_000_000
 
 

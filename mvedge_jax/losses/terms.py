@@ -34,7 +34,7 @@ def warp_views(
 
     Args:
         disparity: of the center view, px per view step.
-        views: what to warp.
+        views: the views to warp.
         visible: mask M of (7.15).
 
     Returns:
@@ -55,7 +55,7 @@ def reprojection_error(
     visible: Bool[Array, "k y x"],
     features: Features,
 ) -> Float[Array, "y x"]:
-    r"""How much the warped views differ from the center view.
+    r"""Difference of the warped views from the center view.
 
     $$ E = \frac{1}{\max(\sum_i M^i, 1)} \sum_i M^i
     \operatorname{mean}_c |F_c(I) - F_c(W[I^i])| $$
@@ -64,7 +64,7 @@ def reprojection_error(
         disparity: of the center view, px per view step.
         views: the views.
         visible: mask M, no gradient. Masked pixels are replaced by the center image before
-            features are taken, so that they leak nothing into the features of their neighbors.
+            computing features, so that they do not affect the features of their neighbors.
         features: `features(image) -> [c, y, x]`.
 
     Returns:
@@ -83,7 +83,7 @@ def reprojection_error(
         difference = jnp.mean(jnp.abs(features(warped) - reference), axis=0)
         return total + jnp.where(mask, difference, 0), None
 
-    # One view at a time: the program stays small and features of one view only are alive.
+    # One view at a time, which keeps the program small and one view's features in memory.
     total, _ = jax.lax.scan(one, jnp.zeros_like(disparity), (views.others, views.steps, visible))
     count = jnp.sum(visible, axis=0).astype(disparity.dtype)
     return total / jnp.maximum(count, 1)

@@ -1,4 +1,4 @@
-"""Backward warping: sample another view where a disparity map says that it sees the same points."""
+"""Backward warping: samples another view at the positions given by a disparity map."""
 
 import jax
 import jax.numpy as jnp
@@ -13,7 +13,7 @@ def backward_warp(
     disparity: Float[Array, "y x"],
     step: Float[Array, "2"],
 ) -> tuple[Float[Array, "y x c"], Bool[Array, "y x"]]:
-    r"""Sample another view at the places where it sees the points of this one.
+    r"""Samples another view at the positions of the points of this one.
 
     A point at $(x, y)$ with disparity $d$ is at $(x + s_x d, y + s_y d)$ in the view that lies
     `step` away, so the warped image is $W(x, y) = I(x + s_x d(x, y),\, y + s_y d(x, y))$,

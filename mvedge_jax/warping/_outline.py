@@ -19,19 +19,18 @@ _PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 
 
 class Outline(eqx.Module):
-    """What is beside a depth step, and how far color is believed there.
+    """Parameters of the choice of a surface by color beside a depth step.
 
-    All of it selects: no gradient passes through an outline.
+    All are thresholds: no gradient passes through an outline.
 
     Attributes:
-        odds: that the map has a pixel beside a step on the right side.
+        odds: prior odds that the map has a pixel beside a step on the right side.
         step: differences of disparity beyond this are steps.
-        steeper: if they are this many times as large as what either surface rises by from pixel to
-            pixel.
-        width: standard deviation of the Gaussian of what tells colors apart.
-        doubt: a pixel beside a step is not sure of its own surface, and counts this much.
+        steeper: least ratio of a step to the slope of either surface per pixel.
+        width: standard deviation of the Gaussian window of the color fit.
+        doubt: weight of pixels beside a step, whose surface is uncertain.
         faint: variance of colors that tells nothing.
-        reach: of what tells colors apart, px.
+        reach: radius of the window of the color fit, px.
     """
 
     odds: Float[Array, ""] = number(8.0, "log odds", threshold=True)
