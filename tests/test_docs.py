@@ -38,7 +38,7 @@ def test_a_row_of_the_equations_names_what_is_there(row):
         assert any(f"def {step}(" in source for source in sources.values()), step
 
 
-def _run(name, blocks, names=None, smaller=lambda page: page):
+def _run(name, blocks, names: dict | None = None, smaller=lambda page: page):
     """The names that the Python blocks of a page define, run one after the other."""
     page = smaller((_PAGE.parent / name).read_text(encoding="utf-8"))
     names = {"__name__": "page"} if names is None else names
@@ -75,7 +75,7 @@ def _small(page):
 def test_the_tutorial_runs_in_one_session():
     pages = sorted(path.name for path in _PAGE.parent.glob("tutorial-*.md"))
     assert [name[9] for name in pages] == ["1", "2", "3", "4", "5"]
-    names = {"__name__": "page"}
+    names: dict = {"__name__": "page"}
     with jax.numpy_dtype_promotion("standard"):  # the reader's part mixes precisions under x64
         for name in pages:
             _run(name, slice(None), names, _small)
