@@ -99,7 +99,7 @@ _MODEL: dict[str, str] = dict(
 
 
 def accuracy(results: Results) -> str:
-    """README: two scenes, full frame, ours beside others."""
+    """README, docs/accuracy.md: two scenes, full frame, ours beside others."""
 
     def ours(scene: str, method: str) -> Row:
         return results.row("table_6_1", scene=scene, method=method)
@@ -197,7 +197,7 @@ def gradient(results: Results) -> str:
 
 
 def edges(results: Results) -> str:
-    """README: presets on cotton, and their mean over 13 scenes."""
+    """docs/accuracy.md: presets on cotton, and their mean over 13 scenes."""
     few = ("MSE*100", *SCORES[2:])
     lines = [
         (
@@ -255,7 +255,7 @@ def calibrated(results: Results, scene: str) -> str:
 
 
 def calibration(results: Results) -> str:
-    """docs/choosing.md: per cent of the map within one and within two standard errors."""
+    """docs/accuracy.md: per cent of the map within one and within two standard errors."""
     return _table(
         ("scene", "within one standard error", "within two"),
         [

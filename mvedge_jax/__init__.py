@@ -1,8 +1,8 @@
 """Multi-view edges and dense, occlusion-correct depth from light fields, in JAX.
 
-The names that most programs need; each folder of the package exports the rest of its stage.
-Readers of files and the model's optimisation are imported when they are first named, with the
-libraries that they need: OpenCV, h5py, SciPy, Optax.
+The root exports the names that most programs need; each subpackage exports the rest of its stage.
+Readers of files and the model's optimization are imported on first use, with their libraries:
+OpenCV, h5py, SciPy, Optax.
 """
 
 import typing as _typing
@@ -72,7 +72,7 @@ _register(__name__)
 
 
 def __getattr__(name: str) -> _typing.Any:
-    """`__version__`, and what need not cost every import its time."""
+    """`__version__` and lazily imported names."""
     if name == "__version__":
         from mvedge._version import package_version
 

@@ -12,9 +12,9 @@ from jax.extend.core import ClosedJaxpr, Jaxpr, JaxprEqn, Literal, jaxpr_as_fun
 
 from ._compiler import LeanJit, lean_jit
 
-# Rows computed together at most, and numbers in their largest array on the CPU: larger arrays leave
-# the cache, and loops wait for the slowest row; smaller ones are soon computed, and starting an
-# operation is most of its time.
+# Largest number of rows computed together, and of numbers in their largest array on the CPU.
+# Larger arrays leave the cache, and loops wait for the slowest row; with smaller ones, the
+# overhead of starting operations dominates.
 _MOST = 8
 _NUMBERS = 1 << 17
 
@@ -22,13 +22,13 @@ _NUMBERS = 1 << 17
 def batched(function: Callable[..., Any], *, together: int | None = None) -> LeanJit[..., Any]:
     """Calls a function for many settings: `jax.vmap` of its first argument, a few rows at a time.
 
-    What no row reaches is computed once for all, and its memory does not grow with the rows. That
-    is so for whole steps of the function: loops, conditionals and the chain's stages (`EdgeDepth`)
-    that a row reaches are computed as a whole, once for the rows that go together.
+    Steps of the function that depend on no row are computed once, and their memory does not grow
+    with the rows. Steps are whole: loops, conditionals and the chain's stages (`EdgeDepth`) that
+    depend on a row are computed once per group of rows.
 
     Args:
         function: maps a pytree of arrays, and whatever comes after it, to a pytree of arrays.
-        together: rows that go through the program side by side; memory grows with it. By default
+        together: number of rows computed together; memory grows with it. By default
             at most eight: fewer on the CPU where arrays are large.
 
     Returns:
@@ -55,11 +55,11 @@ def batched(function: Callable[..., Any], *, together: int | None = None) -> Lea
 
 
 class _Later:
-    """Stands for what depends on a row."""
+    """Placeholder of a value that depends on a row."""
 
 
 class _Step(NamedTuple):
-    """An equation that depends on a row, with its inputs, and what its results are called."""
+    """An equation that depends on a row, with its inputs and its output variables."""
 
     run: Callable[..., Sequence[Any]]
     given: list[Any]
@@ -104,7 +104,7 @@ def _mapped(function: Callable[[Any], Any], rows: Any, together: int | None) -> 
 def _split(
     program: Jaxpr, constants: Sequence[Any], arguments: Sequence[Any], steps: list[_Step]
 ) -> list[Any]:
-    """Computes what depends on no row; the rest is added to the steps."""
+    """Evaluates equations that depend on no row; the others are added to the steps."""
     known = dict(zip(program.constvars, constants, strict=True))
     known.update(zip(program.invars, arguments, strict=True))
 
@@ -136,7 +136,7 @@ def _alone(program: Jaxpr, equation: JaxprEqn) -> Callable[..., Sequence[Any]]:
 
 
 def _together(steps: Sequence[_Step]) -> int:
-    """How many rows go side by side on this device."""
+    """Number of rows computed together on this device."""
     if jax.default_backend() != "cpu":
         return _MOST
     largest = max((step.numbers for step in steps), default=1)

@@ -1,4 +1,4 @@
-"""Compiled programs, kept from one process to the next."""
+"""A persistent cache of compiled programs."""
 
 import os
 from pathlib import Path
@@ -15,15 +15,15 @@ def compilation_cache(*, folder: str | os.PathLike | None = None) -> Path | None
     process on. `mvedge` does this by itself. A cache that was configured through JAX's own
     variables is left alone.
 
-    The package's own programs are kept as a whole, too, in the folder `programs` within: a later
-    process doesn't even trace them. They are keyed by all they depend on: function, static fields,
+    The package's own programs are also stored as executables, in the subfolder `programs`: a later
+    process does not trace them. Their key is everything they depend on: function, static fields,
     shapes, sources of the package, versions, device and processor, settings of JAX and the
-    compiler. A program with parts of your own classes is not kept. `programs` is open to the user's
-    account alone (`mode 0700`), which is what makes it safe to read programs from it, and holds at
-    most 1 GiB.
+    compiler. A program with parts of your own classes is not stored. `programs` is readable by the
+    user's account alone (`mode 0700`), so that loading programs is safe, and holds at most 1 GiB.
 
     Args:
-        folder: where to; by default `MVEDGE_CACHE`, or `mvedge_jax/jax` in the user's cache folder.
+        folder: the cache folder; by default `MVEDGE_CACHE`, or `mvedge_jax/jax` in the user's
+            cache folder.
             `"off"`, here or as `MVEDGE_CACHE`, switches nothing on.
 
     Returns:

@@ -1,4 +1,4 @@
-"""Arguments looked at before a program is compiled for them, and what no compiler can refuse."""
+"""Checks of arguments before a program is compiled for them."""
 
 import contextlib
 import functools
@@ -21,15 +21,15 @@ from ._params import as_number
 from ._paths import replaced, walk
 
 _LOG = logging.getLogger("mvedge_jax")
-# Seconds after which a call says that it is being compiled.
+# Seconds after which a compiling call is reported.
 _PATIENCE = 2.0
 
 
 class CheckedJit:
-    """A `lean_jit` function whose arguments are looked at first.
+    """A `lean_jit` function that checks its arguments first.
 
-    Outside of JAX's transforms, a call that compiles for more than two seconds says so: two
-    warnings of the logger `mvedge_jax`, which Python shows unless it is told otherwise.
+    Outside of JAX's transforms, a call that compiles for more than two seconds is reported by two
+    warnings of the logger `mvedge_jax`, which Python shows by default.
 
     Attributes:
         check: takes the arguments and returns them, positional and named, with Python numbers among
@@ -57,13 +57,13 @@ class CheckedJit:
             return self.compiled(*arguments, **options)
 
     def ahead(self, *arguments: Any, **options: Any) -> "_Ahead":
-        """See `LeanJit`; the program looks at its arguments, too."""
+        """See `LeanJit`; the program checks its arguments, too."""
         arguments, options = self.check(*arguments, **options)
         return _Ahead(self.check, self.compiled.ahead(*arguments, **options))
 
     @contextlib.contextmanager
     def _announced(self) -> Iterator[None]:
-        """Says that the body compiles, if it takes long, and how long it took."""
+        """Reports that the body compiles, if it takes long, and its duration."""
         start, before, said = time.perf_counter(), self.traces, threading.Event()
 
         def announce() -> None:
@@ -82,17 +82,17 @@ class CheckedJit:
         if said.is_set():
             _LOG.warning("%s was compiled in %.0f s.", name, time.perf_counter() - start)
         if self.traces > before:
-            # Where JAX was told to forget, the program was compiled as it was called.
+            # After `jax.clear_caches`, the program was compiled by this call.
             release_memory()
 
     def lower(self, *arguments: Any, **options: Any) -> "_Ahead":
-        """See `lean_jit`; what is compiled from it looks at its arguments, too."""
+        """See `lean_jit`; the compiled program checks its arguments, too."""
         arguments, options = self.check(*arguments, **options)
         return _Ahead(self.check, self.compiled.lower(*arguments, **options))
 
 
 class _Ahead:
-    """What JAX makes ahead of a call, lowered or compiled, behind the check of its arguments."""
+    """A lowered or compiled program that checks its arguments first."""
 
     def __init__(self, check: Callable[..., tuple[Any, ...]], stage: Any):
         self._check, self._stage = check, stage
@@ -109,18 +109,18 @@ class _Ahead:
 
 
 def checked_jit(check: Callable[..., tuple[Any, ...]]) -> Callable[[Callable[..., Any]], Any]:
-    """`lean_jit` for functions that say what is wrong with their arguments."""
+    """`lean_jit` for functions that check their arguments."""
     return functools.partial(CheckedJit, check)
 
 
 def expect(name: str, value: Any, kind: type, advice: str) -> None:
-    """Refuses an argument of another kind, which swapped arguments are as a rule.
+    """Refuses an argument of the wrong type, such as a swapped one.
 
     Args:
         name: of the argument.
-        value: what was given.
-        kind: what it has to be.
-        advice: how to get one, as the end of a sentence.
+        value: the given value.
+        kind: the expected type.
+        advice: how to get a value of that type, as the end of a sentence.
 
     Raises:
         TypeError: naming all of them.
@@ -130,7 +130,7 @@ def expect(name: str, value: Any, kind: type, advice: str) -> None:
 
 
 def untraced(name: str, value: Any) -> None:
-    """Refuses traced values where ranges and capacities are chosen from numbers.
+    """Refuses traced values where the host chooses ranges and capacities.
 
     Args:
         name: of the argument.
@@ -181,7 +181,7 @@ def with_numbers(model: Any) -> Any:
 
 
 def sound(model: Any) -> Bool[Array, ""]:
-    """Whether every number of a model is one that `with_numbers` takes, within `jit`."""
+    """Whether `with_numbers` accepts every number of a model, within `jit`."""
     fine = jnp.asarray(True)
     for _, leaf, signed in _numbers(model):
         ok = jnp.isfinite(leaf) if signed else jnp.isfinite(leaf) & (leaf >= 0)

@@ -1,4 +1,4 @@
-"""Programs of this package: who may ask the compiler for options, and when memory is released."""
+"""Programs of this package: compiler options of the outermost `jit`, and released memory."""
 
 import functools
 import inspect
@@ -14,7 +14,7 @@ from ._stored import Program, ProgramFiles, in_use, kind_of, obtain
 
 _P = ParamSpec("_P")
 _T = TypeVar("_T")
-# How often `jax.clear_caches` was found to have been called. Process-wide, as JAX's caches are.
+# Number of detected calls of `jax.clear_caches`; process-wide, like JAX's caches.
 _clearings = [0]
 
 
@@ -28,7 +28,7 @@ def _outermost(arguments: Any) -> bool:
     if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(arguments)):
         return False
     try:
-        # What is called within a `jit` is part of it, even if its own arguments are constants.
+        # A call within a `jit` is part of it, even if its arguments are constants.
         probe: Any = _probe(jax.default_backend())
         empty = probe._cache_size() == 0
         probe(0.0)
@@ -39,13 +39,13 @@ def _outermost(arguments: Any) -> bool:
 
 
 def _devices(value: Any) -> set[frozenset[Any]]:
-    """Where the arrays of a value were put; those that were put nowhere go along."""
+    """Devices to which the arrays of a value are committed."""
     leaves = (leaf for leaf in jax.tree.leaves(value) if not isinstance(leaf, Tracer))
     return {frozenset(x.sharding.device_set) for x in leaves if getattr(x, "committed", False)}
 
 
 def _check_devices(function: Callable[..., Any], arguments: Any, options: Any) -> None:
-    """Refuses arguments that were put on different devices.
+    """Refuses arguments on different devices.
 
     Raises:
         ValueError: naming them and their devices.
@@ -62,12 +62,12 @@ def _check_devices(function: Callable[..., Any], arguments: Any, options: Any) -
 
 
 class LeanJit(Generic[_P, _T]):
-    """What `lean_jit` returns.
+    """The result of `lean_jit`.
 
     Args:
         function: what to compile.
-        original: what `function` wraps without changing its results, if it does; files of programs
-            are named after it.
+        original: the function that `function` wraps without changing its results, if any; files of
+            programs are named after it.
     """
 
     __wrapped__: Callable[_P, _T]
@@ -92,7 +92,7 @@ class LeanJit(Generic[_P, _T]):
         return program(*arguments, **options)
 
     def ahead(self, *arguments: _P.args, **options: _P.kwargs) -> Callable[_P, _T]:
-        """A program for arguments like these, read from its file or compiled, the caller's own.
+        """A separate program for arguments like these, read from its file or compiled.
 
         Returns:
             The program; it raises a TypeError for arguments of another kind.
@@ -115,7 +115,7 @@ class LeanJit(Generic[_P, _T]):
         return run
 
     def _kept(self, arguments: Any) -> Program | None:
-        """The program that is kept in a file, where `compilation_cache` has said so."""
+        """The program in the cache folder, if `compilation_cache` is on."""
         files = in_use()
         if files is None:
             return None
@@ -140,7 +140,7 @@ class LeanJit(Generic[_P, _T]):
         leaves, structure = jax.tree.flatten((arguments, options))
         kind = structure, *(jax.typeof(x) if hasattr(x, "dtype") else x for x in leaves)
         if kind not in self._known:
-            # JAX keeps what is compiled ahead, and its arrays come after the compiler's memory.
+            # JAX caches ahead-of-time programs, and memory is released before their arrays.
             with no_collections():
                 program.lower(*arguments, **options).compile()
             self._known.add(kind)
@@ -157,18 +157,18 @@ class LeanJit(Generic[_P, _T]):
         if not _outermost(arguments):
             return self._nested
         if self._outermost is None:
-            # Not before the first call: which options are known depends on the device.
+            # Not before the first call, because the options depend on the device.
             jit: Any = eqx.filter_jit
             self._outermost = jit(self._function, compiler_options=compiler_options())
         return self._outermost
 
 
 def lean_jit(function: Callable[_P, _T]) -> LeanJit[_P, _T]:
-    """`equinox.filter_jit` of a whole program, in less memory and sooner compiled.
+    """`equinox.filter_jit` of a whole program, with less memory and compile time.
 
-    It asks for `compiler_options`, and what memory the compiler leaves behind is given back before
-    the program runs. Python collects no garbage while the function is traced. Within another `jit`,
-    and under `grad` without one, it is `equinox.filter_jit` as it is.
+    It sets `compiler_options`, returns the compiler's free memory to the system before the program
+    runs, and suspends garbage collection during tracing. Within another `jit`, and under `grad`
+    without one, it is plain `equinox.filter_jit`.
 
     Args:
         function: what to compile; arrays among its arguments are traced, all else is static.

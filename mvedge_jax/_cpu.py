@@ -1,7 +1,7 @@
-"""What XLA needs to be told on the CPU: options, and forms that it compiles well.
+"""Options for XLA on the CPU, and forms of code that it compiles well.
 
-Values are those of the plain forms. `experiments/benchmarks/cpu_tricks.py` measures what each is
-worth. Other devices do without, or lose nothing.
+Values equal those of the plain forms. `experiments/benchmarks/cpu_tricks.py` measures each. On
+other devices they have no effect or no cost.
 """
 
 import contextlib
@@ -23,10 +23,10 @@ from ._recomputed import recomputed
 
 _In = TypeVar("_In")
 _Out = TypeVar("_Out")
-# The newer emitters of fusions cost the chain a third of the compiler's memory and a quarter of its
-# own time on the CPU; an order that lets kernels run side by side, which they hardly do, two fifths
-# of its arrays' memory. What the compiler does to loops beyond its first level of optimisation
-# (unrolling, mostly) is up to a quarter of its time and gains a fortieth of the chain's.
+# On the CPU, the newer fusion emitters cost the chain a third of the compiler's memory and a
+# quarter of its run time; the concurrent order of kernels, which hardly run concurrently, costs
+# two fifths of its arrays' memory. Loop optimizations beyond the first level (mostly unrolling)
+# take up to a quarter of the compile time and save a fortieth of the run time.
 _LEVEL = "xla_backend_optimization_level"
 _WISHES = {
     _LEVEL: 1,
@@ -36,16 +36,16 @@ _WISHES = {
 
 
 def compiler_options() -> dict[str, bool | int | float | str]:
-    """What `lean_jit`, and so every program of this package, asks of XLA, for a `jax.jit` of yours.
+    """XLA options of `lean_jit` and every program of this package, for a `jax.jit` of yours.
 
-    `EdgeDepth` and its like ask for it by themselves where they are called as they are. Within
-    your own `jit`, and under `grad` without one, only what that `jit` asks for counts: JAX takes
-    options of the outermost `jit` alone. What it changes is how fast and in how much memory a
-    program is compiled and runs on the CPU, not what it computes, but for rounding.
+    `EdgeDepth` and others set them when called directly. JAX applies the options of the outermost
+    `jit` only, so within your own `jit`, and under `grad` without one, yours count. The options
+    change speed and memory of compiling and running on the CPU, but not the results, except for
+    rounding.
 
     Returns:
-        Options for `jax.jit(..., compiler_options=...)`; none on other devices, or where the
-        compiler at hand does not know them.
+        Options for `jax.jit(..., compiler_options=...)`; empty on other devices, or if the
+        compiler does not know them.
 
     Example:
         >>> square = jax.jit(lambda x: x * x, compiler_options=compiler_options())
@@ -71,7 +71,7 @@ def _known(backend: str) -> dict[str, bool | int | float | str]:
 
 @contextlib.contextmanager
 def no_collections() -> Iterator[None]:
-    """Suspends the garbage collector: a trace makes objects by the million, and little garbage."""
+    """Suspends the garbage collector: a trace makes millions of objects, but little garbage."""
     enabled = gc.isenabled()
     gc.disable()
     try:
@@ -84,8 +84,8 @@ def no_collections() -> Iterator[None]:
 def release_memory() -> None:
     """Returns freed memory to the system, where the C library would keep it (glibc).
 
-    The compiler leaves almost a gigabyte behind after the whole chain, beside which the arrays of
-    the first run would otherwise be put.
+    The compiler frees almost a gigabyte after the whole chain; otherwise the arrays of the first
+    run would be allocated in addition.
     """
     with contextlib.suppress(OSError, AttributeError):
         ctypes.CDLL("libc.so.6").malloc_trim(0)
@@ -94,9 +94,10 @@ def release_memory() -> None:
 def fenced(function: Callable[..., Any], *arguments: Any) -> Any:
     """Calls `function` so that its results are computed once and stored.
 
-    XLA on the CPU fuses chains of stencils and computes every intermediate anew for each of its
+    XLA on the CPU fuses chains of stencils and recomputes every intermediate for each of its
     readers, which grows like 9 to the power of the length of the chain. Compilers of other devices
-    weigh that, and there a conditional would wait for the device, so that the call is a plain one.
+    take this cost into account, and a conditional would wait for the device, so there it is a
+    plain call.
     """
     if jax.default_backend() != "cpu":
         return function(*arguments)
@@ -104,10 +105,10 @@ def fenced(function: Callable[..., Any], *arguments: Any) -> Any:
 
 
 def _as_a_branch(function: Callable[..., Any], *arguments: Any) -> Any:
-    """Calls `function` in the branch of a conditional, which is compiled by itself.
+    """Calls `function` in the branch of a conditional, which is compiled separately.
 
-    A barrier alone does not help, as it is removed before fusion. This one keeps the condition from
-    being recognised as constant.
+    A barrier alone does not help, because it is removed before fusion. Here it hides that the
+    condition is constant.
     """
     shapes = jax.eval_shape(function, *arguments)
     always = lax.optimization_barrier(jnp.asarray(True))
@@ -120,11 +121,11 @@ def _as_a_branch(function: Callable[..., Any], *arguments: Any) -> Any:
 
 
 def staged(function: Callable[..., Any]) -> Callable[..., Any]:
-    """A stage of a long computation, of which reverse mode keeps the arguments only.
+    """A stage of a long computation; reverse mode stores its arguments only.
 
-    `jax.checkpoint` alone does not say when a stage is computed again: on the CPU, XLA is free to
-    do so for all stages at once, long before their cotangents are there, and to keep everything.
-    The arguments of a conditional have to be there first, and the cotangents are among them.
+    `jax.checkpoint` alone does not determine when a stage is recomputed: XLA on the CPU may
+    recompute all stages at once, long before their cotangents are available, and store everything.
+    A conditional waits for its arguments, and the cotangents are among them.
 
     Args:
         function: maps pytrees of arrays to such.
@@ -134,7 +135,7 @@ def staged(function: Callable[..., Any]) -> Callable[..., Any]:
     """
 
     def stage(*arguments: Any) -> Any:
-        # What is no array, such as an activation of a user's network, is closed over.
+        # Arguments that are not arrays, such as activation functions, are closed over.
         arrays, rest = eqx.partition(arguments, _is_array)
 
         def of_arrays(arrays: Any) -> Any:
@@ -150,10 +151,10 @@ def _is_array(leaf: Any) -> bool:
 
 
 def of_both(function: Callable[[_In], _Out], first: _In, second: _In) -> tuple[_Out, _Out]:
-    """Calls a function on each of two pytrees: by a loop, where all of their shapes agree.
+    """Calls a function on each of two pytrees, in a loop if all of their shapes agree.
 
-    A loop is compiled once, and what is compiled is what a first call waits for. Views of square
-    images in a square grid have two arms of one shape.
+    A loop compiles the function once, which shortens the first call. Square images in a square
+    grid have two arms of one shape.
 
     Args:
         function: maps a pytree of arrays to such.
@@ -175,8 +176,8 @@ def of_both(function: Callable[[_In], _Out], first: _In, second: _In) -> tuple[_
 def unstack(planes: Shaped[Array, "n *s"]) -> list[Array]:
     """The planes of a stack, as `list(planes)` has them.
 
-    The transpose of every index is a stack of zeros with one plane set, and all of these are
-    added; that of a split is one concatenation.
+    The transpose of indexing adds stacks of zeros with one plane set; that of a split is one
+    concatenation.
 
     Args:
         planes: stacked along the first axis.
@@ -191,13 +192,13 @@ def unstack(planes: Shaped[Array, "n *s"]) -> list[Array]:
 
 
 def plane_sum(planes: Float[Array, "n *s"]) -> Float[Array, "*s"]:
-    """The sum of a stack, plane by plane: XLA on CPU vectorises none over a leading axis.
+    """The sum of a stack, plane by plane, as XLA on CPU does not vectorize over a leading axis.
 
     Args:
         planes: stacked along the first axis; may be none.
 
     Returns:
-        Their sum. By itself, JAX would put the planes' cotangents together again, one by one.
+        Their sum. Its own derivative avoids that JAX assembles the planes' cotangents one by one.
     """
     return linear_map(_added, lambda _, ct: jnp.broadcast_to(ct, planes.shape), None, planes)
 

@@ -15,8 +15,8 @@ class Arm(NamedTuple):
     """One arm of the crosshair; of the vertical arm, images are transposed.
 
     Attributes:
-        planes: views as colour planes, `[s, c, y, x]`, sRGB, the last axis along the arm.
-        steps: disparity is multiplied by this to get from the centre view to each view, `[s]`.
+        planes: views as color planes, `[s, c, y, x]`, sRGB, the last axis along the arm.
+        steps: view steps from the center view to each view, the factor of disparity, `[s]`.
         available: which views are there, `[s]`.
     """
 
@@ -26,12 +26,12 @@ class Arm(NamedTuple):
 
     @property
     def centre(self) -> int:
-        """Index of the centre view."""
+        """Index of the center view."""
         return self.planes.shape[0] // 2
 
 
 class Crosshair(NamedTuple):
-    """The row and the column of views through the centre view, or through another one.
+    """The row and the column of views through the center view, or through another one.
 
     Attributes:
         horizontal: the row.
@@ -47,16 +47,16 @@ class Crosshair(NamedTuple):
         return self.horizontal.planes[self.horizontal.centre]
 
     def mapped(self, function: Callable[[Array], Array]) -> "Crosshair":
-        """The same with a function's values for the planes of either arm."""
+        """The same with a function applied to the planes of both arms."""
         horizontal, vertical = (arm._replace(planes=function(arm.planes)) for arm in self)
         return Crosshair(horizontal, vertical)
 
 
 def view_steps(count: int, dtype: DTypeLike) -> Float[Array, " s"]:
-    """What disparity is multiplied by to get from the centre view to each view of a regular arm.
+    """View steps from the center view to each view of a regular arm, the factors of disparity.
 
     Args:
-        count: views of the arm; the centre one is number `count // 2`.
+        count: views of the arm; the center one is number `count // 2`.
         dtype: of the result.
 
     Returns:
@@ -68,7 +68,7 @@ def view_steps(count: int, dtype: DTypeLike) -> Float[Array, " s"]:
 def crosshair(light_field: LightField) -> Crosshair:
     """The horizontal and the vertical arm; the vertical one holds transposed images.
 
-    Views are read as if they were on the centre row and column; `LightField` sees to it that they
+    Views are read as if they were on the center row and column; `LightField` sees to it that they
     are not far beside them.
     """
     vc, uc = light_field.centre

@@ -1,4 +1,4 @@
-"""What lets `jax.export` serialise programs that take or return types of this package."""
+"""Registration of this package's types, so that `jax.export` can serialize them."""
 
 import dataclasses
 import inspect

@@ -1,4 +1,4 @@
-"""What may be known of a light field besides its views: the cameras, and what is true."""
+"""Optional data of a light field: cameras and ground truth."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -15,8 +15,8 @@ class Camera(eqx.Module):
 
     Attributes:
         focal_px: focal length in pixels of the full-resolution view.
-        baseline: distance between neighbouring views, metres.
-        focus_distance: distance of zero disparity, metres; infinite for unsheared cameras.
+        baseline: distance between neighboring views, meters.
+        focus_distance: distance of zero disparity, meters; infinite for unsheared cameras.
     """
 
     focal_px: Float[Array, ""] = eqx.field(converter=as_number)
@@ -25,7 +25,7 @@ class Camera(eqx.Module):
 
     @accepts_numpy
     def depth(self, disparity: Float[Array, "*s"]) -> Float[Array, "*s"]:
-        """Distance along the optical axis, metres, of a disparity in px per view step.
+        """Distance along the optical axis, meters, of a disparity in px per view step.
 
         Disparities at or beyond that of infinity give `inf`.
         """
@@ -36,7 +36,7 @@ class Camera(eqx.Module):
 
     @accepts_numpy
     def disparity(self, depth: Float[Array, "*s"]) -> Float[Array, "*s"]:
-        """Disparity, px per view step, of a distance in metres."""
+        """Disparity, px per view step, of a distance in meters."""
         dtype = depth.dtype
         scale = (self.focal_px * self.baseline).astype(dtype)
         return scale * (1.0 / depth - (1.0 / self.focus_distance).astype(dtype))
@@ -47,12 +47,12 @@ class Camera(eqx.Module):
 
 
 class GroundTruth(eqx.Module):
-    """What is known to be true of a scene; never read by the method, only by evaluation.
+    """Ground truth of a scene; never read by the method, only by evaluation.
 
     Attributes:
-        disparity: px per view step, of the centre view's pixel centres; 0 where not `valid`.
+        disparity: px per view step, at the center view's pixel centers; 0 where not `valid`.
         valid: where `disparity` is known.
-        object_ids: an integer per object of the centre view.
+        object_ids: an integer per object of the center view.
         view_disparity: `disparity` of every view.
         view_ids: `object_ids` of every view.
     """
@@ -64,7 +64,7 @@ class GroundTruth(eqx.Module):
     view_ids: Int[Array, "v u y x"] | None = eqx.field(converter=jax_array, default=None)
 
     def crop_views(self, window: tuple[slice, slice]) -> "GroundTruth":
-        """What is true of the views `[v, u]` within a window of the grid."""
+        """Ground truth of the views `[v, u]` within a window of the grid."""
         depths, ids = self.view_disparity, self.view_ids
         return GroundTruth(
             self.disparity,
@@ -75,7 +75,7 @@ class GroundTruth(eqx.Module):
         )
 
     def downsample(self, factor: int) -> "GroundTruth":
-        """What is true of views whose sides are `factor` times smaller.
+        """Ground truth of views whose sides are `factor` times smaller.
 
         Disparities are means, known where all of an area is known; ids are those of its middle.
         """

@@ -19,7 +19,7 @@ _T = TypeVar("_T")
 def as_number(value: Any) -> Any:
     """Turns a Python or NumPy number into a strongly typed JAX array and leaves arrays alone.
 
-    A weak type would retrace a jitted function the first time that an optimiser replaces the
+    A weak type would retrace a jitted function the first time that an optimizer replaces the
     value, hence the explicit dtype.
     """
     if isinstance(value, bool | int | float):

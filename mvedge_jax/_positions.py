@@ -8,10 +8,10 @@ from jaxtyping import Array, Float
 
 from ._checks import untraced
 
-# Views of the centre row and column may lie so far beside it, view steps: the crosshair is read as
+# Views of the center row and column may lie so far beside it, view steps: the crosshair is read as
 # if they were on it.
 _BESIDE = 0.25
-# Medians of the distances of neighbouring columns and rows, view steps, that can be view steps.
+# Medians of the distances of neighboring columns and rows, view steps, that can be view steps.
 _SPACINGS = (0.1, 10.0)
 # No rig is wider, view steps: sizes are chosen from the outermost view.
 _WIDEST = 1000.0
@@ -21,10 +21,10 @@ def check_positions(positions: Float[np.ndarray, "v u 2"]) -> None:
     """Refuses positions that are none of rows and columns of views.
 
     Args:
-        positions: columns (right), rows (down), in view steps from the centre view.
+        positions: columns (right), rows (down), in view steps from the center view.
 
     Raises:
-        ValueError: they are not finite, those of the centre view are not 0, columns do not increase
+        ValueError: they are not finite, those of the center view are not 0, columns do not increase
             along the rows or rows down the columns, views of the crosshair lie beside it, or
             the numbers are no view steps or too many.
     """
@@ -92,7 +92,7 @@ def check_regular(light_field: Any, what: str) -> None:
 
 
 def farthest(positions: Float[Array, "v u 2"]) -> int:
-    """View steps from the centre view to the outermost one along either axis, rounded up.
+    """View steps from the center view to the outermost one along either axis, rounded up.
 
     Whole numbers, so that light fields of nearly the same positions share their sizes.
 

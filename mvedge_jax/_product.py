@@ -1,4 +1,4 @@
-"""Products of float32 factors with all of their bits, which accelerators keep only when asked."""
+"""Matrix products in full float32 precision, which accelerators only use on request."""
 
 import jax.numpy as jnp
 from jax import lax

@@ -1,4 +1,4 @@
-"""What reverse mode keeps, and what it computes again."""
+"""Checkpointing: arrays that reverse mode stores, and those it recomputes."""
 
 from collections.abc import Callable
 from typing import Any, TypeVar
@@ -12,7 +12,7 @@ _KEPT = "mvedge_jax: kept"
 
 
 def recomputed(function: Callable[..., Any]) -> Callable[..., Any]:
-    """`jax.checkpoint` that keeps what is small but dear: linear solutions, and what is `kept`.
+    """`jax.checkpoint` that saves linear solutions and arrays tagged by `kept`.
 
     Args:
         function: maps pytrees of arrays to such.
@@ -24,7 +24,7 @@ def recomputed(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def kept(tree: _Tree) -> _Tree:
-    """Arrays that reverse mode keeps where all around them is `recomputed`.
+    """Tags arrays that reverse mode stores within `recomputed`.
 
     Args:
         tree: a pytree of arrays.

@@ -8,7 +8,7 @@ LEAST_DIVISOR = 1e-9
 
 
 def root(square: Float[Array, "*s"]) -> Float[Array, "*s"]:
-    """Square root with the slope 0 at 0, where there is none: equal colours have no direction.
+    """Square root with the derivative 0 at 0, where it has none: equal colors have no direction.
 
     Args:
         square: not negative.

@@ -1,4 +1,4 @@
-"""Colour spaces, differentiable: sRGB to linear light, CIE L*a*b* and grey."""
+"""Color spaces, differentiable: sRGB to linear light, CIE L*a*b* and gray."""
 
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -113,7 +113,7 @@ def srgb_to_gray(image: Float[Array, "*s c"]) -> Float[Array, "*s"]:
         image: sRGB values in [0, 1], channels last.
 
     Returns:
-        Grey values in [0, 1] without the channel axis. Linear, hence differentiable.
+        Gray values in [0, 1] without the channel axis. Linear, hence differentiable.
 
     Raises:
         ValueError: if the last axis does not hold three channels.
@@ -123,7 +123,7 @@ def srgb_to_gray(image: Float[Array, "*s c"]) -> Float[Array, "*s"]:
 
 
 class Factored(NamedTuple):
-    """A covariance of three colours and its triangular factors.
+    """A covariance of three colors and its triangular factors.
 
     Attributes:
         moments: covariances `rr, rg, rb, gg, gb, bb`, the variances raised.
@@ -136,9 +136,9 @@ class Factored(NamedTuple):
 
 
 def factored(moments: Sequence[Float[Array, "*s"]], floor: Float[Array, ""]) -> Factored:
-    """Factors covariances of three colours, each variance raised by some for safety.
+    """Factors covariances of three colors, each variance raised by some for safety.
 
-    The triangular factors are exact enough in single precision where colours lie on a line, as they
+    The triangular factors are exact enough in single precision where colors lie on a line, as they
     do around an edge; the adjugate is not.
 
     Args:
@@ -170,7 +170,7 @@ def solved(
         colour: a vector `r, g, b`.
 
     Returns:
-        A vector of the same shape. Differentiable in moments and colour.
+        A vector of the same shape. Differentiable in moments and color.
 
     Example:
         >>> import jax.numpy as jnp
@@ -188,7 +188,7 @@ def solved(
 
 @solved.defjvp
 def _solved_jvp(primals: Any, tangents: Any) -> tuple[Any, Any]:
-    """By the system itself: slopes of its factors leave single precision where colours are flat."""
+    """By the system itself: slopes of its factors leave single precision where colors are flat."""
     (covariance, _), (change, forcing) = primals, tangents
     found = solved(*primals)
     r, g, b = found

@@ -1,7 +1,7 @@
-"""Edits of a light field that are occluded rightly in every view (Thesis 6.7).
+"""Edits of a light field with correct occlusion in every view (Thesis 6.7).
 
 Every function takes the views with the disparity of all of them (`depth_of_views`) and returns a
-light field without ground truth. Where nothing is edited, views keep their bits.
+light field without ground truth. Unedited pixels keep their exact values.
 """
 
 import equinox as eqx
@@ -32,14 +32,14 @@ def insert_picture(
 ) -> LightField:
     r"""Puts a picture on a plane into the scene.
 
-    In the centre view, the plane has the disparity $d(q) = d_0 + a \cdot q$ at q from the place of
+    In the center view, the plane has the disparity $d(q) = d_0 + a \cdot q$ at q from the place of
     the picture's middle. View s shows that point at $q + s\,d(q)$ from there.
 
     Args:
         light_field: the views, sRGB.
-        disparities: of all views, px per view step: what is nearer than the picture hides it.
-        picture: sRGB and alpha, in [0, 1], one pixel of it to a pixel of the centre view.
-        at: `(x, y)` of its middle in the centre view, px.
+        disparities: maps of all views, px per view step; nearer surfaces hide the picture.
+        picture: sRGB and alpha, in [0, 1], one pixel of it to a pixel of the center view.
+        at: `(x, y)` of its middle in the center view, px.
         disparity: of its middle, px per view step.
         slant: change of the disparity per px along x and y; must leave the plane seen from its
             front in all views.
@@ -61,7 +61,7 @@ def insert_picture(
     place, tilt = jnp.asarray(at, dtype), jnp.asarray(slant, dtype)
     middle, picture = jnp.asarray(disparity, dtype), picture.astype(dtype)
     height, width = light_field.views.shape[2:4]
-    # So that colours do not bleed in from transparent pixels.
+    # So that colors do not bleed in from transparent pixels.
     opaque = jnp.concatenate([picture[..., :3] * picture[..., 3:], picture[..., 3:]], axis=-1)
 
     def one(item: tuple[Array, Array, Array]) -> Array:
@@ -88,21 +88,21 @@ def paint(
     *,
     shaded: bool = True,
 ) -> LightField:
-    """Recolours a surface of the centre view in every view that sees it.
+    """Recolors a surface of the center view in every view that sees it.
 
-    Where the centre view does not show a surface, its paint goes on from what is seen of it in the
+    Where the center view does not show a surface, its paint goes on from what is seen of it in the
     same row or column, the farthest if several are.
 
     Args:
         light_field: the views, sRGB.
         disparities: of all views, px per view step.
-        mask: how far each pixel of the centre view is painted, 0..1.
-        colour: sRGB, one or a picture of the centre view's size.
+        mask: how far each pixel of the center view is painted, 0..1.
+        colour: sRGB, one or a picture of the center view's size.
         shaded: keep the brightness of the surface relative to its mean under the mask, and so its
             texture and shading.
 
     Returns:
-        The edited light field. Differentiable in views, mask and colour.
+        The edited light field. Differentiable in views, mask and color.
     """
     dtype = light_field.views.dtype
     vc, uc = light_field.centre
@@ -116,7 +116,7 @@ def paint(
         view, depth, step = item
         x, y = _in_centre(depth, step)
         seen = _shows(disparities[vc, uc], depth, x, y)
-        # What the centre view does not show is painted as the same surface is beside it.
+        # What the center view does not show is painted as the same surface is beside it.
         beside = holes(depth, seen).behind
         goes_on = jnp.abs(depth.ravel()[beside] - depth) < _SAME
         place, _ = _nearest(x, y)
@@ -138,16 +138,16 @@ def remove(
     *,
     radius: int = 0,
 ) -> LightField:
-    """Removes a foreground layer of the centre view, and shows what other views saw behind it.
+    """Removes a foreground layer of the center view, and shows what other views saw behind it.
 
     In every view, what the mask marks gives way to the surface behind it, continued from around.
-    Its colours are those of the nearest view that sees it; where none does, those of the
+    Its colors are those of the nearest view that sees it; where none does, those of the
     surroundings.
 
     Args:
         light_field: the views, sRGB.
         disparities: of all views, px per view step.
-        mask: pixels of the centre view to remove.
+        mask: pixels of the center view to remove.
         radius: how far around them, in every view, pixels blend with them and go, too, px.
 
     Returns:
@@ -221,7 +221,7 @@ def _edited(light_field: LightField, views: Array) -> LightField:
 
 
 def _in_centre(depth: Array, step: Array) -> tuple[Array, Array]:
-    """Where the pixels of a view lie in the centre view."""
+    """Where the pixels of a view lie in the center view."""
     height, width = depth.shape
     x = jnp.arange(width, dtype=depth.dtype)[None] - step[0] * depth
     return x, jnp.arange(height, dtype=depth.dtype)[:, None] - step[1] * depth

@@ -1,4 +1,4 @@
-"""One of each of what is done to images: sums, blurs, slopes, points on pixels, components."""
+"""Image operations: sums, blurs, gradients, pixels of points, connected components."""
 
 from functools import partial
 from typing import NamedTuple
@@ -14,13 +14,13 @@ from mvedge_jax._root import root
 
 @accepts_numpy
 def window_sum(image: Array, radius: int, axis: int, *, border: str = "edge") -> Array:
-    """Sum over `2 radius + 1` neighbours along an axis, by sums of doubling width.
+    """Sum over `2 radius + 1` neighbors along an axis, by sums of doubling width.
 
     Args:
         image: any shape.
         radius: px to either side.
-        axis: of the neighbours.
-        border: what lies beyond the border: `"edge"` repeats it, `"constant"` is 0.
+        axis: axis of the sum.
+        border: values beyond the border: `"edge"` repeats it, `"constant"` is 0.
 
     Returns:
         The sums, of the shape of `image`. Differentiable.
@@ -35,7 +35,7 @@ def window_sum(image: Array, radius: int, axis: int, *, border: str = "edge") ->
 
 def _spread_windows(radius: int, axis: int, _: None, sums: Array) -> Array:
     """The transpose of `_whole_windows`."""
-    # JAX would turn slices into pads, which XLA on CPU does not vectorise.
+    # JAX would turn slices into pads, which XLA on CPU does not vectorize.
     around = [(0, 0)] * sums.ndim
     around[axis] = (2 * radius, 2 * radius)
     return _whole_windows(radius, axis, None, jnp.pad(sums, around))
@@ -43,7 +43,7 @@ def _spread_windows(radius: int, axis: int, _: None, sums: Array) -> Array:
 
 def _whole_windows(radius: int, axis: int, _: None, image: Array) -> Array:
     """Sums over the windows that lie within an image."""
-    # By hand: XLA on CPU vectorises sums of slices, but no window reduction.
+    # By hand: XLA on CPU vectorizes sums of slices, but no window reduction.
     width = 2 * radius + 1
     size = image.shape[axis] - 2 * radius
     # The width is odd, so that the sum starts with single samples.
@@ -87,7 +87,7 @@ def gaussian_taps(sigma: Float[Array, ""], radius: int) -> Float[Array, " k"]:
         `2 radius + 1` taps. Differentiable from a `sigma` of .1 px.
     """
     offsets = jnp.arange(-radius, radius + 1, dtype=sigma.dtype)
-    # Where a Gaussian is much narrower than a pixel its neighbours get nothing anyway.
+    # A Gaussian much narrower than a pixel has no weight at its neighbors.
     safe = jnp.maximum(sigma, 0.1)
     taps = jnp.exp(-0.5 * (offsets / safe) ** 2)
     return taps / jnp.sum(taps)
@@ -243,7 +243,7 @@ def nearest_pixels(xy: Float[Array, "n 2"], shape: tuple[int, int]) -> Pixels:
 
 
 def components(right: Bool[Array, "*s y x"], down: Bool[Array, "*s y x"]) -> Int[Array, "*s y x"]:
-    """Connected pieces of images whose neighbouring pixels are linked or not.
+    """Connected pieces of images with links between neighboring pixels.
 
     Args:
         right: whether a pixel is linked to the next one in its row; the last column is not read.

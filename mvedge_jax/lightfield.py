@@ -1,4 +1,4 @@
-"""The light field: a grid of views, what is known about it, and the slices the method reads."""
+"""The light field: a grid of views, optional metadata, and the slices that the method reads."""
 
 import dataclasses
 from collections.abc import Iterable
@@ -20,17 +20,17 @@ class LightField(eqx.Module):
     """A grid of views `views[v, u, y, x, c]`.
 
     `v` counts view rows from the top, `u` view columns from the left. A point at `(x, y)` of the
-    centre view with disparity `d` is at `(x - p_x d, y - p_y d)` in a view at the position
+    center view with disparity `d` is at `(x - p_x d, y - p_y d)` in a view at the position
     `(p_x, p_y)`, which is `(u - u_c, v - v_c)` on a regular grid; larger `d` is nearer.
 
     Construction checks shapes, and, outside of `jit`, values. Not every view has to be there: the
-    crosshair (the centre row and the centre column of views) is enough for the centre view, and
+    crosshair (the center row and the center column of views) is enough for the center view, and
     it may have gaps.
 
     Attributes:
         views: sRGB in [0, 1]; zero where a view is missing.
         available: which views are there.
-        positions: of all views, missing ones as well, from the centre view: columns (to the right),
+        positions: of all views, missing ones as well, from the center view: columns (to the right),
             then rows (down), in view steps; None for a regular grid of square cells. Columns may be
             uneven, and rows closer or farther apart than columns.
         disparity_range: lowest and highest disparity of the scene, px per view step, if known.
@@ -40,7 +40,7 @@ class LightField(eqx.Module):
 
     Raises:
         ValueError: on a wrong rank, an even number of views per side, values that are not finite or
-            lie outside [0, 1], a centre view that is missing or alone on its row and column,
+            lie outside [0, 1], a center view that is missing or alone on its row and column,
             positions that are none of rows and columns of views, an empty disparity range, or
             ground truth of another size.
 
@@ -175,12 +175,12 @@ class LightField(eqx.Module):
 
     @property
     def centre(self) -> tuple[int, int]:
-        """`(v_c, u_c)`, the indices of the centre view."""
+        """`(v_c, u_c)`, the indices of the center view."""
         return self.views.shape[0] // 2, self.views.shape[1] // 2
 
     @property
     def centre_view(self) -> Float[Array, "y x c"]:
-        """The centre view, sRGB in [0, 1]."""
+        """The center view, sRGB in [0, 1]."""
         vc, uc = self.centre
         return self.views[vc, uc]
 
@@ -198,7 +198,7 @@ class LightField(eqx.Module):
 
     @property
     def farthest(self) -> int:
-        """View steps from the centre view to the outermost one along either axis, rounded up.
+        """View steps from the center view to the outermost one along either axis, rounded up.
 
         Sizes are chosen from it on the host.
 
@@ -209,12 +209,12 @@ class LightField(eqx.Module):
 
     @property
     def horizontal_arm(self) -> Float[Array, "u y x c"]:
-        """The centre row of views."""
+        """The center row of views."""
         return self.views[self.centre[0]]
 
     @property
     def vertical_arm(self) -> Float[Array, "v y x c"]:
-        """The centre column of views."""
+        """The center column of views."""
         return self.views[:, self.centre[1]]
 
     def horizontal_epis(self) -> Float[Array, "y u x c"]:
@@ -231,7 +231,7 @@ class LightField(eqx.Module):
         return LightField(**{**fields, **changes})
 
     def without_truth(self) -> "LightField":
-        """The same light field with nothing to cheat with."""
+        """Copy without ground truth."""
         return eqx.tree_at(lambda s: s.truth, self, None, is_leaf=lambda leaf: leaf is None)
 
     def renamed(self, name: str) -> "LightField":
@@ -288,7 +288,7 @@ class LightField(eqx.Module):
             places: `(v, u)` of each, such as `datasets.find_dead_views` finds.
 
         Raises:
-            ValueError: a place is not in the grid, or what is left has no centre view or nothing
+            ValueError: a place is not in the grid, or what is left has no center view or nothing
                 else on the crosshair.
 
         Example:
@@ -318,7 +318,7 @@ class LightField(eqx.Module):
         """Shrinks every view by averaging `factor` x `factor` areas.
 
         Disparities shrink with the pixels. Ground truth is averaged too (known only where all
-        of an area is known); object ids are those of the area's centre pixel. Rows and columns that
+        of an area is known); object ids are those of the area's center pixel. Rows and columns that
         do not fill an area are dropped at the bottom and right.
 
         Raises:

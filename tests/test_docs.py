@@ -92,10 +92,10 @@ def test_a_row_of_the_equations_names_what_is_there(row):
         assert any(f"def {step}(" in source for source in sources.values()), step
 
 
-def _run(name, blocks):
-    """What the Python blocks of a page leave behind, run one after the other."""
-    page = (_PAGE.parent / name).read_text(encoding="utf-8")
-    names: dict = {"__name__": "page"}
+def _run(name, blocks, names: dict | None = None, smaller=lambda page: page):
+    """The names that the Python blocks of a page define, run one after the other."""
+    page = smaller((_PAGE.parent / name).read_text(encoding="utf-8"))
+    names = {"__name__": "page"} if names is None else names
     for code in re.findall(r"```python\n(.*?)```", page, re.DOTALL)[blocks]:
         exec(compile(code.replace("print(", "("), name, "exec"), names)  # noqa: S102
     return names
@@ -126,3 +126,24 @@ def test_the_page_on_learning_runs(tmp_path, monkeypatch):
     assert set(names["learned"].factors()) >= {"smoothness.color", "refine.precision"}
     assert (tmp_path / "learning.png").stat().st_size > 10_000
     assert names["light_field"].views.shape == (3, 3, 32, 32, 3)
+
+
+def _small(page):
+    """The page with fewer and smaller views, and fewer settings."""
+    for old, new in (("9, 9, 128, 128", "5, 5, 32, 32"), ("trials=8", "trials=2, threads=1")):
+        page = page.replace(old, new)
+    return page
+
+
+@pytest.mark.slow
+def test_the_tutorial_runs_in_one_session():
+    pages = sorted(path.name for path in _PAGE.parent.glob("tutorial-*.md"))
+    assert [name[9] for name in pages] == ["1", "2", "3", "4", "5"]
+    names: dict = {"__name__": "page"}
+    with jax.numpy_dtype_promotion("standard"):  # the reader's part mixes precisions under x64
+        for name in pages:
+            _run(name, slice(None), names, _small)
+    assert float(names["slope"].smoothness.color) != 0
+    assert np.isfinite(names["tangent"]).all()
+    assert any(row.path == "smoothness.scale" for row in names["mv"].describe(names["mine"]))
+    assert set(names["best"].choices) == {"smoothness.color", "smoothness.depth"}

@@ -32,14 +32,14 @@ def test_every_figure_of_the_pages_is_that_of_the_results():
 
 
 def test_a_wrong_figure_on_a_page_is_found_and_mended(copy, capsys):
-    page = copy / "README.md"
+    page = copy / "docs" / "accuracy.md"
     right = page.read_text(encoding="utf-8")
     figure = "| 64.9 % |"
     assert figure in right
     page.write_text(right.replace(figure, "| 64.8 % |", 1), encoding="utf-8")
-    assert pages.disagreements(copy) == ["README.md: edges"]
+    assert pages.disagreements(copy) == ["docs/accuracy.md: edges"]
     assert pages.main(["--check"], copy) == 1
-    assert "differs from the results: README.md: edges" in capsys.readouterr().out
+    assert "differs from the results: docs/accuracy.md: edges" in capsys.readouterr().out
     assert pages.main([], copy) == 0
     assert page.read_text(encoding="utf-8") == right
 
@@ -50,7 +50,7 @@ def test_another_result_shows_on_every_page_that_has_it(copy):
     for row in found["content"]["summary"]:
         row["MSE*100"] += 1
     path.write_text(json.dumps(found), encoding="utf-8")
-    assert pages.disagreements(copy) == ["README.md: edges", "docs/parts.md: parts"]
+    assert pages.disagreements(copy) == ["docs/accuracy.md: edges", "docs/parts.md: parts"]
 
 
 def test_a_marker_without_an_end_and_an_unknown_name_are_errors(copy):

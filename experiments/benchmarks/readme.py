@@ -2,12 +2,13 @@
 
     python experiments/benchmarks/readme.py --light-field ../shared/data/hci/cotton [--tree PATH]
 
-The first Python block of the README runs word for word in a process of its own without any
-compilation cache, once up to its gradient and once with it; the light field stands in for "cotton".
+The first Python blocks of the README run word for word in a process of their own without any
+compilation cache, once up to the gradient and once with it; the light field stands in for "cotton".
 """
 
 import argparse
 import os
+import re
 import subprocess
 import sys
 import tempfile
@@ -19,13 +20,16 @@ from _report import print_table
 
 _HERE = Path(__file__).resolve().parents[2]
 # What reads a result waits for it, as an example's reader does.
-_VALUE = "\njax.block_until_ready(result)\n"
+_VALUE = "\nimport jax\njax.block_until_ready(result)\n"
 _GRADIENT = _VALUE + "jax.block_until_ready(gradient)\n"
 
 
 def example(tree: Path) -> str:
-    """The first Python block of a tree's README."""
-    return (tree / "README.md").read_text(encoding="utf-8").split("```python\n")[1].split("```")[0]
+    """The Python blocks of a tree's README up to the one with the gradient."""
+    text = (tree / "README.md").read_text(encoding="utf-8")
+    blocks = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
+    last = next(i for i, block in enumerate(blocks) if "gradient = " in block)
+    return "\n".join(blocks[: last + 1])
 
 
 def measured(code: str, tree: Path, folder: Path) -> tuple[float, float]:

@@ -174,7 +174,7 @@ def _dumped(executable: jax.stages.Compiled, results: Any) -> bytes | None:
         data, *_ = serialize_executable.serialize(executable)
         return pickle.dumps((data, results))
     except (NoKey, ValueError, NotImplementedError, TypeError, AttributeError, pickle.PickleError):
-        return None  # constants beside the program, or a device without serialisation
+        return None  # constants beside the program, or a device without serialization
     except jax.errors.JaxRuntimeError:
         return None
 

@@ -1,4 +1,4 @@
-"""Drawing samples into a view: the nearest one in front, holes from behind, edges by colour."""
+"""Draws samples into a view: nearest in front, holes filled from behind, edges by color."""
 
 from typing import NamedTuple
 
@@ -15,12 +15,12 @@ STEP = 0.1
 
 
 class Drawing(NamedTuple):
-    """Which sample every pixel of a view shows.
+    """The sample that every pixel of a view shows.
 
     Attributes:
-        sample: its index.
-        hole: where none landed and the sample is a neighbour's.
-        spread: what the surfaces around a hole differ by, px; 0 elsewhere.
+        sample: index of the sample.
+        hole: pixels without a sample of their own, which show that of a neighbor.
+        spread: difference of the surfaces around a hole, px; 0 elsewhere.
     """
 
     sample: Int[Array, "y x"]
@@ -29,12 +29,12 @@ class Drawing(NamedTuple):
 
 
 def drawn(samples: Samples, step: Float[Array, "2"], shape: tuple[int, int]) -> Drawing:
-    """Draws samples into a view; in a hole, the farthest of the surfaces around it goes on.
+    """Draws samples into a view; holes continue the farthest of the surfaces around them.
 
     Args:
-        samples: at least one of them lands in the view, or sample 0 is shown.
+        samples: the samples; if none lands in the view, sample 0 is shown.
         step: `(u_c - u, v_c - v)` of the view.
-        shape: of the view, px.
+        shape: rows and columns of the view.
 
     Returns:
         The drawing. A selection: no gradient passes.
@@ -45,7 +45,7 @@ def drawn(samples: Samples, step: Float[Array, "2"], shape: tuple[int, int]) -> 
     nearest = nearest.at[place].max(disparity, mode="promise_in_bounds")
     wins = disparity == nearest[place]
     own = jnp.arange(disparity.size, dtype=jnp.int32)
-    # Of equal ones the first, in whatever order a device writes.
+    # The first of equal ones, independent of the order in which a device writes.
     winner = jnp.full(pixels + 1, disparity.size, jnp.int32)
     winner = winner.at[jnp.where(wins, place, pixels)].min(own, mode="promise_in_bounds")
     winner, nearest = winner[:-1].reshape(shape), nearest[:-1].reshape(shape)
@@ -62,13 +62,13 @@ def decided(
     noise: Float[Array, ""],
     params: Outline,
 ) -> Drawing:
-    """Decides by colour which side of a depth step the pixels beside it are on; see `outline`.
+    """Decides by color on which side of a depth step the pixels beside it are; see `outline`.
 
     Args:
-        drawing: of the view.
-        samples: that it shows.
-        view: its picture, sRGB.
-        noise: standard deviation of the picture's noise, sRGB.
+        drawing: drawing of the view.
+        samples: samples of the drawing.
+        view: the view, sRGB.
+        noise: standard deviation of the view's noise, sRGB.
         params: see `Outline`.
 
     Returns:

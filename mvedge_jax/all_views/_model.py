@@ -19,29 +19,31 @@ from mvedge_jax.warping import Outline
 
 
 def _outline() -> Outline:
-    """Drawn maps are believed less than solved ones."""
+    """A weaker prior than for solved maps."""
     return Outline(odds=as_number(0.25))
 
 
 class ViewDepth(eqx.Module):
-    """Depth of every view: how surfaces that the centre view does not show are measured.
+    """Depth of every view, with measurement of surfaces that the center view does not show.
 
     Attributes:
         matching: costs of the hypotheses about such surfaces.
-        measurement: of their pixels; its `radius` is how far occluders are looked for from one end
-            of the grid to the other, its `views` is not read.
-        smoothness: between neighboring pixels.
-        brightness: how gains of all views are found, and noise is taken out of their guides.
-        outline: which surface a pixel beside a step shows. Its odds are those that the pixel was
-            drawn on the right side: samples are put into whole pixels. From demo, crossing, thin.
+        measurement: measurement of their pixels. `radius` is the largest distance of occluders
+            from one end of the grid to the other; `views` is not read.
+        smoothness: weights of the edges between neighboring pixels.
+        brightness: parameters of the gains of all views and of the denoising of guides.
+        outline: assigns a pixel beside a step to one surface. Its prior odds are those that
+            drawing, which rounds samples to whole pixels, chose the right side; chosen on demo,
+            crossing, thin.
         precision: standard error at which a label counts half as much as a perfect one.
-        stiffness: weight of an uncut edge between pixels against a perfect label.
+        stiffness: weight of an uncut edge between pixels relative to a perfect label.
         trust: residual of a label that halves its weight.
-        capacity: samples of surfaces that the centre view does not show; what exceeds it is counted
-            and left out.
+        capacity: slots for samples of surfaces that the center view does not show; overflow is
+            counted and left out.
         hypotheses: disparities tried per pixel, in views of half the size.
-        solves: measurements, each followed by a diffusion, of what a view adds.
-        tolerance: of the diffusions, relative to their right-hand sides.
+        solves: number of measurements, each followed by a diffusion, of the surfaces that a view
+            adds.
+        tolerance: relative residual of the diffusions.
     """
 
     capacity: int = eqx.field(static=True)
@@ -68,7 +70,7 @@ class ViewDepth(eqx.Module):
         """Chooses capacities on the host from the shape and the disparity range of a light field.
 
         Args:
-            light_field: its range is measured where it does not come with one.
+            light_field: its range is measured if it has none.
             choices: numbers and static fields to set, by path, such as
                 `{"measurement.radius": 8}`.
 

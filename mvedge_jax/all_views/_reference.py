@@ -1,4 +1,4 @@
-"""Measuring, in a view other than the centre one, the surfaces that only such views show."""
+"""Measurement, in other views, of the surfaces that the center view does not show."""
 
 from typing import Any, NamedTuple
 
@@ -25,21 +25,21 @@ from ._draw import STEP, decided, drawn
 from ._model import ViewDepth
 from ._samples import Samples, added
 
-# Weight of the map itself, so that no region is without any label.
+# Weight of the map itself, so that every region has a label.
 _ANCHOR = 1e-6
-# A hypothesis takes the place of the surface behind if its residual is smaller by this factor.
+# A hypothesis replaces the surface behind if its residual is smaller by this factor.
 _CLEARLY = 2.0
 # Standard errors are diffused to this many times the tolerance of disparities.
 _COARSER = 10
-# Views, besides two, whose agreement halves what a residual counts.
+# Number of views, besides two, at which the weight of a residual is halved.
 _FEW = 4.0
-# The four corners of the grid, each turned a little towards the next arm: where the corners of the
-# grid are missing, its four arms are found instead.
+# The four corners of the grid, each turned slightly towards the next arm: if corners are missing,
+# the four arms are found instead.
 _CORNERS = ((-1.0, -1.01), (1.01, -1.0), (1.0, 1.01), (-1.01, 1.0))
 
 
 def outermost(light_field: LightField) -> Int[Array, "r 2"]:
-    """Indices `(v, u)` of the views that together see most of what the centre view does not.
+    """Indices `(v, u)` of the views that show most of the surfaces hidden from the center view.
 
     Args:
         light_field: any grid of views.
@@ -58,7 +58,7 @@ def outermost(light_field: LightField) -> Int[Array, "r 2"]:
 def _contradicted(
     samples: Samples, disparity: Float[Array, "y x"], step: Float[Array, "2"]
 ) -> Bool[Array, "y x"]:
-    """Pixels of a view that the centre view would show in front of what it shows instead."""
+    """Pixels of a view whose surface the center view would show in front, but does not."""
     height, width = disparity.shape
     centre = lax.stop_gradient(samples.disparity[: height * width]).reshape(height, width)
     disparity = lax.stop_gradient(disparity)
@@ -73,7 +73,7 @@ def _contradicted(
 
 
 class _Reference(NamedTuple):
-    """A view as the centre of a crosshair of its own."""
+    """A view as the center of its own crosshair."""
 
     scene: CalibratedViews
     prepared: PreparedViews
@@ -86,20 +86,20 @@ def uncovered(
     noise: Noise,
     model: ViewDepth,
 ) -> tuple[Samples, Int[Array, ""]]:
-    """Adds the surfaces that the outermost views show and the centre view does not.
+    """Adds the surfaces that the outermost views show and the center view does not.
 
-    One view after the other: what the samples so far leave open in it is measured there, around a
-    first guess that continues the surface behind.
+    Views are processed in turn: pixels of a view that no sample explains are measured there,
+    around a first guess that continues the surface behind.
 
     Args:
-        samples: those of the centre view.
+        samples: samples of the center view.
         light_field: the views.
-        exposure: of all views.
-        noise: of them, exposure taken out.
+        exposure: exposure of all views.
+        noise: noise of all views after exposure.
         model: see `ViewDepth`.
 
     Returns:
-        All samples, and how many were to be added. Differentiable.
+        All samples, and the number of samples to add, with overflow. Differentiable.
     """
 
     def add(state: tuple[Samples, Array], view: Array) -> tuple[tuple[Samples, Array], None]:
@@ -130,9 +130,9 @@ def _measured_in(
     first = drawn(samples, light_field.steps[view[0], view[1]], shape)
     drawing = decided(first, samples, picture, noise.deviation, model.outline)
     known = samples.disparity[drawing.sample]
-    # Pixels that the front covers only because samples fill whole pixels are new, too.
+    # Pixels covered by the front only through rounding to whole pixels are new, too.
     new = drawing.hole | (samples.disparity[first.sample] - known > STEP)
-    # Steps make errors wide, which is no doubt about either surface; that nothing was measured is.
+    # Errors inflated by depth steps are capped; those of unmeasured pixels are kept.
     doubt = samples.error[drawing.sample]
     doubt = jnp.minimum(doubt, jnp.maximum(root(jnp.var(known)), jnp.min(doubt)))
 
@@ -147,11 +147,11 @@ def _measured_in(
         label = jnp.where(new, measured.disparity, known)
         edges = edge_smoothness(reference.scene.lab, disparity, model.smoothness)
         across, down = (model.stiffness * t for t in edges)
-        # What a label of this weight is known to.
+        # Standard error of a label of this weight.
         uncertain = model.precision * jnp.sqrt(1 / jnp.clip(weight, 1e-9, 0.99) - 1)
         uncertain = jnp.where(new, uncertain, doubt)
 
-        # One after the other by a loop: the solver compiles slowly.
+        # A loop, so that the solver, which compiles slowly, is in the program once.
         def diffused(asked: tuple[Array, Array, Array]) -> Array:
             values, start, tolerance = asked
             solver = AutoSolver(tolerance=tolerance, by_residual=True)
@@ -174,13 +174,13 @@ def _look(reference: _Reference, disparity: Array) -> Look:
 
 
 def _guess(reference: _Reference, known: Array, new: Array, model: ViewDepth) -> tuple[Array, Look]:
-    """Where to look for new surfaces, and what is seen there.
+    """Initial disparity of new surfaces, and the normal equations there.
 
-    The surface behind goes on, unless the views say otherwise.
+    New pixels continue the surface behind, unless the residual of a hypothesis is much smaller.
     """
     scene, seen = reference.scene, reference.prepared
     low, high = jnp.min(known), jnp.max(known)
-    # Pixels of twice the size are precise enough for a guess, and shift half as far.
+    # Half the resolution is enough for a guess and halves the disparities.
     arms = scene.arms.mapped(low_pass(scene.noise)).mapped(_halved)
     tried = low / 2 + (high - low) / 2 * jnp.linspace(0, 1, model.hypotheses, dtype=known.dtype)
     half = hypotheses(arms, _halved(scene.lab), tried, model.matching, noise=scene.noise, window=2)
@@ -193,13 +193,13 @@ def _guess(reference: _Reference, known: Array, new: Array, model: ViewDepth) ->
         found = _look(reference, disparity)
         passes = seen.params.passes
         differs = mismatch(found, scene.lab, disparity, seen.params, passes=passes)
-        # That few views agree says little.
+        # Agreement of few views is weak evidence.
         few = 1 + _FEW / jnp.maximum(found.freedom, 0.1)
         return found, (differs + seen.params.noise**2) * few
 
     found, residual = lax.map(recomputed(tried_at), jnp.stack([known, other]))
     better = new & (_CLEARLY * residual[1] < residual[0])
-    # What was seen of the chosen one need not be looked up again.
+    # The chosen map has been measured already.
     found = jax.tree.map(lambda both: jnp.where(better, both[1], both[0]), found)
     return jnp.where(better, other, known), found
 

@@ -1,4 +1,4 @@
-"""The common set of surface samples that all views are drawn from."""
+"""The set of surface samples from which all views are drawn."""
 
 from typing import NamedTuple
 
@@ -6,18 +6,18 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
-# How a pixel is known.
+# Source of a pixel.
 SEEN, UNCOVERED, FILLED = 0, 1, 2
 
 
 class Samples(NamedTuple):
-    """Surface samples, wherever in the grid of views they were measured.
+    """Surface samples, measured in any view.
 
     Attributes:
-        xy: position in the centre view, px, where a nearer surface may hide it or beyond its frame.
+        xy: position in the center view, px, where a nearer surface may hide it or beyond its frame.
         disparity: px per view step.
         error: standard error of the disparity, px.
-        uncovered: measured in another view than the centre one.
+        uncovered: whether the sample was measured in another view than the center view.
         valid: slots in use.
     """
 
@@ -31,15 +31,15 @@ class Samples(NamedTuple):
 def samples_of(
     disparity: Float[Array, "y x"], error: Float[Array, "y x"], *, capacity: int
 ) -> Samples:
-    """The pixels of the centre view as samples, with room for more.
+    """The pixels of the center view as samples, with room for more.
 
     Args:
-        disparity: of the centre view, px per view step.
+        disparity: map of the center view, px per view step.
         error: its standard error, px.
-        capacity: of samples that other views add.
+        capacity: slots for samples that other views add.
 
     Returns:
-        Samples, those of the centre view first, row by row.
+        Samples, those of the center view first, row by row.
     """
     size, dtype = disparity.size, disparity.dtype
     rows, columns = jnp.indices(disparity.shape)
@@ -67,19 +67,19 @@ def added(
     """Adds pixels of a view to the samples, in the free slots.
 
     Args:
-        samples: so far.
-        disparity: of the view, px per view step.
+        samples: the samples so far.
+        disparity: map of the view, px per view step.
         error: its standard error, px.
         wanted: pixels to add.
         step: `(u_c - u, v_c - v)` of the view.
-        count: of samples added so far.
+        count: number of samples added so far.
 
     Returns:
-        The samples and the new count, which exceeds the capacity by what found no slot.
+        The samples and the new count, which may exceed the capacity.
     """
     shape, slots = disparity.shape, samples.valid.shape[0]
     place = count + jnp.cumsum(wanted.ravel(), dtype=count.dtype) - 1
-    # What finds no slot goes beyond the last one, from where it is dropped.
+    # Samples without a slot get an index beyond the last one and are dropped.
     place = jnp.where(wanted.ravel(), shape[0] * shape[1] + place, slots)
     rows, columns = jnp.indices(shape)
     pixels = jnp.stack([columns, rows], axis=-1).astype(disparity.dtype)
@@ -99,9 +99,9 @@ def added(
 
 
 def landed(samples: Samples, step: Float[Array, "2"], shape: tuple[int, int]) -> Int[Array, " n"]:
-    """Flat pixel of a view that each sample lands on; one past the last where on none.
+    """Flat index of the pixel of a view that each sample lands on; past the last one if outside.
 
-    Halves are rounded upwards: a plane at half a pixel would become a comb otherwise.
+    Halves are rounded upwards; otherwise a plane at half a pixel would become a comb.
     """
     xy, disparity = lax.stop_gradient((samples.xy, samples.disparity))
     height, width = shape

@@ -25,11 +25,11 @@ class ViewDepths(NamedTuple):
 
     Attributes:
         disparity: px per view step, larger is nearer, `[v, u, y, x]`.
-        error: its standard error, px, `[v, u, y, x]`. Where nothing was seen, with what the
-            surfaces around differ by.
-        source: what each pixel is known from, `[v, u, y, x]`: 0, seen by the centre view; 1, by
-            other views only; 2, by none, and continued from the surface behind.
-        overflow: samples of other views that found no slot (`ViewDepth.capacity`).
+        error: standard error of the disparity, px, `[v, u, y, x]`. In holes it includes the
+            difference of the surfaces around.
+        source: source of each pixel, `[v, u, y, x]`: 0, visible in the center view; 1, in other
+            views only; 2, in none, and continued from the surface behind.
+        overflow: number of samples of other views without a slot (`ViewDepth.capacity`).
     """
 
     disparity: Float[Array, "v u y x"]
@@ -39,7 +39,7 @@ class ViewDepths(NamedTuple):
 
 
 def _validate(light_field: Any, result: Any, model: Any) -> tuple[Any, ...]:
-    """The arguments of `depth_of_views`, or what is wrong with them."""
+    """Validates the arguments of `depth_of_views`."""
     order = "the order is (light_field, result, model)"
     expect("light_field", light_field, LightField, order)
     expect("result", result, DepthResult, "`depth` makes one, and " + order)
@@ -52,23 +52,23 @@ def _validate(light_field: Any, result: Any, model: Any) -> tuple[Any, ...]:
 def depth_of_views(light_field: LightField, result: DepthResult, model: ViewDepth) -> ViewDepths:
     """Estimates the disparity of every pixel of every view.
 
-    1. The pixels of the centre view are surface samples. The corner views show most of what it does
-       not: one after the other, what the samples leave open in them is measured in the row and the
-       column of views through them, and added.
-    2. Every view is drawn from all samples: the nearest wins, a hole that is left goes on with the
-       surface behind it, and the view's own colours decide which side of a depth step the pixels
-       beside it are on.
+    1. The pixels of the center view are surface samples. The corner views show most of the
+       surfaces hidden from it. In each corner view in turn, pixels that no sample explains are
+       measured in the row and the column of views through it, and added.
+    2. Every view is drawn from all samples: the nearest wins, a remaining hole continues the
+       surface behind it, and the view's own colors decide on which side of a depth step the pixels
+       beside it are.
 
-    The maps agree by construction, as every pixel of every view is one of the samples. The centre
+    The maps agree by construction, as every pixel of every view is one of the samples. The center
     view keeps its own map.
 
     Args:
-        light_field: all views that are there; ground truth is not read.
-        result: of `depth` for this light field.
+        light_field: all available views are read; ground truth is not.
+        result: result of `depth` for this light field.
         model: see `ViewDepth.for_light_field`.
 
     Returns:
-        Maps of all views, of missing ones as well. Differentiable, forwards and backwards, in the
+        Maps of all views, missing ones included. Differentiable, forwards and backwards, in the
         views, in the disparity of `result` and in every array of `model`; which sample a pixel
         shows is a selection.
 
@@ -94,7 +94,7 @@ def depth_of_views(light_field: LightField, result: DepthResult, model: ViewDept
             f"{result.disparity.shape}."
         )
     model = cast(model, light_field.views.dtype)
-    # Where nothing is known, infinities would make derivatives that are no numbers.
+    # Infinite errors of unknown pixels would give NaN derivatives.
     error = jnp.where(jnp.isfinite(result.error), result.error, root(jnp.var(result.disparity)))
     samples = samples_of(result.disparity, error, capacity=model.capacity)
     exposure = result.stats.exposure

@@ -24,11 +24,11 @@ _SCORES = ("mse", "q25", "bad_01", "bad_03", "bad_07")
 
 
 class _Kind(NamedTuple):
-    """Light fields that share a program: shape, precision and reach of their views.
+    """Light fields that share a program: shape, precision and extent of their views.
 
     Attributes:
-        shape: of the views.
-        dtype: of the views.
+        shape: shape of the views.
+        dtype: dtype of the views.
         farthest: see `LightField.farthest`; None for a regular grid.
     """
 
@@ -38,7 +38,7 @@ class _Kind(NamedTuple):
 
 
 class _Options(NamedTuple):
-    """How light fields are read, and estimated."""
+    """Options of reading and estimating light fields."""
 
     views: int | None
     scale: float
@@ -65,23 +65,22 @@ def batch(
 ) -> int:
     """Estimates depth of many light fields, one after the other.
 
-    OUT gets a folder for each light field, with what `mvedge depth` writes, and summary.csv and
-    summary.json over all. Light fields of one shape are computed by one program, over the disparity
-    range of all of them; `mvedge depth` would choose each range for itself. What OUT holds already
-    is not computed again; a light field that fails is reported at the end and stops no other.
+    OUT gets a folder for each light field, with the files of `mvedge depth`, and summary.csv and
+    summary.json over all. Light fields of one shape share a program, over the disparity range of
+    all of them; `mvedge depth` would choose each range separately. Results that OUT already holds
+    are kept; failures are reported at the end and do not stop the others.
 
     Args:
         paths: light fields, then the folder for the results.
         views: use the central VIEWS x VIEWS views only; odd.
         scale: shrink the views by this factor, at most 1.
-        range: lowest and highest disparity of all, px per view step; otherwise each is measured if
-            not known.
+        range: lowest and highest disparity of all, px per view step; measured if unknown.
         all_views: measure disparity in all views at the end.
         video: the light fields are the frames of one video, in order. The range is measured in the
-            first, and in later ones only where something speaks against their map.
-        again: compute again what is there already.
-        options: of the model.
-        seed: of the search that preset thesis draws.
+            first frame, and again if a later map has problems.
+        again: replace existing results.
+        options: options of the model.
+        seed: seed of the random search of preset thesis.
 
     Returns:
         The exit code: 0, or 1 if a light field failed.
@@ -95,7 +94,7 @@ def batch(
     if out.exists() and not out.is_dir():
         raise FileExistsError(f"{out} is a file, expected a folder to write into.")
     out.mkdir(parents=True, exist_ok=True)
-    # A range that was asked for stays.
+    # A given range is kept.
     asked = _Options(views, scale, all_views, video and range is None, options, seed)
     rows: dict[str, dict[str, Any]] = {}
     kinds: dict[_Kind, list[tuple[str, Path]]] = {}
@@ -124,7 +123,7 @@ def batch(
 
 
 def _check(views: int | None, scale: float, ends: tuple[float, float] | None) -> None:
-    """Refuses options that would fail every light field."""
+    """Refuses options that would fail for every light field."""
     if views is not None and (views < 3 or views % 2 == 0):
         raise ValueError(f"--views must be odd and at least 3, got {views}.")
     if not 0 < scale <= 1:
@@ -149,7 +148,7 @@ def _run(
             with stage(f"reading {scene}"):
                 found, said = read_scene(scene, views=options.views, scale=options.scale)
             result, model, seconds = estimate(found, name)
-            # What is there is an earlier result of ours, or the folder refuses.
+            # `output_folder` refuses anything but an earlier result.
             with output_folder(out / name, inputs=[scene], overwrite=True) as folder:
                 report = depth_report(found, result, seconds)
                 report |= options.model.described(model) | {"seed": options.seed}
@@ -168,7 +167,7 @@ def _run(
 
 
 class _Estimate:
-    """Depth of light fields of one kind; compiled for the first, and for frames of wider range."""
+    """Depth of light fields of one kind; compiled for the first, and again for wider ranges."""
 
     def __init__(self, kind: _Kind, options: _Options, ends: tuple[float, float]):
         self._kind, self._options, self._ends = kind, options, ends
@@ -178,7 +177,7 @@ class _Estimate:
     def __call__(
         self, light_field: LightField, name: str
     ) -> tuple[DepthResult, EdgeDepth, dict[str, float]]:
-        """Depth, the model it was found with, and the seconds it took."""
+        """Depth, its model, and the seconds of the estimate."""
         views = _anonymous(light_field)
         start = time.perf_counter()
         program, model = self._compiled(views)
@@ -200,7 +199,7 @@ class _Estimate:
         return self._program
 
     def _widened(self, views: LightField, name: str) -> bool:
-        """Whether a frame shows disparities beyond the range that came from those before."""
+        """Whether a frame has disparities beyond the range of the previous frames."""
         with stage(f"measuring the range of {name}"):
             low, high = scene_range(views)
         before = self._ends
@@ -221,12 +220,12 @@ def _over(light_field: LightField, ends: tuple[float, float]) -> LightField:
 
 
 def _anonymous(light_field: LightField) -> LightField:
-    """Views alone: names, cameras and ranges would make a program of their own."""
+    """Views alone, because names, cameras and ranges would compile another program."""
     return light_field.bare()
 
 
 def _names(scenes: Sequence[Path]) -> list[str]:
-    """Folders of the results: the scenes' names, with as many parents as tell them apart."""
+    """Folders of the results: the scenes' names, with as many parents as make them unique."""
     absolute = [scene.resolve() for scene in scenes]
     if len(set(absolute)) < len(absolute):
         twice = next(s for s, a in zip(scenes, absolute, strict=True) if absolute.count(a) > 1)
@@ -240,7 +239,7 @@ def _names(scenes: Sequence[Path]) -> list[str]:
 
 
 def _row(report: Path, state: str) -> dict[str, Any]:
-    """What the summary says of a finished light field."""
+    """The row of a finished light field in the summary."""
     try:
         content = read_json(report)
         scores = content["scores"].get("crop 0", {})

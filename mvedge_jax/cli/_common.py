@@ -1,4 +1,4 @@
-"""What the commands share: progress, messages that print anywhere, memory."""
+"""Common functions of the commands: progress, printable messages, checks, compilation."""
 
 import contextlib
 import os
@@ -17,18 +17,18 @@ from mvedge_jax.lightfield import LightField
 
 from ._interruption import GUARD
 
-# Names of files are shown as they are: no markup, no pictures for `:names:`, no numbers in colour.
+# File names are printed literally: no markup, no emoji for `:names:`, no highlighting.
 _PROGRESS = Console(stderr=True, markup=False, emoji=False, highlight=False)
 
 
 def printable(text: str) -> str:
-    """Text in one line: control characters, and bytes that were no text, as escapes."""
+    """Text in one line, with control characters and undecodable bytes as escapes."""
     shown = (c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
     return "".join(shown)
 
 
 class _Elapsed:
-    """A line that is made anew whenever the terminal is, with the seconds since `start`."""
+    """A line with the seconds since `start`, updated with the terminal."""
 
     def __init__(self, name: str, start: float):
         self._name, self._start = name, start
@@ -41,7 +41,7 @@ class _Elapsed:
 def stage(name: str) -> Iterator[None]:
     """Shows `name`, a spinner and the seconds while the body runs, and its time when it is done.
 
-    While it runs, only a terminal is told.
+    The spinner is shown on a terminal only.
     """
     start, name = time.perf_counter(), printable(name)
     with _PROGRESS.status(_Elapsed(name, start)):  # pyright: ignore
@@ -50,7 +50,7 @@ def stage(name: str) -> Iterator[None]:
 
 
 def positions_of(light_field: LightField | StoredViews) -> str:
-    """Where the views are, in words."""
+    """Positions of the views, in words."""
     if light_field.positions is None:
         return "regular grid"
     rows, columns = light_field.available.shape
@@ -64,15 +64,15 @@ def positions_of(light_field: LightField | StoredViews) -> str:
 
 
 def note(text: str) -> None:
-    """Prints lines for the user to the standard output; that nobody listens is no error."""
+    """Prints lines to the standard output; a closed pipe is not an error."""
     lines = "\n".join(printable(line) for line in text.split("\n"))
     with GUARD:
         try:
             sys.stdout.write(lines + "\n")
             sys.stdout.flush()
         except OSError:
-            # A closed pipe or a full disk must not cost the result. Nor may the interpreter
-            # stumble over what is left in the buffer as it ends.
+            # A closed pipe or a full disk must not lose the result, and the rest of the buffer
+            # must not raise when the interpreter exits.
             sys.stdout = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115
 
 
@@ -101,7 +101,7 @@ def finite(**options: Sequence[float] | float | None) -> None:
 
 
 def in_unit_range(colour: Sequence[float] | None) -> None:
-    """Refuses a --colour that is none.
+    """Refuses an invalid --colour.
 
     Args:
         colour: red, green and blue, or None.
@@ -114,7 +114,7 @@ def in_unit_range(colour: Sequence[float] | None) -> None:
 
 
 def missing_views(light_field: LightField | StoredViews) -> list[str]:
-    """A sentence on views that are not there, if there are any."""
+    """A sentence about missing views, if there are any."""
     there = np.asarray(light_field.available)
     if there.all():
         return []
@@ -122,13 +122,13 @@ def missing_views(light_field: LightField | StoredViews) -> list[str]:
 
 
 def compiled(function: Any, *arguments: Any, **options: Any) -> Callable[..., Any]:
-    """Compiles a `lean_jit` function, or reads what an earlier process compiled.
+    """Compiles a `lean_jit` function, or loads the program of an earlier process.
 
-    The memory that it took is given back.
+    The compiler's free memory is returned to the system.
 
     Args:
         function: to compile.
-        arguments: what it will be called with.
+        arguments: the arguments of the later call.
         options: the same, by name.
 
     Returns:

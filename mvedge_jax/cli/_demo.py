@@ -34,7 +34,7 @@ from ._output import output_folder, write_json
 
 
 class _Estimate(NamedTuple):
-    """What a method says: the centre view's disparity; points and model behind it, if any."""
+    """Result of a method: the center view's disparity; its points and model, if any."""
 
     disparity: Array
     points: EdgePoints | None = None
@@ -54,14 +54,14 @@ def _multiview_edges(
     return _Estimate(result.disparity, result.points, model)
 
 
-# Every method gets the light field without its truth and is timed, scored and drawn in the same
-# way; the one that matters comes last.
+# Every method gets the light field without ground truth and is timed, scored and drawn in the same
+# way; this library's is last.
 _METHODS: dict[str, Callable[..., _Estimate]] = {
     "plane sweep": _plane_sweep,
     "multi-view edges": _multiview_edges,
 }
 
-# Title of a column of the table -> how to get the figure.
+# Title of a column of the table -> the figure of a result.
 _COLUMNS: dict[str, Callable[["_Result"], Array]] = {
     "MSE*100": lambda r: r.depth.mse,
     "Q25*100": lambda r: r.depth.q25,
@@ -106,13 +106,13 @@ def demo(
     recall of depth boundaries), metrics.csv, metrics.json and the disparity maps.
 
     Args:
-        out: folder to make.
+        out: folder to write.
         scene: a synthetic scene, see `mvedge render --help`.
         views: VIEWS x VIEWS views, an odd number of at least 3.
         size: height and width in px.
-        seed: of the sensor's noise, and of the search that preset thesis draws.
-        overwrite: replace OUT if it is an earlier result of mvedge, with nothing else in it.
-        options: of the model.
+        seed: seed of the sensor's noise, and of the random search of preset thesis.
+        overwrite: replace OUT if it is a result of mvedge without other files in it.
+        options: options of the model.
     """
     options.check()
     if views < 3:
@@ -173,7 +173,7 @@ def _run(
 def _figures(
     light_field: LightField, truth: GroundTruth, results: list[_Result]
 ) -> list[tuple[str, Figure]]:
-    """Name and figure; disparity has one colour range in all of them."""
+    """Figures by name, with a common color range of disparity."""
     known = np.where(np.asarray(truth.valid), np.asarray(truth.disparity), np.nan)
     names = [result.name for result in results]
     maps = [result.disparity for result in results]

@@ -1,4 +1,4 @@
-"""`mvedge depth`: a dense disparity map of the centre view."""
+"""`mvedge depth`: a dense disparity map of the center view."""
 
 import platform
 import time
@@ -56,11 +56,11 @@ def depth(
     options: ModelArg = FULL,
     seed: int = 0,
 ) -> None:
-    """Estimates the disparity of every pixel of a light field's centre view.
+    """Estimates the disparity of every pixel of a light field's center view.
 
-    OUT gets disparity.pfm, disparity16.png (its range is in report.json), disparity.png in colour,
-    its standard error as standard_error.pfm and .png, points.npz, points.csv, report.json and,
-    where the camera is known, depth.pfm in metres. With ground truth: error maps and scores, over
+    OUT gets disparity.pfm, disparity16.png (range in report.json), disparity.png in color, its
+    standard error as standard_error.pfm and .png, points.npz, points.csv, report.json and,
+    if the camera is known, depth.pfm in meters. With ground truth: error maps and scores, over
     the whole frame and without 15 px per side.
 
     `--preset edges` is the depth of the edges alone, `--preset thesis` that of the dissertation.
@@ -68,24 +68,24 @@ def depth(
     their paths; report.json lists all of them with their values.
 
     Args:
-        scene: folder or file of a light field; `mvedge info` tells what it is.
-        out: folder to make.
+        scene: folder or file of a light field; `mvedge info` checks it.
+        out: folder to write.
         views: use the central VIEWS x VIEWS views only; odd.
         scale: shrink the views by this factor, at most 1.
         flip_u: reverse the columns of views.
         flip_v: reverse the rows of views.
         swap_axes: exchange rows and columns of views, before they are reversed.
-        positions: text file with a line `v u x y` per view: row, column, place in view steps.
-        range: lowest and highest disparity, px per view step; measured if not given or known.
+        positions: text file with a line `v u x y` per view: row, column, position in view steps.
+        range: lowest and highest disparity, px per view step; measured if unknown.
         all_views: measure disparity in all views at the end, not in the central row and column
             alone: more accurate, twice as slow.
         tile: estimate the depth of an image too large for the memory in tiles of TILE x TILE px,
             which overlap by 96.
         memory: likewise, in tiles as large as MEMORY gigabytes allow.
         view: show the result in a browser until Ctrl-C, as `mvedge view` does.
-        overwrite: replace OUT if it is an earlier result of mvedge, with nothing else in it.
-        options: of the model.
-        seed: of the search that preset thesis draws.
+        overwrite: replace OUT if it is a result of mvedge without other files in it.
+        options: options of the model.
+        seed: seed of the random search of preset thesis.
     """
     options.check(all_views=all_views)
     tiling = tiling_of(tile, memory, all_views=all_views, scale=scale, view=view)
@@ -133,7 +133,7 @@ def depth(
 def _estimate(
     blind: LightField, model: EdgeDepth, *, key: PRNGKeyArray
 ) -> tuple[DepthResult, dict[str, float]]:
-    """Depth, and the seconds it took."""
+    """Depth, and the seconds of the estimate."""
     before = time.perf_counter()
     with stage("compiling depth, or reading what was compiled before"):
         estimate = compiled(estimate_depth, blind, model, key=key)
@@ -184,7 +184,7 @@ def _image(path: Path, image: np.ndarray) -> None:
 
 
 def score_depth(folder: Path, truth: GroundTruth | None, result: DepthResult) -> dict[str, Any]:
-    """Scores by crop and error maps, where there is ground truth."""
+    """Scores by crop, and error maps, if there is ground truth."""
     if truth is None:
         return {}
     known = np.where(np.asarray(truth.valid), np.asarray(truth.disparity), np.nan)
@@ -213,7 +213,7 @@ def score_depth(folder: Path, truth: GroundTruth | None, result: DepthResult) ->
 
 
 def _photometry(stats: DepthStats) -> dict[str, Any]:
-    """What was taken out of the views, and the noise that was left."""
+    """Exposure and gains removed from the views, and the remaining noise."""
     gain, uneven = np.asarray(stats.exposure.gain), np.asarray(stats.exposure.unevenness)
     row, column = (count // 2 for count in gain.shape)
     return {
@@ -232,11 +232,11 @@ def depth_report(
     result: DepthResult,
     seconds: dict[str, float],
 ) -> dict[str, Any]:
-    """What was done, and how it went."""
+    """The report: options, statistics, warnings."""
     stored = isinstance(light_field, StoredViews)
     disparity = np.asarray(result.disparity)
     stats = result.stats
-    # Infinite where nothing is known at all.
+    # Infinite without any label.
     known = bool(np.isfinite(result.error).all())
     spread = np.quantile(result.error, (0.5, 0.95)).tolist() if known else None
     return {

@@ -35,24 +35,24 @@ def edges(
     options: ModelArg = FULL,
     seed: int = 0,
 ) -> None:
-    """Finds edge points with their disparities in a light field's centre view.
+    """Finds edge points with their disparities in a light field's center view.
 
     OUT gets points.npz, points.csv (one row per point, for a spreadsheet), points.png (over the
-    image, coloured by disparity), epi_horizontal.png and epi_vertical.png (the EPI of either arm
+    image, colored by disparity), epi_horizontal.png and epi_vertical.png (the EPI of either arm
     whose disparities vary most, with its lines) and report.json (the counts after each step).
 
     Args:
-        scene: folder or file of a light field; `mvedge info` tells what it is.
-        out: folder to make.
+        scene: folder or file of a light field; `mvedge info` checks it.
+        out: folder to write.
         views: use the central VIEWS x VIEWS views only; odd.
         scale: shrink the views by this factor, at most 1.
         flip_u: reverse the columns of views.
         flip_v: reverse the rows of views.
         swap_axes: exchange rows and columns of views, before they are reversed.
-        range: lowest and highest disparity, px per view step; measured if not given or known.
-        overwrite: replace OUT if it is an earlier result of mvedge, with nothing else in it.
-        options: of the model.
-        seed: of the search that preset thesis draws.
+        range: lowest and highest disparity, px per view step; measured if unknown.
+        overwrite: replace OUT if it is a result of mvedge without other files in it.
+        options: options of the model.
+        seed: seed of the random search of preset thesis.
     """
     options.check()
     with stage(f"reading {scene}"):
@@ -135,7 +135,7 @@ def _write(folder: Path, light_field: LightField, found: Edges) -> None:
 
 
 def _most_varied(index: np.ndarray, disparity: np.ndarray) -> int:
-    """The EPI whose disparities differ most from each other: there is most to see in it."""
+    """The EPI whose disparities vary most."""
     count, total, square = (
         np.bincount(index, weights=disparity.astype(np.float64) ** power) for power in range(3)
     )

@@ -1,4 +1,4 @@
-"""`mvedge edit`: something put into, painted in or removed from every view."""
+"""`mvedge edit`: inserts pictures, paints or removes surfaces in every view."""
 
 from pathlib import Path
 from typing import Annotated
@@ -17,7 +17,7 @@ from ._every_view import every_view
 from ._output import output_folder, write_json
 from ._source import read_scene
 
-# How far around what is removed pixels blend with it, px.
+# Margin around removed pixels that blend with them, px.
 _BLENDED = 2
 _NOTHING = (
     "nothing was changed: in every view, it is hidden by what is nearer, or lies outside; look at "
@@ -38,22 +38,23 @@ def edit(
     colour: tuple[float, float, float] | None = None,
     overwrite: bool = False,
 ) -> None:
-    """Edits a light field: what is nearer hides what is put in, in every view.
+    """Edits a light field with correct occlusion in every view.
 
     One of three: --insert puts a picture with alpha on a plane; --mask with --colour paints a
-    surface of the centre view; --mask alone removes what it marks. OUT is a light field in the
+    surface of the center view; --mask alone removes the marked surface. OUT is a light field in the
     layout of the HCI benchmark, with views.png and report.json.
 
     Args:
-        scene: folder or file of a light field; `mvedge info` tells what it is.
-        out: folder to make.
-        insert: picture to put in, with or without alpha.
-        at: x and y of its middle in the centre view, px; the middle of the view by default.
-        disparity: of the picture, px per view step, larger is nearer.
+        scene: folder or file of a light field; `mvedge info` checks it.
+        out: folder to write.
+        insert: picture to insert, with or without alpha.
+        at: x and y of the picture's middle in the center view, px; by default the middle of the
+            view.
+        disparity: disparity of the picture, px per view step, larger is nearer.
         slant: change of its disparity per px along x and y.
-        mask: picture of the centre view's size, white where to edit.
+        mask: picture of the center view's size, white in the pixels to edit.
         colour: red, green and blue of the paint, 0..1.
-        overwrite: replace OUT if it is an earlier result of mvedge, with nothing else in it.
+        overwrite: replace OUT if it is a result of mvedge without other files in it.
     """
     if (insert is None) == (mask is None):
         raise ValueError("name either --insert or --mask, not both or none.")

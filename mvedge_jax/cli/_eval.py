@@ -39,14 +39,14 @@ def evaluate(
     """Scores a disparity map against the ground truth of a scene.
 
     Scores are over the whole frame (as in the thesis) and without CROP pixels per side (as in the
-    HCI benchmark). A map that is smaller than the ground truth is taken to be its centre.
+    HCI benchmark). A map smaller than the ground truth is taken as its center.
 
     Args:
-        result: disparity map of the centre view (.pfm), px per view step, larger is nearer.
+        result: disparity map of the center view (.pfm), px per view step, larger is nearer.
         scene: folder or file of a light field with ground truth.
-        crop: pixels to leave out on each side of the ground truth, beside the whole frame.
+        crop: pixels to leave out on each side of the ground truth, in addition to the full frame.
         out: folder for scores.json, scores.csv, the error maps and the disparity map.
-        overwrite: replace FOLDER if it is an earlier result of mvedge, with nothing else in it.
+        overwrite: replace FOLDER if it is a result of mvedge without other files in it.
     """
     disparity = read_pfm(result)
     with stage(f"reading the ground truth of {scene}"):
@@ -128,7 +128,7 @@ def _write_scores(folder: Path, result: Path, scene: Path, scores: dict[int, Dep
 
 
 def _record(crop: int, values: DepthScores) -> dict[str, int | float | None]:
-    """The scores by name; None where they are infinite or undefined, which JSON cannot say."""
+    """The scores by name; None for infinite or undefined ones, which JSON does not have."""
     numbers = {name: float(getattr(values, name)) for name in _COLUMNS}
     return (
         {"crop": crop}
@@ -140,7 +140,7 @@ def _record(crop: int, values: DepthScores) -> dict[str, int | float | None]:
 def _draw(
     folder: Path, name: str, disparity: np.ndarray, truth: np.ndarray, scores: DepthScores
 ) -> None:
-    """The map beside the ground truth at the same colours, and its errors, signed and log."""
+    """The map beside the ground truth in the same colors, and its errors, signed and log."""
     # Matplotlib is slow to import, and only needed with --out.
     from mvedge_jax.plotting import disparity_limits, plot_comparison, plot_disparity, plot_error
 

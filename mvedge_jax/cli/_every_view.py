@@ -18,9 +18,9 @@ class EveryView(NamedTuple):
 
     Attributes:
         depths: the maps.
-        model: of the centre view.
-        seconds: from the centre view's map to all of them.
-        doubts: what speaks against them, one sentence each.
+        model: model of the center view.
+        seconds: time from the center view's map to all maps.
+        doubts: problems of the maps, one sentence each.
     """
 
     depths: ViewDepths
@@ -36,11 +36,11 @@ def every_view(
 
     Args:
         light_field: without ground truth.
-        options: of the model of the centre view.
-        seed: of presets that draw.
+        options: options of the model of the center view.
+        seed: seed of the random search of preset thesis.
 
     Returns:
-        The maps, and how they were made.
+        The maps with their model, time and problems.
     """
     key = jax.random.key(seed)
     with stage("choosing sizes"):

@@ -27,22 +27,22 @@ def export(
     camera: tuple[float, float, float] | None = None,
     overwrite: bool = False,
 ) -> None:
-    """Writes views, cameras, points and depth in the forms that other tools read.
+    """Writes views, cameras, points and depth in the formats of other tools.
 
-    OUT gets, for ply: NAME.ply for every view with depth, coloured points with normals and standard
+    OUT gets, for ply: NAME.ply for every view with depth, colored points with normals and standard
     errors; for colmap: images and sparse/0, a model in text form, with the edge points; for
     nerfstudio: images, transforms.json, depth maps and masks. The unit is that of the cameras,
-    metres for light fields; the world is the centre view's camera.
+        meters for light fields; the world is the center view's camera.
 
     Args:
-        source: a light field (cameras and views only), or what mvedge depth, views or stereo wrote
-            (with its depth).
-        out: folder to make.
-        to: the form.
-        points: of ply: every pixel, or the edge points of mvedge depth.
-        camera: focal length in px, baseline and focus distance, for a light field that does not
-            know them.
-        overwrite: replace OUT if it is an earlier result of mvedge, with nothing else in it.
+        source: a light field (cameras and views only), or a result of mvedge depth, views or
+            stereo (with its depth).
+        out: folder to write.
+        to: the format.
+        points: for ply: every pixel, or the edge points of mvedge depth.
+        camera: focal length in px, baseline and focus distance, for a light field without a known
+            camera.
+        overwrite: replace OUT if it is a result of mvedge without other files in it.
     """
     with stage(f"reading {source}"):
         found = gather(source, camera)
@@ -66,7 +66,7 @@ def export(
 
 
 def _written(found: Gathered, report: dict[str, Any]) -> str:
-    """What there is in the folder, in words."""
+    """Contents of the folder, in words."""
     counts = report.get("points")
     if counts is not None:
         clouds = "1 point cloud" if len(counts) == 1 else f"{len(counts)} point clouds"
@@ -82,7 +82,7 @@ def _files(counts: dict[str, int]) -> str:
 
 
 def _dense(folder: Path, found: Gathered) -> dict[str, int]:
-    """A cloud of every view with depth; how many points each has."""
+    """Writes a cloud of every view with depth; returns their numbers of points."""
     counts, views = {}, found.photographs
     stems = stems_of(views.names)
     for index, depth in found.depth.items():
@@ -104,9 +104,9 @@ def _dense(folder: Path, found: Gathered) -> dict[str, int]:
 
 
 def _edges(folder: Path, found: Gathered, source: Path) -> dict[str, int]:
-    """The edge points, with the colours and normals of the view that they were found in."""
+    """The edge points, with colors and normals of the view in which they were found."""
     views = found.photographs
-    # Those of a stereo result are COLMAP's, and not of one photograph.
+    # Points of a stereo result are COLMAP's, not those of one photograph.
     if views.points is None or found.point_error is None or not len(views.points):
         raise ValueError(
             f"{source} has no edge points; run mvedge depth, and export what it wrote."
@@ -127,7 +127,7 @@ def _edges(folder: Path, found: Gathered, source: Path) -> dict[str, int]:
 
 
 def _pixels(views: Photographs, index: int) -> tuple[np.ndarray, np.ndarray]:
-    """The pixels of a photograph that its points are in."""
+    """The pixels of a photograph that contain its points."""
     pose, matrix = np.asarray(views.poses[index]), np.asarray(views.intrinsics[index])
     place = ((np.asarray(views.points) - pose[:3, 3]) @ pose[:3, :3]) @ matrix.T
     height, width = views.images.shape[1:3]

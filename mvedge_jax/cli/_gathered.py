@@ -1,4 +1,4 @@
-"""What there is to export: photographs with cameras, and the depth that an earlier run found."""
+"""Data to export: photographs with cameras, and the depth of an earlier run."""
 
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -22,9 +22,9 @@ class Gathered(NamedTuple):
     """Photographs, and depth of some of them by their index.
 
     Attributes:
-        photographs: with their cameras; sparse points where they are known.
-        depth: in the unit of the poses.
-        error: standard errors of the depths, of those that have one.
+        photographs: photographs with cameras, and sparse points if known.
+        depth: depth in the unit of the poses.
+        error: standard errors of the depths, if known.
         point_error: standard errors of the sparse points along their lines of sight, if known.
     """
 
@@ -35,19 +35,19 @@ class Gathered(NamedTuple):
 
 
 def gather(path: Path, camera: tuple[float, float, float] | None) -> Gathered:
-    """Reads a light field, or what `mvedge depth`, `views` or `stereo` wrote.
+    """Reads a light field, or a result of `mvedge depth`, `views` or `stereo`.
 
     Args:
         path: a scene, a model, or a result.
-        camera: focal length, px, baseline and focus distance of a light field that does not know
-            its own.
+        camera: focal length, px, baseline and focus distance, for a light field without a known
+            camera.
 
     Returns:
-        What there is.
+        The photographs and their depth.
 
     Raises:
-        FileNotFoundError: `path`, or the scene that a result was made from, is not there.
-        ValueError: a result does not say what it was made from, or the camera is not known.
+        FileNotFoundError: `path`, or the scene of a result, does not exist.
+        ValueError: a result does not name its scene, or the camera is unknown.
     """
     report = _report(path)
     if report is None:
@@ -64,7 +64,7 @@ def gather(path: Path, camera: tuple[float, float, float] | None) -> Gathered:
 
 
 def _report(path: Path) -> dict[str, Any] | None:
-    """The report of a result of ours; None for anything else."""
+    """The report of a result of mvedge; None for anything else."""
     file = path / "report.json"
     ours = (path / ".mvedge.json").is_file() and file.is_file()
     return read_json(file) if ours else None
@@ -144,7 +144,7 @@ def _points(path: Path, views: int) -> list[np.ndarray]:
 
 
 def _observed(field: LightField, visible: np.ndarray) -> np.ndarray:
-    """Which of all available views saw which point: those of the crosshair were looked at."""
+    """Available views that show each point; only those of the crosshair were tested."""
     rows, columns = field.views.shape[:2]
     vc, uc = field.centre
     seen = np.zeros((rows, columns, visible.shape[0]), bool)

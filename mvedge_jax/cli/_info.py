@@ -1,4 +1,4 @@
-"""`mvedge info`: what is in a light field, and whether it is the right way round."""
+"""`mvedge info`: the contents of a light field, and a check of the order of its views."""
 
 from pathlib import Path
 from typing import Annotated
@@ -34,10 +34,10 @@ def info(
     positions: Path | None = None,
     quick: bool = False,
 ) -> None:
-    """Says what is in a light field and checks that its views are the right way round.
+    """Describes a light field and checks the order of its views.
 
-    The check needs no ground truth: it looks at occlusions, where near things must cover far ones,
-    and says which of --flip-u and --flip-v is needed if they do not.
+    The check needs no ground truth: near surfaces must cover far ones. If they do not, it says
+    which of --flip-u and --flip-v is needed.
 
     Args:
         path: folder or file of a light field (HCI, Stanford, Lytro, any grid of images).
@@ -46,8 +46,8 @@ def info(
         flip_u: reverse the view columns.
         flip_v: reverse the view rows.
         swap_axes: exchange view rows and columns, before they are reversed.
-        positions: text file with a line `v u x y` per view: row, column, place in view steps.
-        quick: leave out the look at the occlusions, which takes some seconds.
+        positions: text file with a line `v u x y` per view: row, column, position in view steps.
+        quick: skip the check of occlusions, which takes some seconds.
     """
     with open_source(path) as source:
         layout = source.layout
@@ -195,7 +195,7 @@ def _verdict(result: ConventionCheck) -> str:
 
 def _advice(result: ConventionCheck, flip_u: bool, flip_v: bool, swap_axes: bool) -> str:
     used = {"--swap-axes": swap_axes, "--flip-u": flip_u, "--flip-v": flip_v}
-    # What was reversed along one axis is so along the other one, once they are exchanged.
+    # After exchanging axes, a reversal along one axis is one along the other.
     across, down = (flip_v, flip_u) if result.swap_axes else (flip_u, flip_v)
     wanted = {
         "--swap-axes": swap_axes != result.swap_axes,

@@ -1,4 +1,4 @@
-"""What an interruption has to remove, and what it must not cut in two."""
+"""Cleanup after an interruption, and guards of operations that must be atomic."""
 
 import contextlib
 import os
@@ -11,21 +11,21 @@ from pathlib import Path
 
 import jax
 
-# Held by whoever puts a result in its place or prints; taken for good by `clean`, after which the
-# main thread, whose folder is gone, can say nothing about it.
+# Held while a result is moved into place or printed. `clean` takes it for good, so that the main
+# thread, whose folder is gone, cannot print about it.
 GUARD = threading.RLock()
 # Process-wide, as signals are.
 _unfinished: set[Path] = set()
-# An entry of the compilation cache that was touched within so many seconds may be half-written.
+# An entry of the compilation cache modified within this many seconds may be half-written.
 _FRESH = 3.0
-# Seconds to wait for the guard. Who holds it for longer writes into a pipe that nobody reads; were
-# it a result on a slow disk, the next run into the same place would put it right.
+# Seconds to wait for the guard. A longer holder writes into an unread pipe; if it were a result on
+# a slow disk, the next run with the same OUT would repair it.
 _HELD = 5.0
 
 
 @contextlib.contextmanager
 def unfinished(path: Path) -> Iterator[None]:
-    """Has `path`, a file or a folder, removed if the process is interrupted in the body."""
+    """Removes `path`, a file or a folder, if the process is interrupted in the body."""
     _unfinished.add(path)
     try:
         yield
@@ -34,11 +34,10 @@ def unfinished(path: Path) -> Iterator[None]:
 
 
 def clean() -> None:
-    """Removes what is unfinished; the process must end after it. Called by the signals' thread."""
+    """Removes unfinished output; the process must end after it. Called by the signals' thread."""
     GUARD.acquire(timeout=_HELD)
     for path in list(_unfinished):
-        # The main thread may still be writing into a folder, faster than it can be emptied: by
-        # another name it gets no new files.
+        # Renamed first, because the main thread may still write into the folder.
         aside = path.with_name(f"{path.name}.removed")
         for _ in range(100):
             with contextlib.suppress(OSError):

@@ -1,4 +1,4 @@
-"""The entry point: which commands there are, and what a user's mistake looks like."""
+"""The entry point: runs a command and turns errors into messages and exit codes."""
 
 import contextlib
 import importlib
@@ -50,11 +50,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         os.environ["MVEDGE_MAX_GB"] = words[place + 1]
         del words[place : place + 2]
     logging: Any = getattr(cv2.utils, "logging", cv2)  # OpenCV 5, 4
-    logging.setLogLevel(0)  # whatever it has to say, we say in our words
+    logging.setLogLevel(0)  # its messages are replaced by ours
     try:
         with warnings.catch_warnings():
             warnings.showwarning = _show_warning
-            # A title in a script that the font lacks is no concern of the user's.
+            # Missing glyphs in a title need no warning.
             warnings.filterwarnings("ignore", "Glyph .* missing from")
             compilation_cache()
             return _run(words)
@@ -102,6 +102,6 @@ def _short_of_memory(shortage: BaseException) -> str:
 
 
 def _show_warning(message: Any, category: type[Warning], *_: Any, **__: Any) -> None:
-    """Warnings of libraries in our way: one line, without the place in their source."""
+    """Prints warnings of libraries in one line, without their source location."""
     if not issubclass(category, DeprecationWarning | PendingDeprecationWarning):
         warn(printable(str(message)))

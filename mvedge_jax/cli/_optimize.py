@@ -75,37 +75,36 @@ def optimize(
     overwrite: bool = False,
     options: ModelArg = FULL,
 ) -> None:
-    """Optimises points and smoothness so that the rendered map explains the views.
+    """Optimizes points and smoothness so that the rendered map explains the views.
 
-    Starts from the points and the map of `mvedge depth`. With `--loss evidence` the photometric
-    error of all views is linearised around that map, freed from gloss and shading, and halved:
-    what either half of the views proposes counts as far as the other half confirms it. With
-    `--loss reprojection`, (7.15) of the thesis, every second view of the crosshair is held out,
-    and unless the optimisation lowers their error by a tenth it is dropped. The map is polished
-    (bends within its error are removed). OUT gets before.pfm, disparity.pfm, pictures, points.npz,
-    loss.csv, loss.png, state.eqx and report.json.
+    Starts from the points and the map of `mvedge depth`. `--loss evidence` linearizes the
+    photometric error of all views around that map, with gloss and shading eliminated; a correction
+    by one half of the views is accepted as far as the other half confirms it. `--loss
+    reprojection`, (7.15) of the thesis, holds every second view of the crosshair out and drops a
+    result that does not lower their error by a tenth. The map is polished (bends within its error
+    are removed). OUT gets before.pfm, disparity.pfm, pictures, points.npz, loss.csv, loss.png,
+    state.eqx and report.json.
 
     Args:
-        scene: folder or file of a light field; `mvedge info` tells what it is.
-        out: folder to make.
+        scene: folder or file of a light field; `mvedge info` checks it.
+        out: folder to write.
         supervised: fit to the scene's ground truth instead of the views.
-        loss: what the views are asked, see above.
+        loss: the objective, see above.
         routine: all parameters at once, or the thesis' turns (Q, Z, R, xy; 5 passes).
-        iterations: in all for `joint`, by default 12 for the evidence and 40 otherwise; per
-            parameter and pass for `thesis`, by default 13 as there.
-        features: what images are compared by, for `--loss reprojection`.
+        iterations: total number for `joint`, by default 12 for the evidence and 40 otherwise; per
+            parameter and pass for `thesis`, by default 13 as in the thesis.
+        features: image features to compare, for `--loss reprojection`.
         vgg16: an .npz file of VGG16's first two convolutions, for `--features vgg16`.
-        no_recycle: with `--supervised`, leave points that contribute nothing where they are;
-            otherwise they move to where the map is wrong, in rounds.
-        grow_points: points to add there besides; needs `--supervised`.
-        subset: views drawn per iteration of `--loss reprojection`; all by default.
+        no_recycle: with `--supervised`, do not relocate inactive points to pixels of large error.
+        grow_points: number of points to add at pixels of large error; needs `--supervised`.
+        subset: number of views drawn per iteration of `--loss reprojection`; all by default.
         raster: raster pixels per pixel and axis; the thesis has 2, which takes four times as long.
         views: use the central VIEWS x VIEWS views only; odd.
         scale: shrink the views by this factor, at most 1.
-        state: a state.eqx of an earlier run with the same options, to go on from.
-        seed: of random views, and of the search that preset thesis draws.
-        overwrite: replace OUT if it is an earlier result of mvedge, with nothing else in it.
-        options: of the model of the first map.
+        state: state.eqx of an earlier run with the same options, to resume it.
+        seed: seed of random views, and of the random search of preset thesis.
+        overwrite: replace OUT if it is a result of mvedge without other files in it.
+        options: options of the model of the first map.
     """
     options.check()
     growth = Growth(recycle=not no_recycle, extra=_at_least(0, "--grow-points", grow_points))
@@ -169,7 +168,7 @@ def _table(routine: str, iterations: int | None, params: SupervisedFit | Approac
 def _read(
     scene: Path, views: int | None, scale: float, *, needs_truth: bool
 ) -> tuple[LightField, list[str]]:
-    """The light field, and what its reader warns of."""
+    """The light field, and warnings of its reader."""
     with stage(f"reading {scene}"):
         light_field, said = read_scene(scene, views=views, scale=scale)
     if needs_truth and light_field.truth is None:
@@ -180,7 +179,7 @@ def _read(
 def _start(
     blind: LightField, options: ModelOptions, seed: int
 ) -> tuple[Start, EdgeDepth, list[str]]:
-    """The start, the model that it comes from, and what speaks against it."""
+    """The start, its model, and its problems."""
     with stage("estimating depth from edges"):
         model, key = options.model(blind), jax.random.key(seed)
         program = compiled(estimate_depth, blind, model, key=key)
@@ -254,7 +253,7 @@ def _write_history(folder: Path, history: History) -> None:
 def _write_pictures(
     folder: Path, maps: dict[str, jax.Array], truth: GroundTruth | None
 ) -> dict[str, Any]:
-    """Maps in colour and, where there is ground truth, their errors and scores."""
+    """Maps in color and, if there is ground truth, their errors and scores."""
     scores = {}
     for name, disparity in maps.items():
         plotting.plot_disparity(np.asarray(disparity)).savefig(folder / f"{name}.png")

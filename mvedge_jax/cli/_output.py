@@ -1,4 +1,4 @@
-"""Result folders: written whole or not at all, and never in place of anything that is not ours."""
+"""Result folders: written atomically, and never in place of foreign files."""
 
 import contextlib
 import json
@@ -19,11 +19,11 @@ from ._common import warn
 from ._interruption import GUARD, unfinished
 from ._source import read_json
 
-# Lists what a run wrote. A folder is replaced only if it has this and holds nothing else.
+# Lists the files of a run. A folder is replaced only if it has this list and no other files.
 MARKER = ".mvedge.json"
-# In a folder that is being written, and in none that is complete.
+# Marks a folder that is being written.
 _UNFINISHED = ".mvedge-unfinished"
-# Ends the name of an earlier result that is being replaced; those of temporary folders have no dot.
+# Suffix of an earlier result that is being replaced; names of temporary folders have no dot.
 _ASIDE = ".old"
 
 
@@ -31,18 +31,18 @@ _ASIDE = ".old"
 def output_folder(
     path: Path, *, inputs: Sequence[Path] = (), overwrite: bool = False
 ) -> Iterator[Path]:
-    """A folder that appears whole or not at all, and that costs the user nothing of theirs.
+    """Writes a folder atomically and never deletes foreign files.
 
     The body writes into a temporary sibling, which is renamed to `path` on success and removed on
-    any failure, Ctrl-C included. An earlier result is renamed aside first and removed last, file by
-    file from its own list. A lock beside the folder keeps other processes out; the system releases
-    it when the process ends, however it ends. What a process that was killed has left there is
-    removed by the next one with the same `path`, and a result that it had renamed aside put back.
+    any failure, Ctrl-C included. An earlier result is renamed first and removed last, file by file
+    from its own list. A lock beside the folder keeps other processes out; the system releases it
+    when the process ends. If a process was killed, the next one with the same `path` removes its
+    files and restores a result that it had renamed.
 
     Args:
         path: the folder to make.
         inputs: files and folders that the command reads.
-        overwrite: replace what an earlier run left there, instead of refusing.
+        overwrite: replace an earlier result instead of refusing.
 
     Yields:
         The temporary folder to write into.
@@ -50,9 +50,9 @@ def output_folder(
     Raises:
         ValueError: if `path` is, holds or lies in an input; if it is the working directory or
             holds it; if it is a link or a mount point; if another process writes it.
-        FileExistsError: if `path` is a file; if it is not empty and `overwrite` is off or it is not
-            (only) an earlier result; if something came into it while the body ran. In the last
-            case the new result is kept beside it, and the message says where.
+        FileExistsError: if `path` is a file; if it is not empty and `overwrite` is off, or holds
+            other files than an earlier result; if files appeared in it while the body ran. In the
+            last case the new result is kept beside it, and the message says where.
         OSError: if a file cannot be written; the message names `path`.
     """
     if Path(path).is_symlink():
@@ -78,14 +78,14 @@ def output_folder(
             except OSError as error:
                 if error.filename is not None or error.errno is None:
                     raise
-                # A full disk, for one, does not say which.
+                # Errors of a full disk do not name the file.
                 raise OSError(f"OUT, {path}, could not be written: {error}.") from error
             finally:
                 shutil.rmtree(temporary, ignore_errors=True)
 
 
 def _tidy(path: Path) -> None:
-    """Removes what killed processes left beside `path`; its lock is held, so none is alive."""
+    """Removes files of killed processes beside `path`; its lock is held, so none is alive."""
     name = re.escape(path.name)
     for item in list(path.parent.iterdir()):
         if item.is_symlink() or not item.is_dir():
@@ -93,7 +93,7 @@ def _tidy(path: Path) -> None:
         if re.fullmatch(rf"\.{name}-[a-z0-9_]{{8}}", item.name):
             if (item / _UNFINISHED).is_file():
                 shutil.rmtree(item, ignore_errors=True)
-            else:  # killed as it was made, or somebody else's
+            else:  # of a process killed early, or foreign
                 with contextlib.suppress(OSError):
                     item.rmdir()
         elif re.fullmatch(rf"\.{name}-[a-z0-9_]{{8}}{re.escape(_ASIDE)}", item.name):
@@ -108,7 +108,7 @@ def _tidy(path: Path) -> None:
 
 
 def _refuse(path: Path, inputs: Sequence[Path], overwrite: bool) -> None:
-    """Raises where writing to `path` could touch what is not an earlier result of ours."""
+    """Raises if writing to `path` could touch anything but an earlier result."""
     if path.is_symlink():
         raise ValueError(f"{path} is a link; name the folder itself as OUT.")
     if path.exists() and not path.is_dir():
@@ -140,7 +140,7 @@ def _refuse(path: Path, inputs: Sequence[Path], overwrite: bool) -> None:
 
 
 def refuse_inputs(path: Path, inputs: Sequence[Path]) -> None:
-    """Raises where an output would touch an input.
+    """Raises if an output would touch an input.
 
     Args:
         path: the folder to make, resolved.
@@ -150,7 +150,7 @@ def refuse_inputs(path: Path, inputs: Sequence[Path]) -> None:
         ValueError: `path` is, holds or lies in one of them.
     """
     for given in inputs:
-        # Both where the input's name is and, if that is a link, where what it stands for is.
+        # The location of the input and, if it is a link, of its target.
         for source in (Path(os.path.abspath(given)), Path(given).resolve()):
             if source == path:
                 raise ValueError(f"OUT, {path}, is the input {given}; choose another folder.")
@@ -164,7 +164,7 @@ def refuse_inputs(path: Path, inputs: Sequence[Path]) -> None:
 def _alone(path: Path) -> Iterator[None]:
     """Holds the lock of `path`.
 
-    The file is removed while the lock is held; whoever waits for it notices and makes a new one.
+    The file is removed while the lock is held; waiting processes notice and create a new one.
     """
     file = path.with_name(f".{path.name}.lock")
     lock = FileLock(file)
@@ -202,7 +202,7 @@ def _mark(folder: Path) -> None:
 
 
 def _earlier_result(folder: Path) -> set[str] | None:
-    """What an earlier run wrote into `folder`, by its marker; None without a readable one."""
+    """Files of an earlier run in `folder`, by its marker; None without a readable one."""
     try:
         record = read_json(folder / MARKER)
         if record["program"] != "mvedge_jax":
@@ -213,19 +213,19 @@ def _earlier_result(folder: Path) -> set[str] | None:
 
 
 def _move_in(new: Path, path: Path, inputs: Sequence[Path], overwrite: bool) -> None:
-    """Puts a finished result in its place, or beside it if that has become somebody else's."""
+    """Moves a finished result into place, or beside it if other files have appeared there."""
     aside = None
     try:
         _refuse(path, inputs, overwrite)
         if overwrite and path.is_dir():
             aside = Path(tempfile.mkdtemp(_ASIDE, f".{path.name}-", path.parent))
             path.rename(aside)  # in place of the empty folder
-        new.rename(path)  # an empty folder is replaced; one with anything in it stops this
+        new.rename(path)  # replaces an empty folder; fails for one with files
     except BaseException as reason:
         if aside is not None and not path.exists():
             aside.rename(path)
         elif aside is not None:
-            with contextlib.suppress(OSError):  # holds the earlier result if `path` is taken again
+            with contextlib.suppress(OSError):  # keeps the earlier result if `path` exists again
                 aside.rmdir()
         if not isinstance(reason, OSError | ValueError):
             raise
@@ -246,7 +246,7 @@ def _free_name(path: Path) -> Path:
 
 
 def _remove(result: Path) -> None:
-    """Removes an earlier result that was renamed aside: what it lists, and nothing else."""
+    """Removes an earlier result that was renamed: the files of its list only."""
     written = _earlier_result(result) or set()
     for name in sorted(written, key=lambda n: n.count("/"), reverse=True):
         item = result / name
@@ -259,7 +259,7 @@ def _remove(result: Path) -> None:
 
 
 def write_json(path: Path, value: Any) -> None:
-    """Writes a report that every reader of JSON takes: what is not finite becomes null.
+    """Writes a report in standard JSON; numbers that are not finite become null.
 
     Args:
         path: the file.

@@ -1,4 +1,4 @@
-"""Several inputs and one output in a row of arguments; what files of a photograph are called."""
+"""Splits arguments into inputs and output, and names the files of photographs."""
 
 import itertools
 from collections import Counter
@@ -13,11 +13,11 @@ def scenes_and_out(paths: Sequence[Path]) -> tuple[list[Path], Path]:
         paths: as given.
 
     Returns:
-        The scenes, and the folder to make.
+        The scenes, and the folder to write.
 
     Raises:
         ValueError: there are fewer than two.
-        FileNotFoundError: a scene is not there.
+        FileNotFoundError: a scene does not exist.
     """
     if len(paths) < 2:
         raise ValueError(f"expected SCENES... OUT, at least one scene and OUT, got {len(paths)}.")
@@ -29,14 +29,14 @@ def scenes_and_out(paths: Sequence[Path]) -> tuple[list[Path], Path]:
 
 
 def stems_of(names: Sequence[str]) -> dict[str, str]:
-    """How the files of photographs begin, which may lie in folders of their own.
+    """Stems of the files of photographs, which may be in subfolders.
 
     Args:
-        names: of all photographs, different ones.
+        names: names of all photographs, all different.
 
     Returns:
-        Of each its folders and its name without the ending; with it, and with a number if need be,
-        where others would begin the same.
+        The folders and the name of each without its ending; with ending, and if needed a number,
+        where stems would be equal.
     """
     stems: dict[str, str] = {}
     for whole in (False, True):

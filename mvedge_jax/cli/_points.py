@@ -1,4 +1,4 @@
-"""Edge points as files: exact for programs, readable for a spreadsheet."""
+"""Edge points as files: .npz for programs, CSV for spreadsheets."""
 
 from pathlib import Path
 
@@ -21,9 +21,9 @@ def write_points(folder: Path, points: EdgePoints, *, surface: np.ndarray | None
     """Writes `points.npz` and `points.csv` of points without empty slots.
 
     Args:
-        folder: where to.
+        folder: the folder to write into.
         points: from `valid_points`.
-        surface: a surface vector for each of them, `(x, y)` in px; left out if None.
+        surface: surface vector of each point, `(x, y)` in px; None to leave it out.
     """
     fields = {name: value for name, value in vars(points).items() if name != "valid"}
     names = ("xy", "disparity", "confidence", "error", "normal")

@@ -36,25 +36,25 @@ def render(
 
     OUT becomes a scene folder of the HCI 4D benchmark: input_CamNNN.png, gt_disp_lowres.pfm,
     parameters.cfg; and beyond the benchmark, disparity and object ids of every view
-    (gt_disp_lowres_CamNNN.pfm, objectids_lowres_CamNNN.png) and which views see each pixel of
-    the centre view (visible_CamNNN.png). It appears when all of it is written.
+    (gt_disp_lowres_CamNNN.pfm, objectids_lowres_CamNNN.png) and the views that show each pixel of
+    the center view (visible_CamNNN.png).
 
     Args:
         name: demo, slanted, edges, thin, textureless, wide, noisy, specular or crossing.
-        out: folder to make.
+        out: folder to write.
         views: VIEWS x VIEWS views, an odd number.
         size: height and width in px.
         samples: rays per pixel along each side of a pixel.
-        seed: of the sensor's noise, of vignettes and gains.
-        textures: seed of another set of textures; the usual ones without it.
-        baseline: distance between neighboring cameras over that of the scene: disparities grow
-            with it. 1.4 for `wide` gives -5 to 5 px per view step.
-        vignette: share of the brightness that is lost in the corners, 0 to 1.
-        vignette_shift: standard deviation of the vignette's center, another in every view, over the
-            shorter side of the views.
+        seed: seed of the sensor's noise, of vignettes and gains.
+        textures: seed of another set of textures; None for the default set.
+        baseline: factor of the distance between neighboring cameras, and so of disparities. 1.4
+            for `wide` gives -5 to 5 px per view step.
+        vignette: relative loss of brightness in the corners, 0 to 1.
+        vignette_shift: standard deviation of the vignette's center over the shorter side of the
+            views; each view has its own.
         gain: standard deviation of the brightness of the views, relative.
-        no_occlusions: leave visible_CamNNN.png out.
-        overwrite: replace OUT if it is an earlier result of mvedge, with nothing else in it.
+        no_occlusions: do not write visible_CamNNN.png.
+        overwrite: replace OUT if it is a result of mvedge without other files in it.
     """
     key = None if textures is None else jax.random.key(textures)
     scene = synthetic.scene(name, key=key)

@@ -1,4 +1,4 @@
-"""What a result says it was made from; nothing in it is taken for granted."""
+"""The light field of a result, by its report, which is checked like any input."""
 
 import json
 import warnings
@@ -8,9 +8,9 @@ from typing import Any
 from mvedge_jax.datasets import load_light_field
 from mvedge_jax.lightfield import LightField
 
-# Bytes that a report may have.
+# Largest size of a report, bytes.
 _MOST = 10**8
-# How a scene was read.
+# Options with which a scene was read.
 _READING: dict[str, tuple[type, ...]] = {
     "views": (int, type(None)),
     "scale": (int, float),
@@ -22,7 +22,7 @@ _READING: dict[str, tuple[type, ...]] = {
 
 
 def read_json(path: Path) -> dict[str, Any]:
-    """Reads a record that an earlier run wrote.
+    """Reads a report of an earlier run.
 
     Args:
         path: the file.
@@ -31,7 +31,7 @@ def read_json(path: Path) -> dict[str, Any]:
         Its fields.
 
     Raises:
-        ValueError: it is no regular file, too long, or holds something else.
+        ValueError: the file is not regular, too long, or not a report.
     """
     try:
         if path.is_file() and path.stat().st_size <= _MOST:
@@ -51,7 +51,7 @@ def read_scene(scene: Path, **reading: Any) -> tuple[LightField, list[str]]:
         reading: options of `load_light_field`.
 
     Returns:
-        It, and what the reader warns of, for the user and the report.
+        The light field, and warnings of its reader, for the user and the report.
     """
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", UserWarning)
@@ -60,7 +60,7 @@ def read_scene(scene: Path, **reading: Any) -> tuple[LightField, list[str]]:
 
 
 def source_of(scene: Path, **reading: Any) -> dict[str, Any]:
-    """What a report tells of its light field, for `scene_of`.
+    """The record of a light field in a report, for `scene_of`.
 
     Args:
         scene: its path.
@@ -73,18 +73,18 @@ def source_of(scene: Path, **reading: Any) -> dict[str, Any]:
 
 
 def scene_of(result: Path, *, advice: str) -> tuple[Path, dict[str, Any]]:
-    """The light field that a result was made from.
+    """The light field of a result.
 
     Args:
-        result: folder with a report.
-        advice: what to do where it does not tell, as the end of a sentence.
+        result: a folder with a report.
+        advice: what to do if the report does not name it, as the end of a sentence.
 
     Returns:
         Its path, and the options of `load_light_field` with which it was read.
 
     Raises:
-        ValueError: the report does not tell.
-        FileNotFoundError: the light field is gone.
+        ValueError: the report does not name its light field.
+        FileNotFoundError: the light field does not exist.
     """
     file = result / "report.json"
     try:

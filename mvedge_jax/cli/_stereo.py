@@ -49,28 +49,26 @@ def stereo(
     MODEL is a COLMAP model, a transforms.json of nerfstudio, or a folder of images with a list of
     poses. OUT gets, for every photograph NAME, NAME_depth.pfm and NAME_error.pfm (its standard
     error) in the unit of the model, NAME_depth.png and NAME_error.png (the disparity and its
-    standard error, px), and report.json. Where true depth lies beside the images: scores.
-    Transparent pixels take no part; their depth is NaN.
+    standard error, px), and report.json. Scores if true depth lies beside the images. Transparent
+    pixels are ignored; their depth is NaN.
 
     Args:
         model: folder or file with the cameras.
-        out: folder to make.
-        reference: name of the photograph whose depth is wanted, or all.
-        method: measure every pixel, or diffuse the sparse points and optimise them until the
-            photographs explain each other, as the dissertation does: minutes instead of seconds,
-            no standard error.
-        views: measure in at most so many photographs, the reference included: those that share most
-            points with it, or whose cameras are nearest.
-        images: folder of the photographs, where it is not where MODEL says.
-        intrinsics: fx fy cx cy, px, centres of pixels at integers; for lists of poses without a
+        out: folder to write.
+        reference: name of the photograph to estimate, or all.
+        method: measure every pixel, or diffuse and optimize the sparse points as in the
+            dissertation, which takes minutes instead of seconds and gives no standard error.
+        views: largest number of photographs to measure in, the reference included: those that
+            share most points with it, or whose cameras are nearest.
+        images: folder of the photographs, if MODEL names another.
+        intrinsics: fx fy cx cy, px, centers of pixels at integers; for lists of poses without a
             camera file.
         range: nearest and farthest depth, in the unit of the model; from the sparse points if not
             given.
         scale: shrink the photographs by this factor, at most 1.
-        overwrite: replace OUT if it is an earlier result of mvedge, with nothing else in it.
+        overwrite: replace OUT if it is a result of mvedge without other files in it.
         set: with method dense, a number or static field of the model by its path, such as
-            smoothness.color=.3 or refine.solves=1; may be given several times. report.json lists
-            all paths.
+            smoothness.color=.3 or refine.solves=1; repeatable. report.json lists all paths.
     """
     if set and method != "dense":
         raise ValueError(f"--set needs --method dense, got {method}.")
@@ -121,7 +119,7 @@ def _dense(
     limits: tuple[float, float] | None,
     settings: tuple[str, ...],
 ) -> dict[str, Any]:
-    """Depth and its error by measurement: files, a line for the user, and what the report says."""
+    """Depth and its error by measurement; writes files and returns the report."""
     chosen = reference_of(photographs, name, depth_range=limits)
     model = StereoDepth.of(chosen, choices=settings_of(settings))
     start = time.perf_counter()
@@ -150,7 +148,7 @@ def _dense(
 def _points(
     base: Path, photographs: Photographs, name: str, limits: tuple[float, float] | None
 ) -> dict[str, Any]:
-    """Depth by the method of the thesis, of its sparse points."""
+    """Depth by the thesis' method, from sparse points."""
     chosen = reference_of(photographs, name, depth_range=limits)
     start = time.perf_counter()
     with stage(f"optimising the points of {name}"):
@@ -173,7 +171,7 @@ def _points(
 def _shown(
     values: jax.Array | np.ndarray, photographs: Photographs, chosen: Reference
 ) -> np.ndarray:
-    """Values of a map at the pixels of its photograph that are not transparent."""
+    """Values of a map at the opaque pixels of its photograph."""
     values, mask = np.asarray(values), photographs.mask
     return values.ravel() if mask is None else values[np.asarray(mask[int(chosen.index)])]
 
@@ -194,7 +192,7 @@ def _written(
     depth: jax.Array,
     disparity: jax.Array,
 ) -> dict[str, Any]:
-    """Writes a map of depth; what the report says of it, by either method."""
+    """Writes a depth map of either method and returns its report."""
     index = int(chosen.index)
     name = photographs.names[index]
     mask = None if photographs.mask is None else np.asarray(photographs.mask[index])

@@ -42,25 +42,25 @@ def superpixels(
     options: ModelArg = FULL,
     seed: int = 0,
 ) -> None:
-    """Cuts a light field into superpixels that all views agree about.
+    """Segments a light field into superpixels that agree in all views.
 
-    OUT gets labels.npy (int32, [v, u, y, x], 0 for none), superpixels.csv (a row per label: place,
-    disparity plane, colour, area, parent), neighbours.csv, superpixels.png, colours.png,
+    OUT gets labels.npy (int32, [v, u, y, x], 0 for none), superpixels.csv (a row per label:
+    position, disparity plane, color, area, parent), neighbours.csv, superpixels.png, colours.png,
     superpixels.gif that moves over the grid, and report.json. With ground truth of all views:
     labels_per_pixel.png and scores. With --pick, edited/ is the light field with that superpixel
-    recoloured in every view.
+    recolored in every view.
 
     Args:
-        scene: folder or file of a light field; `mvedge info` tells what it is.
-        out: folder to make.
-        size: side of a superpixel in the centre view, px.
-        count: about how many superpixels, in place of --size.
-        pick: x and y in the centre view, px, of a superpixel to recolour.
-        colour: red, green and blue to recolour it with, 0..1.
+        scene: folder or file of a light field; `mvedge info` checks it.
+        out: folder to write.
+        size: side of a superpixel in the center view, px.
+        count: approximate number of superpixels, in place of --size.
+        pick: x and y in the center view, px, of a superpixel to recolor.
+        colour: red, green and blue of the picked superpixel, 0..1.
         views: use the central VIEWS x VIEWS views only; odd.
-        overwrite: replace OUT if it is an earlier result of mvedge, with nothing else in it.
-        options: of the model of the centre view's depth.
-        seed: of the search that preset thesis draws.
+        overwrite: replace OUT if it is a result of mvedge without other files in it.
+        options: options of the model of the center view's depth.
+        seed: seed of the random search of preset thesis.
     """
     options.check()
     in_unit_range(colour)
@@ -143,7 +143,7 @@ def _write(folder: Path, light_field: LightField, found: Superpixels) -> None:
 
 
 def _score(folder: Path, light_field: LightField, found: Superpixels) -> dict[str, float]:
-    """Scores that the ground truth allows: all of them, of the centre view, or shape alone."""
+    """Scores that the ground truth allows: all, those of the center view, or shape alone."""
     truth, labels = light_field.truth, found.labels
     ids = disparity = None
     if truth is not None and truth.view_disparity is not None:

@@ -18,7 +18,7 @@ from ._interruption import unfinished
 from ._source import read_json, scene_of
 from ._view_maps import view_maps
 
-# What tells a folder of results from a light field.
+# Files that identify a folder of results.
 _MAP, _LABELS = "disparity.pfm", "labels.npy"
 
 
@@ -40,22 +40,24 @@ def view(
     no_browser: bool = False,
     overwrite: bool = False,
 ) -> None:
-    """Shows a light field, and what was computed from it, in a browser.
+    """Shows a light field, and results of it, in a browser.
 
     Parallax, refocusing with a synthetic aperture, EPIs with their lines, the map and its error,
     points in space, two results compared, a picture put into the scene. The page loads nothing from
     elsewhere; without --html it is served to this machine alone until Ctrl-C.
 
     Args:
-        path: folder or file of a light field, or what `mvedge depth`, `optimize` or `stereo` wrote.
+        path: folder or file of a light field, or a result of `mvedge depth`, `optimize` or
+            `stereo`.
         other: a second result of the same scene, to compare; a folder or, of a light field, a .pfm
             map.
-        scene: the light field, where the result does not tell or it has moved.
-        reference: of what `mvedge stereo` wrote, the photograph to show; by default the first one.
-        superpixels: what `mvedge superpixels` wrote of the scene, to show as colours.
-        hidden: what `mvedge views` wrote of the scene: surfaces that the centre view does not show.
+        scene: the light field, if the result does not name it or it has moved.
+        reference: photograph of a `mvedge stereo` result to show; by default the first one.
+        superpixels: result of `mvedge superpixels` for the scene, shown as colors.
+        hidden: result of `mvedge views` for the scene: adds surfaces that the center view does not
+            show.
         html: write one self-contained file, .html, instead of serving it.
-        quality: of the views, 1 to 100, which is without loss; less makes the page smaller.
+        quality: image quality of the views, 1 to 100 (lossless); less makes the page smaller.
         views: of a SCENE, the central VIEWS x VIEWS only; odd.
         scale: of a SCENE, shrink the views by this factor, at most 1.
         host: address to serve at; others than 127.0.0.1 let other machines look.
@@ -89,7 +91,7 @@ def view(
 
 
 def _is_stereo(path: Path) -> bool:
-    """Whether a folder is what `mvedge stereo` wrote."""
+    """Whether a folder is a result of `mvedge stereo`."""
     file = path / "report.json"
     if not file.is_file():
         return False
@@ -191,7 +193,7 @@ def _added(
     light_field: LightField,
     results: list[viewer.Result],
 ) -> dict[str, Any]:
-    """What other commands found out, for every result."""
+    """Results of other commands, for every result."""
     for option, folder in (("--superpixels", superpixels), ("--hidden", hidden)):
         if folder is not None and not results:
             raise ValueError(f"{option} needs a RESULT, with whose map it is shown.")

@@ -1,4 +1,4 @@
-"""What `mvedge views` wrote of every view."""
+"""Maps of every view, as `mvedge views` writes them."""
 
 from pathlib import Path
 
@@ -15,15 +15,15 @@ def view_maps(path: Path, shape: tuple[int, ...], *names: str) -> list[np.ndarra
     Args:
         path: the file.
         shape: `[v, u, y, x]` of the views.
-        *names: disparity, error, or source, which is 0 where the centre view shows what a pixel
-            shows, 1 where other views only do, and 2 where none does.
+        *names: disparity, error, or source: 0 for surfaces visible in the center view, 1 in other
+            views only, 2 in none.
 
     Returns:
-        One array a name.
+        One array per name.
 
     Raises:
         FileNotFoundError: there is no such file.
-        ValueError: it is damaged, or not of such views.
+        ValueError: the file is damaged, or its views have another shape.
     """
     if not path.is_file():
         raise FileNotFoundError(f"{path} does not exist; `mvedge views` writes it.")

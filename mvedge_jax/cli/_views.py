@@ -40,12 +40,12 @@ def views(
     error.png and scores.
 
     Args:
-        scene: folder or file of a light field; `mvedge info` tells what it is.
-        out: folder to make.
+        scene: folder or file of a light field; `mvedge info` checks it.
+        out: folder to write.
         views: use the central VIEWS x VIEWS views only; odd.
-        overwrite: replace OUT if it is an earlier result of mvedge, with nothing else in it.
-        options: of the model of the centre view, whose map is carried to the others.
-        seed: of the search that preset thesis draws.
+        overwrite: replace OUT if it is a result of mvedge without other files in it.
+        options: options of the model of the center view.
+        seed: seed of the random search of preset thesis.
     """
     options.check()
     with stage("reading"):
@@ -96,7 +96,7 @@ def _report(found: ViewDepths) -> dict[str, Any]:
 
 
 def _score(folder: Path, light_field: LightField, found: ViewDepths) -> dict[str, float]:
-    """Consistency, and the mean scores of all views where there is truth; pictures of both."""
+    """Consistency, and mean scores of all views with ground truth; writes pictures of both."""
     consistency = view_consistency(found.disparity, available=light_field.available)
     grid = np.asarray(consistency.per_view)[..., None, None]
     plotting.plot_view_maps(grid, name="consistency, px²").savefig(folder / "consistency.png")

@@ -1,6 +1,7 @@
 """Light fields from files and from formulas.
 
-Rooms: `synthetic` (rendered scenes), `photographs` (posed photographs), `exchange` (other tools).
+Subpackages: `synthetic` (rendered scenes), `photographs` (posed photographs), `exchange` (formats
+    of other tools).
 """
 
 from mvedge_jax._export import register

@@ -1,4 +1,4 @@
-"""The points that earlier runs wrote."""
+"""Point files of earlier runs."""
 
 import zipfile
 import zlib
@@ -11,20 +11,20 @@ import numpy as np
 
 @contextmanager
 def columns_of(path: Path) -> Iterator[dict[str, np.ndarray]]:
-    """The columns of a file of points (.npz), for as long as they are being looked at.
+    """Opens a file of points (.npz) and yields its columns.
 
     Args:
         path: the file; nothing in it is ever unpickled.
 
     Yields:
-        Every column by its name. What a reader finds wrong with them, as a missing name or a shape
-        that does not fit, is said with the file's own name.
+        Every column by its name. Errors in the body, such as a missing column or a wrong shape,
+        are raised with the name of the file.
 
     Raises:
-        ValueError: the file is damaged, or the reader refused a column.
+        ValueError: the file is damaged, or the body refused a column.
     """
     try:
-        # Given a name, NumPy leaves what is no archive open.
+        # Given a path, NumPy does not close files that are not archives.
         with open(path, "rb") as raw, np.load(raw, allow_pickle=False) as stored:
             yield {name: np.asarray(stored[name]) for name in stored.files}
     except (

@@ -1,4 +1,4 @@
-"""Which way round the views are: near things must cover far ones, not the other way about."""
+"""Checks the order of the views: near surfaces must cover far ones."""
 
 import dataclasses
 import math
@@ -16,7 +16,7 @@ _REACH = 8.0  # px per view step that are searched if no range is known
 _EDGE = 0.02  # smallest gradient per pixel of an edge
 _SIDE = (4, 10)  # px beside an edge at which its sides are measured
 _LEVEL = 0.15  # largest difference of an edge from the surface that owns it
-_SHARED = 2.0  # votes that are in truth one, as neighbouring strips see the same edge
+_SHARED = 2.0  # votes that are in truth one, as neighboring strips see the same edge
 _DECISIVE = 6.0  # difference of two hypotheses, in standard deviations of their votes
 _FEW = 20  # matches in a few strips, below which nothing is known
 _MATCHED = 40  # matches of what moves across the axes, from which on the grid may be exchanged
@@ -25,28 +25,27 @@ _EXCHANGED = 4  # multiples of the matches along the axes that it takes
 
 @dataclasses.dataclass(frozen=True)
 class ConventionCheck:
-    """What a light field's occlusions say about the order of its views.
+    """The order of a light field's views, by its occlusions.
 
-    There are two kinds of votes, and both ask: does what is in front have the larger disparity?
-    An occlusion's contour belongs to the nearer surface and moves with it: an edge of the image
-    that moves like the surface on one side and unlike the one on the other votes for its owner. And
-    a spot that is hidden in the views to one side votes for the one surface that moves over it
-    there. A reversed view axis negates all disparities along it, and all its votes. The two axes
-    are also held against each other: both must see the same disparity. Where that does not decide,
-    votes at half the size are added.
+    Two kinds of votes test whether the surface in front has the larger disparity. An occlusion's
+    contour belongs to the nearer surface and moves with it: an edge of the image that moves like
+    the surface on one side and unlike the one on the other votes for its owner. A spot that is
+    hidden in the views to one side votes for the surface that moves over it there. A reversed view
+    axis negates all disparities along it, and so all its votes. The two axes are also compared:
+    both must have the same disparity. If that does not decide, votes at half the size are added.
 
-    Where next to nothing can be matched along the axes, but much across them, rows and columns of
-    the grid have changed places; all else is then said of the grid with its axes exchanged.
+    If hardly anything can be matched along the axes, but much across them, rows and columns of the
+    grid are exchanged; all other fields then describe the grid with exchanged axes.
 
     Attributes:
         columns: votes along `u`, (for the convention, against it).
-        rows: votes along `v`, likewise.
-        agreement: windows at which both axes see (the same, the opposite) disparity.
-        flip_u: whether the view columns are reversed; None if the image does not tell.
-        flip_v: whether the view rows are reversed; None if the image does not tell.
-        disparity_range: (low, high) of what could be matched, px per view step; None if nothing.
-        swap_axes: whether rows and columns of the grid have changed places. The flips are then
-            those that are needed after they have been exchanged.
+        rows: votes along `v`, (for the convention, against it).
+        agreement: windows at which both axes have (the same, the opposite) disparity.
+        flip_u: whether the view columns are reversed; None if undecided.
+        flip_v: whether the view rows are reversed; None if undecided.
+        disparity_range: (low, high) of the matches, px per view step; None without matches.
+        swap_axes: whether rows and columns of the grid are exchanged. The flips then apply after
+            exchanging them.
     """
 
     columns: tuple[int, int]
@@ -59,7 +58,7 @@ class ConventionCheck:
 
     @property
     def holds(self) -> bool | None:
-        """Whether the convention holds; None if that cannot be told of one of the axes."""
+        """Whether the convention holds; None if an axis is undecided."""
         if self.flip_u or self.flip_v or self.swap_axes:
             return False
         return None if self.flip_u is None or self.flip_v is None else True
@@ -73,20 +72,20 @@ class ConventionCheck:
 def check_convention(
     light_field: LightField, *, disparity_range: tuple[float, float] | None = None
 ) -> ConventionCheck:
-    """Tells from the EPIs whether the view axes run as the convention wants.
+    """Checks from the EPIs whether the view axes follow the convention.
 
-    Photo-consistency cannot tell: a reversed axis only negates its disparities. Occlusions can.
-    Whether rows and columns of the grid have changed places, it does tell.
-    Ground truth is not looked at. NumPy on the host, a few seconds for 9x9 views of 512x512.
+    Photo-consistency does not detect a reversed axis, which only negates its disparities;
+    occlusions do. Photo-consistency does detect exchanged rows and columns. Ground truth is not
+    read. NumPy on the host, a few seconds for 9x9 views of 512x512.
 
     Args:
         light_field: at least 3x3 views; the crosshair is enough.
         disparity_range: where to search, (low, high) in px per view step; by default the light
-            field's own range, widened, or else what a coarse search finds. As an axis may be
-            reversed, the negated range is searched too.
+            field's own range, widened, or the result of a coarse search. The negated range is
+            searched, too, because an axis may be reversed.
 
     Returns:
-        The votes, and which changes they call for.
+        The votes, and the required changes.
 
     Raises:
         ValueError: if there are fewer than three views on an arm, or the views are too small to
@@ -118,7 +117,7 @@ def check_convention(
     reach = None if disparity_range is None else max(abs(limit) for limit in disparity_range)
     arms, exchanged = [across, down.turned()], [down, across.turned()]
     found, other = _search(arms, reach), _search(exchanged, reach)
-    # What does not move matches either way, as far as it has no detail across.
+    # Static points match either way, unless they have detail across the axis.
     along, turned = ((matches > 2 * _LEVEL).sum() for matches in (found, other))
     swap_axes = bool(turned >= _MATCHED and turned > _EXCHANGED * along)
     if swap_axes:
@@ -167,7 +166,7 @@ def _search(arms: list[Views], reach: float | None) -> np.ndarray:
 
 
 def _arm(arm: Views, reach: float) -> tuple[tuple[int, int], Strips]:
-    """Votes along one arm and what was matched on it."""
+    """Votes along one arm, and its matches."""
     matches = match(arm, reach, arm.images.shape[1])
     votes = np.concatenate([_contours(matches), _hidden(matches, arm.farthest, reach)])
     return (int((votes > 0).sum()), int((votes < 0).sum())), matches.through

@@ -14,7 +14,7 @@ from ._source import Source
 
 # Side of the blocks that are averaged before contrast is measured, so that noise shows none, px.
 _BLOCK = 8
-# Contrast of a view that shows nothing, of that of the others, and theirs that suffices to tell.
+# Contrast of a blank view relative to the others, and their least contrast for this test.
 _FLAT, _CONTRAST = 0.05, 0.5 / 255
 # Share of black and white pixels beyond which a view is saturated, and below which the others are
 # not.
@@ -23,7 +23,7 @@ _CLIPPED, _OPEN = 0.95, 0.5
 _PARTLY = 0.2
 # Distance from black and white, half a step of 8 bits, and mean of a picture that is called so.
 _STEP, _PLAIN = 0.5 / 255, 0.04
-# Mean difference of neighbouring views from which on two equal ones cannot both be right.
+# Mean difference of neighboring views above which two equal views cannot both be right.
 _PARALLAX = 0.5 / 255
 
 
@@ -37,25 +37,25 @@ class _Look(NamedTuple):
 
 
 def find_dead_views(light_field: LightField) -> dict[tuple[int, int], str]:
-    """Finds views that do not show what the others show.
+    """Finds views that do not show the scene.
 
-    A view is black, white or of one color where it has next to no contrast and a quarter of the
-    views or more have it; noise is no contrast. It is saturated where nearly all of it is black or
-    white and most of the others are not, and partly black where a fifth more of it is black than
-    of others: the rest of it is given up, so that the black part has no say. It is a repetition
-    where it equals another view to the bit and most neighbors differ; of views that are equal, the
-    one at the centre is right, and without it, none is known to be.
+    A view is black, white or of one color if it has hardly any contrast and at least a quarter of
+    the views have contrast; noise does not count as contrast. A view is saturated if nearly all of
+    it is black or white and most others are not. It is partly black if its black share exceeds
+    that of the others by a fifth; all of it is then left out. It is a repetition if it equals
+    another view exactly and most neighbors differ; of equal views, only the center view is
+    trusted.
 
-    What all views share is left alone: plain walls, dark scenes, vignettes, no parallax. NumPy on
-    the host, 0.2 s for 9x9 views of 512x512.
+    Properties that all views share are ignored: plain walls, dark scenes, vignettes, no parallax.
+    NumPy on the host, 0.2 s for 9x9 views of 512x512.
 
-    `load_light_field` leaves such views out by itself.
+    `load_light_field` leaves such views out automatically.
 
     Args:
         light_field: the views, concrete.
 
     Returns:
-        What each of them is, as the end of a sentence, by its place `(v, u)`.
+        Descriptions such as `black`, by index `(v, u)`.
 
     Example:
         >>> import jax.numpy as jnp
@@ -84,14 +84,14 @@ def leave_out_dead_views(
     """Clears views that do not show the scene, in place, and warns of them.
 
     Args:
-        views: as they were read.
-        available: which of them were.
-        source: where from.
+        views: the views, as read.
+        available: which views were read.
+        source: the source of the views.
         rows: of the file order, for each row of views.
         columns: likewise.
 
     Raises:
-        ValueError: the centre view is one of them.
+        ValueError: the center view does not show the scene.
 
     Warns:
         UserWarning: naming their files.
@@ -128,7 +128,7 @@ def leave_out_dead_views(
 def _dead_views(
     views: Float[np.ndarray, "v u y x c"], available: Bool[np.ndarray, "v u"]
 ) -> dict[tuple[int, int], str | tuple[int, int]]:
-    """By place, what a view is, or the place of the view that it repeats."""
+    """By index, a description of the view, or the index of the view that it repeats."""
     places = [(int(v), int(u)) for v, u in np.argwhere(available)]
     looks = [_look(views[place]) for place in places]
     contrast = float(np.quantile([look.contrast for look in looks], 0.75))
@@ -156,7 +156,7 @@ def _look(view: Float[np.ndarray, "y x c"]) -> _Look:
     blocks = cv2.resize(view, size, interpolation=cv2.INTER_AREA)
     some = view[:: block // 2 + 1, :: block // 2 + 1]
     black, white = ((side <= _STEP).all(-1).mean() for side in (some, 1 - some))
-    # Every channel by itself: a picture may have the same grey everywhere.
+    # Per channel, because a colored picture may have the same gray value everywhere.
     deviation = blocks.std((0, 1)).max()
     return _Look(float(deviation), float(blocks.mean()), float(black), float(white))
 

@@ -27,7 +27,7 @@ def open_hci(path: Path, names: list[str]) -> Source:
 
     Views are numbered row by row, `NNN = columns * row + column`. Without `parameters.cfg` the
     grid is the smallest odd square that holds the highest number, so that a folder with the
-    crosshair alone is recognised.
+    crosshair alone is recognized.
     """
     numbers: dict[int, str] = {}
     for name in names:
@@ -72,7 +72,7 @@ def open_hci(path: Path, names: list[str]) -> Source:
 
 
 class _Settings:
-    """`parameters.cfg`. Whatever it leaves out is None; whatever it garbles is an error."""
+    """`parameters.cfg`. Missing entries are None; malformed ones are errors."""
 
     def __init__(self, path: Path):
         self._path = path
@@ -88,7 +88,7 @@ class _Settings:
     def _numbers(
         self, section: str, *keys: str, infinite: tuple[str, ...] = ()
     ) -> list[float] | None:
-        """Numbers by their names, None without all of them; `infinite` ones may be that."""
+        """Numbers by their names, None unless all are given; `infinite` ones may be infinite."""
         texts = [self._parser.get(section, key, fallback=None) for key in keys]
         if any(text is None for text in texts):
             return None
@@ -185,7 +185,7 @@ class _Settings:
 
 
 def _reason(error: configparser.Error) -> str:
-    """What is wrong, in the words of the parser, which does not know the name of the file."""
+    """The message of the parser, without its placeholder for the file name."""
     lines = getattr(error, "errors", ())
     if lines:
         line, text = lines[0]

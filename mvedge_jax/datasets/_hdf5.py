@@ -26,7 +26,7 @@ def open_hdf5(path: Path, limit: float) -> Iterator[Source]:
     view axes are put into the order in which the views agree with it; where there is none, the
     columns are reversed, as its rendered scenes need.
 
-    `limit` is what the ground truth, which is read for that, may take, in bytes.
+    `limit` is the largest size of the ground truth, which is read for this order, in bytes.
     """
     with opened(path) as file:
         with blamed(path):
@@ -83,7 +83,7 @@ def opened(path: Path) -> Iterator[h5py.File]:
 
 @contextmanager
 def blamed(path: Path) -> Iterator[None]:
-    """Names the file in whatever HDF5 stumbles over in the body."""
+    """Adds the name of the file to errors of HDF5 in the body."""
     try:
         yield
     except (OSError, RuntimeError, KeyError) as error:
@@ -104,16 +104,16 @@ def dataset(
     *,
     whole: bool = True,
 ) -> h5py.Dataset:
-    """The dataset `name`, checked for being there, its axes, and what reading it would take.
+    """The dataset `name`, after checks of its existence, axes and memory.
 
-    If it is not read as a whole, that is what the largest piece takes that HDF5 unpacks at once.
+    If it is not read as a whole, memory is that of the largest chunk that HDF5 unpacks at once.
     """
     kind = file.get(name, getlink=True) if name in file else None
     found = file.get(name) if isinstance(kind, h5py.HardLink) else None
     if not isinstance(found, h5py.Dataset):
         raise ValueError(f"{path} holds no array `{name}` (it has: {some(file)}); expected {axes}.")
     if found.external or found.is_virtual:
-        # It would have any file of the machine read, or a pipe, which has no end.
+        # An external link could name any file of the machine, or a pipe, which has no end.
         raise ValueError(f"`{name}` in {path} lies in other files; expected it in the file itself.")
     if found.ndim != rank:
         raise ValueError(
@@ -177,7 +177,8 @@ def _truth_reader(file: h5py.File, path: Path, shape: tuple[int, ...], limit: fl
 
     @functools.cache  # the order of the views and the light field both need it
     def read() -> Truth:
-        with np.errstate(over="ignore"):  # what is too large is infinite, and refused as that
+        with np.errstate(over="ignore"):  # too large numbers become infinite and are refused as
+            # such
             values = depth[:].astype(np.float32)
         check_truth(values, f"{path}: GT_DEPTH", "depth")
         known = values > 0
@@ -214,7 +215,7 @@ def _view_order(views: h5py.Dataset, truth: Truth) -> tuple[bool, bool]:
             continue
         place = (middle - 1, uc) if axis == 0 else (vc, middle - 1)
         view = views[place].astype(np.float32)
-        # The view before the centre sees a point at +d by the convention, at -d if reversed.
+        # The view before the center sees a point at +d by the convention, at -d if reversed.
         errors = [_difference(centre, view, sign * truth.disparity, axis) for sign in (1, -1)]
         flips.append(bool(errors[1] < errors[0]))
     return flips[0], flips[1]

@@ -1,4 +1,4 @@
-"""Image files, checked: what OpenCV would read as half a picture is an error here."""
+"""Reads image files with checks: a truncated picture is an error."""
 
 import contextlib
 import io
@@ -18,7 +18,7 @@ _JPEG = b"\xff\xd8"
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp")
 # Bytes within which a header tells the size; profiles and thumbnails of a JPEG come before it.
 _HEAD = 4_000_000
-# What the numbers of EXIF's tag 0x112 ask a viewer for.
+# Transformations by the numbers of EXIF's tag 0x112 (orientation).
 _ORIENTATION = 0x112
 _TURNS = {
     2: Image.Transpose.FLIP_LEFT_RIGHT,
@@ -32,11 +32,11 @@ _TURNS = {
 
 
 def read_image(path: Path, *, upright: bool = True) -> Shaped[np.ndarray, "y x 3"]:
-    """Reads an 8 or 16 bit image as RGB; grey becomes RGB, an alpha channel is dropped.
+    """Reads an 8 or 16 bit image as RGB; gray becomes RGB, an alpha channel is dropped.
 
     Args:
         path: a PNG, JPEG or BMP file.
-        upright: turn a JPEG as its EXIF orientation asks for, which is how viewers show it.
+        upright: rotate a JPEG by its EXIF orientation, as viewers do.
 
     Returns:
         uint8 or uint16.
@@ -117,7 +117,7 @@ def read_raw(path: Path, *, upright: bool = True) -> np.ndarray:
 
 
 class _TruncatedError(ValueError):
-    """What the decoder says of a file that ends too early."""
+    """A file that ends too early."""
 
 
 def _decoded(data: bytes, upright: bool) -> np.ndarray | None:
@@ -131,7 +131,7 @@ def _decoded(data: bytes, upright: bool) -> np.ndarray | None:
         except cv2.error:
             return None
     if data.startswith(_JPEG):
-        # A download that was cut off is filled with zeros, which decode as pixels.
+        # Truncated downloads may be padded with zeros, which decode as pixels.
         data = data.rstrip(b"\0\r\n ")
     turn = _TURNS.get(_orientation(data)) if upright else None
     try:
@@ -149,7 +149,7 @@ def _decoded(data: bytes, upright: bool) -> np.ndarray | None:
 
 @contextlib.contextmanager
 def _opened(data: bytes) -> Iterator[Image.Image]:
-    """An image opened by Pillow, whose warnings are nothing that a user could act on."""
+    """An image opened by Pillow, without its warnings."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         with Image.open(io.BytesIO(data)) as image:
@@ -163,7 +163,7 @@ def image_orientation(path: Path) -> int:
         path: an image file.
 
     Returns:
-        1 to 8; 1, as it is, where the file does not say.
+        1 to 8; 1 (upright) without an entry.
     """
     with path.open("rb") as stream:
         return _orientation(stream.read(_HEAD))
@@ -175,7 +175,7 @@ def _orientation(data: bytes) -> int:
     try:
         with _opened(data) as image:
             found = image.getexif().get(_ORIENTATION, 1)
-    # Broken EXIF data asks for nothing.
+    # Broken EXIF data is ignored.
     except (OSError, ValueError, SyntaxError, ArithmeticError, KeyError, TypeError, struct.error):
         return 1
     return found if isinstance(found, int) and found in _TURNS else 1
@@ -193,7 +193,7 @@ def image_size(path: Path, *, upright: bool = True) -> tuple[int, int]:
 
     Raises:
         FileNotFoundError: if there is no such file.
-        ValueError: if it is none of these, or ends before it tells.
+        ValueError: if it is of another type, or ends before its size.
     """
     if not path.is_file():
         raise FileNotFoundError(f"{path} is missing; expected an image.")
@@ -254,7 +254,7 @@ def _jpeg_size(data: bytes) -> tuple[int, int] | None:
 
 
 def _damage(data: bytes) -> str | None:
-    """What is wrong with a file that its decoder would not say, None if nothing is."""
+    """Damage that the decoder would not report; None without any."""
     if not data.startswith(b"BM"):
         return None
     size = struct.unpack("<I", data[2:6])[0] if len(data) >= 6 else 26
@@ -262,9 +262,9 @@ def _damage(data: bytes) -> str | None:
 
 
 def picked(values: np.ndarray, size: tuple[int, int], ratio: tuple[float, float]) -> np.ndarray:
-    """Shrinks what must not be mixed, depth or labels: every pixel is the one in its middle.
+    """Shrinks maps that must not be averaged, such as depth or labels, by their middle pixels.
 
-    OpenCV's nearest pixel is the one in the corner.
+    OpenCV's nearest interpolation takes the pixel in the corner.
 
     Args:
         values: `[y, x]`.

@@ -1,4 +1,4 @@
-"""What files may claim: refused from their headers, before anything large is read."""
+"""Limits of file contents, checked by headers before anything large is read."""
 
 import math
 import os
@@ -14,10 +14,10 @@ LIFT = "`max_gb`, --max-gb or MVEDGE_MAX_GB lifts this limit"
 
 
 def memory_limit(max_gb: float | None) -> float:
-    """The bytes that a light field may take.
+    """The largest size of a light field in bytes.
 
     Args:
-        max_gb: the caller's wish; None for that of `MVEDGE_MAX_GB`, or 8.
+        max_gb: gigabytes; None for the value of `MVEDGE_MAX_GB`, or 8.
 
     Returns:
         Bytes.
@@ -38,16 +38,16 @@ def memory_limit(max_gb: float | None) -> float:
 
 
 def check_memory(what: str, shape: Sequence[int], limit: float, *, size: int = 4) -> None:
-    """Refuses what does not fit.
+    """Refuses arrays above the limit.
 
     Args:
-        what: the file, and what of it, for the error.
+        what: name of the file and its part, for the error.
         shape: of the array in memory.
         limit: bytes, from `memory_limit`.
         size: bytes per number.
 
     Raises:
-        ValueError: it takes more than the limit.
+        ValueError: the array exceeds the limit.
     """
     need = math.prod(map(int, shape)) * size
     if need > limit:
@@ -59,10 +59,10 @@ def check_memory(what: str, shape: Sequence[int], limit: float, *, size: int = 4
 
 
 def check_grid(where: Path | str, rows: int, columns: int) -> None:
-    """Refuses grids that no rig has.
+    """Refuses implausibly large grids.
 
     Args:
-        where: the file or folder that says so, for the error.
+        where: the file or folder, for the error.
         rows: of views.
         columns: of views.
 
@@ -83,10 +83,10 @@ def read_text(path: Path) -> str:
         path: the file; a device or a pipe, which may have no end, is refused.
 
     Returns:
-        What it says.
+        The text.
 
     Raises:
-        ValueError: it is no regular file, too long, or not UTF-8.
+        ValueError: the file is not regular, too long, or not UTF-8.
     """
     if not path.is_file():
         raise ValueError(f"{path} is not a regular file; expected a text file.")

@@ -1,4 +1,4 @@
-"""`load_light_field`: recognises a layout, reads its views into one array, meets the convention."""
+"""`load_light_field`: recognizes a layout and reads its views by the convention."""
 
 import os
 from pathlib import Path
@@ -33,7 +33,7 @@ def load_light_field(
 ) -> LightField:
     """Reads a light field, whatever its layout.
 
-    | layout | recognised by | brings along |
+    | layout | recognized by | brings along |
     |---|---|---|
     | HCI 4D benchmark | `input_CamNNN.png` | `parameters.cfg`, `gt_disp_lowres.pfm`, object ids |
     | old HCI benchmark | `.h5`, `.hdf5` with `LF` | `GT_DEPTH`, `GT_LABELS` |
@@ -47,20 +47,18 @@ def load_light_field(
     missing; they are then not `available`. Nor are views that do not show the scene, wherever
     they are (`find_dead_views`): these are named in a warning.
 
-    **Which way round.** By the convention a point of disparity `d` moves by `(u_c - u) d` and
-    `(v_c - v) d` px, and larger `d` is nearer: as `u` grows, near things move left, as `v` grows,
-    up. The benchmarks are read in the order that meets it. Other cameras may count their views
-    the other way round on either axis. All disparities then come out with the wrong sign, and so
-    nothing shows but at occlusions: what is estimated as near is covered by what is estimated as
-    far. `check_convention` and `mvedge info` look for that and say which flip is needed; by eye,
-    flick through the views of a row, then of a column. They also find out where rows and columns of
-    the grid have changed places, as of files named by column and row.
+    **Order of views.** By the convention a point of disparity `d` moves by `(u_c - u) d` and `(v_c
+    - v) d` px, and larger `d` is nearer: near points move left as `u` grows, and up as `v` grows.
+    The benchmarks are read in this order. Other cameras may number their views in reverse on
+    either axis. All disparities then have the wrong sign, which shows at occlusions only: surfaces
+    estimated as near are covered by those estimated as far. `check_convention` and `mvedge info`
+    detect this and name the required flips, and exchanged rows and columns, as in files named by
+    column and row.
 
-    **Positions.** Cameras need not be on a regular square grid. Where files tell their positions
-    (the names of the Stanford archive, `parameters.cfg` as `write_hci` writes it, or `positions`)
-    and these are off such a grid by more than 2 % of a step, the light field has them, and depth
-    follows them. A view step is the median distance of neighbouring columns then, unless the file
-    has its own.
+    **Positions.** Cameras need not be on a regular square grid. If files give positions (the names
+    of the Stanford archive, `parameters.cfg` as `write_hci` writes it, or `positions`) that
+    deviate from such a grid by more than 2 % of a step, the light field stores and uses them. A
+    view step is then the median distance of neighboring columns, unless the file defines it.
 
     Args:
         path: a folder or a file.
@@ -69,16 +67,16 @@ def load_light_field(
             usual.
         scale: shrinks the views by this factor in (0, 1], averaging areas, as they are read;
             disparities, range and camera shrink alike.
-        flip_u: reverses the view columns, on top of what the layout needs by itself.
-        flip_v: reverses the view rows, likewise.
+        flip_u: reverses the view columns, in addition to a reversal by the layout.
+        flip_v: reverses the view rows in the same way.
         swap_axes: exchanges view rows and columns, before they are reversed.
-        positions: a text file with a line `v u x y` per view, instead of what the files tell: its
-            row and column in file order, counted from 0, and its position, to the right and down,
-            in view steps (disparities are px per unit of it). Rows and columns that it leaves out
+        positions: a text file with a line `v u x y` per view, which replaces positions of the
+            files: row and column in file order, counted from 0, and position to the right and down
+            in view steps (disparities are in px per view step). Rows and columns without a line
             are not read.
-        disparity_range: `(low, high)` in px per view step of the stored size, where the files do
-            not tell or tell wrongly.
-        name: what to call the scene; by default the name of the folder or file.
+        disparity_range: `(low, high)` in px per view step of the stored size, if missing or wrong
+            in the files.
+        name: name of the scene; by default that of the folder or file.
         max_gb: gigabytes that the views may take; more is refused from the headers of the files,
             before anything is decoded. By default the environment variable `MVEDGE_MAX_GB`, or 8.
 
@@ -90,8 +88,8 @@ def load_light_field(
             crosshair is missing.
         ValueError: if files are truncated, unreadable, of different sizes, contradict each other,
             do not form an odd square grid or a single odd row or column, claim more than `max_gb`,
-            or hold ground truth that is not finite; if the centre view does not show what the
-            others show; or on an option out of its range. The message names the file.
+            or hold ground truth that is not finite; if the center view does not show the scene; or
+            if an option is out of range. The message names the file.
 
     Warns:
         UserWarning: views do not show the scene and are left out.
@@ -137,7 +135,7 @@ def load_light_field(
 
 
 def load_ground_truth(path: str | os.PathLike) -> GroundTruth:
-    """Reads the ground truth of a light field and none of its views but the centre's.
+    """Reads the ground truth of a light field, and of its views only the center view.
 
     Args:
         path: a folder or a file, as for `load_light_field`.
@@ -146,9 +144,9 @@ def load_ground_truth(path: str | os.PathLike) -> GroundTruth:
         The ground truth at full size, views in the order of the convention.
 
     Raises:
-        FileNotFoundError: if there is no light field at `path`, or no centre view.
+        FileNotFoundError: if there is no light field at `path`, or no center view.
         ValueError: if it comes without ground truth, or the ground truth cannot be read, is not
-            finite, or is not of the centre view's size.
+            finite, or is not of the center view's size.
     """
     with open_source(Path(path)) as source:
         if source.truth is None:
@@ -173,7 +171,7 @@ def places_of(
     """The rows and columns of the file order to read, in the order of the convention."""
     rows, columns = source.available.shape
     where = source.label(0, 0) if rows * columns == 1 else f"{source.name} ({source.layout})"
-    # Of a single row or column, the other side tells.
+    # For a single row or column, the other side decides.
     single = min(rows, columns) == 1
     most = max(rows, columns) if single else min(rows, columns)
     if views is None:

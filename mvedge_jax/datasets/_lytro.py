@@ -27,9 +27,9 @@ _CLEAR = 2
 def open_mat(path: Path, limit: float) -> Iterator[Source]:
     """Opens a MAT file, version 7 or 7.3, with an array `LF` of 8 or 16 bit `[v, u, y, x, c]`.
 
-    A fourth channel is the toolbox' weight and is dropped; one channel is grey. An array of more
-    than `limit` bytes is refused. Its sides tell whether it is `[y, x, v, u, c]` instead, and
-    whether h5py wrote it without MATLAB, which reverses the axes.
+    A fourth channel is the toolbox' weight and is dropped; one channel is gray. An array of more
+    than `limit` bytes is refused. The lengths of its axes decide whether it is `[y, x, v, u, c]`
+    instead, and whether h5py wrote it without MATLAB, which reverses the axes.
     """
     with path.open("rb") as stream:
         head = stream.read(128)
@@ -54,7 +54,7 @@ def _open_v73(path: Path, limit: float, *, by_matlab: bool) -> Iterator[Source]:
         else:
             axes = _checked(path, turned, kind)[::-1]
         whole: Any = stored
-        if axes in (_GRID_LAST, _GRID_LAST[::-1]):  # every view lies all over the file
+        if axes in (_GRID_LAST, _GRID_LAST[::-1]):  # the pixels of a view are spread over the file
             check_memory(f"`LF` in {path}", stored.shape, limit, size=2)
             with blamed(path):
                 whole = stored[:]
@@ -128,7 +128,7 @@ def _plausible(shape: tuple[int, ...]) -> bool:
 def _source(
     path: Path, shape: tuple[int, ...], axes: str, read: Callable[[tuple[Any, ...]], np.ndarray]
 ) -> Source:
-    """Of an array whose axes have these names, by what reads a part of it."""
+    """The source of an array with axes of these names, and a function that reads a part."""
     sides = dict(zip(axes, shape, strict=True))
     order = [axis for axis in axes if axis in "yxc"]
     usual = axes in (_GRID_FIRST, _GRID_FIRST[::-1])

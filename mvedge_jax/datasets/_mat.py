@@ -1,4 +1,4 @@
-"""What the elements of a MATLAB file claim, looked at before SciPy believes it."""
+"""Checks of the sizes in a MATLAB file before SciPy reads it."""
 
 import struct
 import zlib
@@ -13,15 +13,15 @@ _HEAD = 4096
 def check_elements(path: Path, limit: float) -> None:
     """Refuses a version 5 file whose elements claim more than there is, or than is allowed.
 
-    SciPy sets aside what a length says, and unpacks what is compressed until that is full: four
-    megabytes can claim four gigabytes.
+    SciPy allocates memory by the stated length and unpacks compressed data into it: four megabytes
+    can claim four gigabytes.
 
     Args:
         path: the file.
         limit: bytes that one part of a variable may have.
 
     Raises:
-        ValueError: naming the file, what it claims and what it may.
+        ValueError: naming the file, the claimed size and the limit.
     """
     size = path.stat().st_size
     with path.open("rb") as stream:

@@ -1,4 +1,4 @@
-"""What the views along one axis show: windows matched along strips of rows, on the host."""
+"""Matching of windows along one view axis, in strips of rows, on the host."""
 
 import dataclasses
 import math
@@ -25,8 +25,8 @@ class Views(NamedTuple):
 
     Attributes:
         images: the epipolar axis is `x`, `[s, y, x, c]`.
-        there: which of them are there.
-        steps: from the centre view, which disparity is multiplied by, float32.
+        there: which views are available.
+        steps: view steps from the center view, the factors of disparity, float32.
     """
 
     images: Float[np.ndarray, "s y x c"]
@@ -35,7 +35,7 @@ class Views(NamedTuple):
 
     @property
     def middle(self) -> int:
-        """Index of the centre view."""
+        """Index of the center view."""
         return len(self.there) // 2
 
     @property
@@ -57,7 +57,7 @@ class Views(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class Strips:
-    """Matches along one arm at strips of rows: `y` centre rows, all columns."""
+    """Matches along one arm at strips of rows: `y` center rows, all columns."""
 
     y: np.ndarray
     disparity: Float[np.ndarray, "e x"]
@@ -66,10 +66,10 @@ class Strips:
 
 @dataclasses.dataclass(frozen=True)
 class Matches:
-    """What one arm shows: matches `through` all views and through the better `half` of them.
+    """Matches along one arm, `through` all views and through the better `half` of them.
 
     A surface beside an occluder is hidden in the views of one half, but not of the other.
-    `missing` is +1 where the views before the centre lack the match of `half`, -1 where those
+    `missing` is +1 where the views before the center lack the match of `half`, -1 where those
     after it do, 0 where neither; `gradient` is that along x; `everywhere` is where `through` holds
     in every single view.
     """
@@ -86,11 +86,11 @@ def match(views: Views, reach: float, count: int) -> Matches:
 
     Args:
         views: of an arm.
-        reach: largest disparity that is tried, either sign, px per view step.
-        count: of strips, at most.
+        reach: largest disparity of either sign, px per view step.
+        count: largest number of strips.
 
     Returns:
-        What was found.
+        The matches.
     """
     arm, middle, farthest = views.images, views.middle, views.farthest
     height, width = arm.shape[1:3]
@@ -121,7 +121,7 @@ def match(views: Views, reach: float, count: int) -> Matches:
             error[:, outside if shift > 0 else slice(0, math.ceil(-shift))] = 0.5
             halves[int(view > middle), k] += error / counts[int(view > middle)]
             np.maximum(worst[k], error, out=worst[k])
-    if min(counts) == 0:  # half of an arm without views says what the other one says
+    if min(counts) == 0:  # a half without views copies the other one
         empty = counts.index(0)
         halves[empty] = halves[1 - empty]
     centre = arm[middle]

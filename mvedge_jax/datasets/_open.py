@@ -1,4 +1,4 @@
-"""Recognises the layout of a light field and opens it."""
+"""Recognizes the layout of a light field and opens it."""
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -18,13 +18,13 @@ _LAYOUTS = (
 )
 _FOLDERS = ((is_hci, open_hci), (is_stanford, open_stanford), (is_grid, open_grid))
 _FILES = {".h5": open_hdf5, ".hdf5": open_hdf5, ".mat": open_mat}
-# Folders that are looked into for an error, and files of each.
+# Largest number of folders, and of files in each, that are inspected for an error message.
 _MOST = 200
 
 
 @contextmanager
 def open_source(path: Path, *, max_gb: float | None = None) -> Iterator[Source]:
-    """Recognises the layout of a folder or file and opens it; see `load_light_field`.
+    """Recognizes the layout of a folder or file and opens it; see `load_light_field`.
 
     Args:
         path: folder or file.
@@ -35,7 +35,7 @@ def open_source(path: Path, *, max_gb: float | None = None) -> Iterator[Source]:
 
     Raises:
         FileNotFoundError: if there is nothing at `path` or no light field in it.
-        ValueError: if the file is of an unknown kind, or what is found contradicts itself.
+        ValueError: if the file is of an unknown type, or its contents contradict each other.
     """
     if path.is_dir():
         names = sorted(file.name for file in path.iterdir() if not file.name.startswith("."))
@@ -71,7 +71,7 @@ def _children(path: Path, names: Sequence[str]) -> list[str]:
 
 
 def _nothing(path: Path, names: Sequence[str], inside: Sequence[str]) -> str:
-    """What to say of a folder that is no light field, of which some `inside` are one each."""
+    """Message about a folder without a light field, with those `inside` that are one."""
     if len(inside) == 1:
         return f"{path} holds no light field itself, but {inside[0]} in it is one: name that."
     if inside:

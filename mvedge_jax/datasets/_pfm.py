@@ -15,16 +15,16 @@ _GAP, _WORD = rb"(?:\s|#[^\n]*\n)+", rb"((?!#)\S{1,32})"
 _HEADER = re.compile(
     rb"(Pf|PF)" + 3 * (_GAP + _WORD) + rb"(?:[ \t]*\r?\n|\s)"  # width, height, scale
 )
-# Middlebury's files state this scale, to six digits, and mean their values as they are stored.
+# Scale in Middlebury's files, to six digits, whose values are not scaled.
 _MIDDLEBURY = 1 / 255
 
 
 def read_pfm(path: str | os.PathLike) -> Float[np.ndarray, "y x"]:
     """Reads a single-channel portable float map.
 
-    Values are divided by the magnitude of the header's scale, as Netpbm and OpenCV divide them. The
-    scale 1/255 is Middlebury's, whose files mean their values as they are stored. A warning says
-    which of both was done; for the usual scale of 1 there is nothing to say.
+    Values are divided by the magnitude of the header's scale, as in Netpbm and OpenCV, except for
+    the scale 1/255 of Middlebury's files, whose values are not scaled. A warning reports either
+    case; the usual scale of 1 has none.
 
     Args:
         path: a `.pfm` file. It is stored bottom-up; the result is not.

@@ -1,4 +1,4 @@
-"""PNG files, checked and reduced to their pixels: libpng has nothing left to complain of."""
+"""Checks PNG files and reduces them to their pixels, so that libpng prints no messages."""
 
 import struct
 import zlib
@@ -23,21 +23,20 @@ _ADAM7 = (
 )  # fmt: skip
 # libpng refuses longer sides, and a chunk holds less than 2 GiB.
 _LONGEST, _CHUNK = 1_000_000, 2**30
-# Deflate makes no more bytes than this of one.
+# Largest expansion factor of deflate.
 _DEFLATED = 1032
 
 
 class DamagedPng(ValueError):
-    """What is wrong with a PNG file, as a clause: `it is truncated at byte 5 (a PNG)`."""
+    """Damage of a PNG file, as a clause: `it is truncated at byte 5 (a PNG)`."""
 
 
 def plain_png(data: bytes) -> bytes:
-    """A PNG file with nothing in it but its pixels.
+    """Reduces a PNG file to its pixels, uncompressed.
 
-    OpenCV's libpng writes to the standard error of the process whatever it has to say of a file:
-    profiles that it does not like, damage. Hence nothing odd is left for it: chunks that do not
-    change pixels are dropped, checksums, sizes and filters are checked, and the pixels are inflated
-    here, once. The result holds them uncompressed.
+    OpenCV's libpng prints messages about profiles and damage to the standard error. To avoid them,
+    chunks that do not change pixels are dropped, checksums, sizes and filters are checked, and the
+    pixels are inflated here, once.
 
     Args:
         data: the file.

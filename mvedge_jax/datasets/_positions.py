@@ -1,4 +1,4 @@
-"""Positions of views: from a source or a file of their own to view steps from the centre view."""
+"""Positions of views, from a source or a file, in view steps from the center view."""
 
 import math
 from pathlib import Path
@@ -11,12 +11,12 @@ from mvedge_jax._positions import check_positions
 from ._limits import read_text
 from ._source import Source
 
-# Views so little off a regular square grid, view steps, are taken to be on it.
+# Largest deviation from a regular square grid, view steps, that is ignored.
 _REGULAR = 0.02
 
 
 def with_positions(source: Source, path: Path) -> Source:
-    """The rows and columns of a source that a file of positions names, with these positions.
+    """Applies a file of positions to a source and keeps the rows and columns that it names.
 
     Args:
         source: as its files are.
@@ -28,9 +28,9 @@ def with_positions(source: Source, path: Path) -> Source:
 
     Raises:
         FileNotFoundError: there is no such file.
-        ValueError: the file cannot be read, a line is none of these, names a view that is not in
-            the grid or was named before, or the centre view of what is left is another one, whose
-            ground truth nobody knows.
+        ValueError: the file cannot be read, a line is malformed, names a view that is not in the
+            grid or was named before, or the remaining rows and columns have another center view,
+            which has no ground truth.
     """
     if not path.exists():
         raise FileNotFoundError(f"{path} is not there; expected a text file of positions.")
@@ -78,9 +78,9 @@ def view_positions(
 ) -> Float[np.ndarray, "v u 2"] | None:
     """Positions of the views that are read, as `LightField` has them.
 
-    Positions in a unit of their own are divided by the median distance of neighbouring columns (of
-    a single column, rows). The order of the views tells which way they count: columns increase to
-    the right, rows down.
+    Positions in another unit are divided by the median distance of neighboring columns (for a
+    single column, rows). Signs follow the order of the views: columns increase to the right, rows
+    down.
 
     Args:
         source: its positions may be NaN where a view is missing.
@@ -88,10 +88,10 @@ def view_positions(
         columns: likewise.
 
     Returns:
-        View steps from the centre view; None where they are not known, or regular to 2 % of a step.
+        View steps from the center view; None if unknown, or regular to 2 % of a step.
 
     Raises:
-        ValueError: they are none of rows and columns of views; names the source.
+        ValueError: the positions do not form rows and columns; names the source.
     """
     if source.positions is None:
         return None

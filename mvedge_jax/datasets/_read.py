@@ -16,9 +16,9 @@ _ALIGNMENT = 64  # bytes; JAX adopts a NumPy array that is so aligned instead of
 def read_views(
     source: Source, rows: list[int], columns: list[int], scale: float, limit: float
 ) -> tuple[Float[np.ndarray, "v u y x c"], np.ndarray]:
-    """Reads view by view into one array: no second copy of a light field at any time.
+    """Reads view by view into one array, without a second copy of the light field.
 
-    Sizes are compared, and held against the limit in bytes, before anything is decoded.
+    Sizes are compared with each other and with the limit before anything is decoded.
     """
     places = [
         (i, j, row, column)
@@ -83,7 +83,7 @@ def differs(
     found: str = "",
     wanted: str = "",
 ) -> ValueError:
-    """The error for a view that is not as the centre view."""
+    """The error for a view whose size or depth differs from the center view's."""
     return ValueError(
         f"{file} is {own[0]}x{own[1]} px (height x width){found}; expected {side[0]}x{side[1]}"
         f"{wanted}, as {centre}."
@@ -98,7 +98,7 @@ def _aligned_zeros(shape: tuple[int, ...]) -> np.ndarray:
 
 
 def shrink(image: np.ndarray, height: int, width: int, scale: float) -> np.ndarray:
-    """Averages areas of `1 / scale` px; what does not fill an area at the far ends is dropped."""
+    """Averages areas of `1 / scale` px; incomplete areas at the far ends are dropped."""
     rows, columns = (
         min(side, round(new / scale))
         for side, new in zip(image.shape[:2], (height, width), strict=True)

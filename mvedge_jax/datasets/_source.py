@@ -1,4 +1,4 @@
-"""What every layout comes down to: a grid of views to read, and what is known beside them."""
+"""The common form of all layouts: a grid of views to read, with optional metadata."""
 
 import dataclasses
 from collections.abc import Callable, Sequence
@@ -25,7 +25,7 @@ class Truth:
     view_ids: Int[np.ndarray, "v u y x"] | None = None
 
     def taken(self, rows: Sequence[int], columns: Sequence[int]) -> "Truth":
-        """The same of some rows and columns of the grid."""
+        """Ground truth of some rows and columns of the grid."""
         window = np.ix_(rows, columns)
         disparity, ids = (
             None if values is None else values[window]
@@ -34,7 +34,7 @@ class Truth:
         return dataclasses.replace(self, view_disparity=disparity, view_ids=ids)
 
     def exchanged(self) -> "Truth":
-        """The same of a grid whose rows are the columns of this one."""
+        """Ground truth of the grid with exchanged rows and columns."""
         disparity, ids = (
             None if values is None else values.swapaxes(0, 1)
             for values in (self.view_disparity, self.view_ids)
@@ -47,22 +47,22 @@ class Source:
     """A light field on disk, opened but not read.
 
     Attributes:
-        name: what to call it.
-        layout: which layout was recognised, for people.
+        name: name of the scene.
+        layout: the recognized layout, for messages.
         available: which views are stored, in file order.
         read: gives view (row, column) of the file order as uint8 or uint16 RGB.
-        label: what to call view (row, column) in an error: its file or place.
+        label: name of view (row, column) in errors: its file or index.
         truth: reads the ground truth; None if there is none.
         camera: the geometry if known.
         disparity_range: px per view step if known.
         flip_v: whether rows have to be reversed to meet the convention.
         flip_u: whether columns have to be reversed.
-        size: `(height, width)` that the metadata promises, if any, and the file that says so.
+        size: `(height, width)` in the metadata, if any, and its file.
         header: gives height and width of view (row, column) from its header, without reading it;
-            None where `read` is as cheap.
+            None if `read` is as cheap.
         positions: `(x, y)` of every camera, NaN where it is missing; None if not known.
-        in_steps: whether they are in view steps, x to the right and y down; else they are in a unit
-            of their own.
+        in_steps: whether positions are in view steps, x to the right and y down; else in another
+            unit.
     """
 
     name: str
@@ -101,7 +101,7 @@ class Source:
         )
 
     def exchanged(self) -> "Source":
-        """The same light field, whose rows of views are the columns of this one."""
+        """The light field with exchanged rows and columns of views."""
         header, truth = self.header, self.truth
         return dataclasses.replace(
             self,
@@ -162,12 +162,12 @@ def check_truth(values: np.ndarray, path: Path | str, what: str = "disparity") -
     """Refuses ground truth that is NaN or infinite.
 
     Args:
-        values: what was read.
+        values: the ground truth.
         path: the file, for the error.
         what: the quantity, for the error.
 
     Raises:
-        ValueError: naming the file, the number of bad values and the first one's place.
+        ValueError: naming the file, the number of bad values and the position of the first one.
     """
     bad = ~np.isfinite(values)
     if bad.any():

@@ -26,9 +26,9 @@ class CameraSpacing:
     Attributes:
         positions: `(x, y)` of each camera in the archive's unit, NaN where it is missing.
         step: mean step from one view column (row) to the next along x (y), same unit, signed.
-        deviation: largest distance of a camera from its place on the regular grid that fits best,
-            in steps. Times a point's disparity it is the largest error of the point's place in a
-            view, in px.
+        deviation: largest distance of a camera from its position on the best-fitting regular grid,
+            in steps. Times a point's disparity, it is the largest error of the point's position in
+            a view, px.
     """
 
     positions: Float[np.ndarray, "v u 2"]
@@ -44,7 +44,7 @@ def is_stanford(names: list[str]) -> bool:
 def open_stanford(path: Path, names: list[str]) -> Source:
     """Opens a rectified light field of the Stanford archive.
 
-    Rows and columns without any file are none: the names tell where the others are.
+    Rows and columns without any file are dropped; the names give the positions of the others.
     """
     entries = _entries(path, names)
     check_grid(path, *(max(place[axis] for place in entries) + 1 for axis in (0, 1)))

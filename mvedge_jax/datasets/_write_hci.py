@@ -29,22 +29,22 @@ def write_hci(
     |---|---|
     | `input_CamNNN.png` | view `NNN = columns * row + column`, 8 bit sRGB |
     | `parameters.cfg` | cameras, size, disparity range |
-    | `gt_disp_lowres.pfm` | disparity of the centre view, px per view step |
-    | `gt_depth_lowres.pfm` | the same as depth, metres |
-    | `objectids_lowres.png` | object ids of the centre view, 16 bit |
+    | `gt_disp_lowres.pfm` | disparity of the center view, px per view step |
+    | `gt_depth_lowres.pfm` | the same as depth, meters |
+    | `objectids_lowres.png` | object ids of the center view, 16 bit |
     | `gt_disp_lowres_CamNNN.pfm`, `objectids_lowres_CamNNN.png` | the same for every view |
-    | `visible_CamNNN.png` | 255 where view `NNN` sees the centre view's pixel, 0 elsewhere |
+    | `visible_CamNNN.png` | 255 where view `NNN` shows the center view's pixel, 0 elsewhere |
 
     The last two rows are more than the benchmark has, as are `positions_x` and `positions_y` of all
     views in `parameters.cfg`, row by row, of views that are on no regular grid. `load_light_field`
     reads all but the last.
 
     Args:
-        light_field: what to write; views that are not available are left out, as is what is not
-            known of camera and truth.
-        path: a folder; it is made if it is not there. Files of the same names are replaced.
-        visible: occlusion masks of the centre view, see `synthetic.visibility`.
-        progress: called with the number of views that are done and that there are.
+        light_field: the light field; missing views, and unknown parts of camera and ground truth,
+            are left out.
+        path: a folder, created if needed. Files of the same names are replaced.
+        visible: occlusion masks of the center view, see `synthetic.visibility`.
+        progress: called with the number of finished views and their total.
 
     Raises:
         OSError: if a file cannot be written.

@@ -1,6 +1,6 @@
-"""Dense depth of the centre view from multi-view edges: a chain of parts (Thesis 4 and 6.1).
+"""Dense depth of the center view from multi-view edges: a chain of parts (Thesis 4 and 6.1).
 
-Room: `solves` (from labels to the map).
+Subpackage: `solves` (from labels to the map).
 """
 
 from ._dense import DenseLabels as DenseLabels, MeasuredLabels as MeasuredLabels

@@ -29,11 +29,11 @@ class DenseLabels(Protocol):
 
         Args:
             from_points: labels of the points, of weight 0 where there is none.
-            measured: disparity and variance of every pixel.
-            disparity: the map around which they were measured, px.
+            measured: measured disparity and variance of every pixel.
+            disparity: the map around which `measured` was measured, px.
             measuring: parameters of the measurement in views of this noise.
             precision: standard error, px, at which a label counts half as much as a perfect one.
-            lit: 0 where no label counts, 1 elsewhere; None for everywhere.
+            lit: 0 where labels have no weight, 1 elsewhere; None for 1 everywhere.
 
         Returns:
             Positive weights and finite values. Differentiable.
@@ -46,7 +46,8 @@ class MeasuredLabels(eqx.Module):
 
     Attributes:
         trust: residual of a dense label that halves its weight.
-        agreement: distance of a point's label from the map that leaves it a quarter of its weight.
+        agreement: distance of a point's label from the map at which the label keeps a quarter of
+            its weight.
         anchor: weight of the previous map itself, so that no region is without any label.
     """
 

@@ -1,4 +1,4 @@
-"""Labels diffused into a map and its error, along the slopes of the map before."""
+"""Diffusion of labels into a map and its error, along the slopes of the previous map."""
 
 from typing import Any, NamedTuple, TypeVar
 
@@ -18,7 +18,7 @@ from ._slopes import rises, slope_labels
 
 _Solver = TypeVar("_Solver", bound=lx.AbstractLinearSolver)
 
-# Places of what is diffused; those of the slopes follow, where there are any.
+# Indices of the diffused quantities; the slopes follow if there are any.
 _MAP, _ERROR, _SLOPES = 0, 1, 2
 
 
@@ -26,13 +26,13 @@ class _Solve(NamedTuple):
     """One diffusion: of either slope, of the map or of its error.
 
     Attributes:
-        which: the place of what is diffused.
-        wanted: whether it is asked for in this turn.
-        weight: of the labels.
-        label: what is diffused.
-        start: of the solver.
+        which: index of the diffused quantity.
+        wanted: whether this step computes it.
+        weight: data weights of the labels.
+        label: the values to diffuse.
+        start: initial value of the solver.
         stiffness: weight of an uncut edge.
-        coarser: multiplies the tolerance.
+        coarser: factor of the tolerance.
     """
 
     which: Array
@@ -57,25 +57,25 @@ def diffused(
 ) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
     """Diffuses labels into a map, from `start`; if `sloped`, along the slopes of `start`.
 
-    For either slope (where `Refine` has them), for the map and, at `last`, for its error, a solve
-    each, one after the other by a loop: the solver compiles slowly.
+    The slopes (if `Refine` has them), the map and, at `last`, its error are solved one after the
+    other in a loop, because the solver compiles slowly.
 
     Args:
-        labels: of every pixel, of weight 0 where there is none.
+        labels: labels of every pixel, with weight 0 where there is none.
         edges: smoothness between neighbors, in (0, 1].
-        start: the map before.
+        start: the previous map, px.
         span: width of the range that was searched, px.
         params: see `Refine`.
-        solver: of the map; slopes and errors stop at `Refine.coarser` times its tolerance, if it is
-            of ours.
+        solver: solver of the map. Slopes and errors stop at `Refine.coarser` times its tolerance
+            if it is a solver of this package.
         sloped: whether the map is diffused along the slopes of `start`.
-        last: whether the error of the map is asked for.
+        last: whether to compute the error of the map.
 
     Returns:
         The map and, at `last`, the standard error of the labels that every pixel is made from, 0
         without labels; iterations and convergence of the map's own solve.
     """
-    # What a label of this weight is known to, and at best a tenth of what counts half.
+    # Standard error of a label of this weight, at least a tenth of `precision`.
     uncertain = params.precision * jnp.sqrt(1 / jnp.clip(labels.weight, 1e-9, 0.99) - 1)
     whole, nothing = params.stiffness, jnp.zeros_like(start)
     forgotten = whole / params.error.forgotten**2
@@ -116,12 +116,12 @@ def diffused(
         return lax.dynamic_update_index_in_dim(found, value, of.which, 0), stats
 
     found, (iterations, converged) = lax.scan(solve, jnp.zeros_like(solves.label), solves)
-    # The map's own turn is the last but one.
+    # The map is solved last but one.
     return (found[_MAP], found[_ERROR]), (iterations[-2], jnp.all(converged))
 
 
 def _coarser(solver: _Solver, factor: Array) -> _Solver:
-    """A solver of ours with another tolerance; others know their own."""
+    """Scales the tolerance of this package's solvers; returns others as they are."""
     if not isinstance(solver, AbstractSolver):
         return solver
     tolerance: Any = solver.tolerance

@@ -1,4 +1,4 @@
-"""`EdgeDepth`: from the views of a light field to the depth of its centre view, made of parts."""
+"""`EdgeDepth`: from the views of a light field to the depth of its center view, made of parts."""
 
 from collections.abc import Mapping
 from typing import Any, Literal
@@ -32,24 +32,22 @@ Preset = Literal["full", "edges", "thesis"]
 
 
 class EdgeDepth(eqx.Module):
-    r"""Depth of the centre view from multi-view edges, a chain of parts.
+    r"""Depth of the center view from multi-view edges, a chain of parts.
 
-    1. `calibration`: brightness and noise are measured once and taken out of the views.
-    2. `measurement`: every pixel is measured in the views that show it: disparity and standard
-       error.
-    3. `edges`: filters in epipolar-plane images say where edge points are (Thesis 4.1), the
-       measurement says at which disparity.
-    4. `sides`: on which surface the label of each point belongs (4.2.2), and where depth edges are
-       (4.3).
-    5. `labels`: the points' labels on the pixels of the centre view.
+    1. `calibration`: brightness and noise are measured once and removed from the views.
+    2. `measurement`: disparity and standard error of every pixel, from the views that show it.
+    3. `edges`: filters in epipolar-plane images locate edge points (Thesis 4.1); the measurement
+       gives their disparity.
+    4. `sides`: the surface that each point's label belongs to (4.2.2), and depth edges (4.3).
+    5. `labels`: the points' labels on the pixels of the center view.
     6. `dense`: a label measured at every pixel, or None for the edges alone.
-    7. `smoothness`, `solver`, `refine`: labels are diffused (6.1), repeatedly, between edges that
-       the smoothness cuts, and depth steps are moved onto color steps. Pixels beside depth steps
-       go to the surface that covers most of them (`warping.outline`).
+    7. `smoothness`, `solver`, `refine`: labels are diffused (6.1) repeatedly. The smoothness cuts
+       edges between surfaces, and sharpening moves depth steps onto color steps. Pixels beside
+       depth steps take the surface that covers most of them (`warping.outline`).
 
-    Every part is a pytree: its arrays are traced, so that `jax.grad` and `jax.vmap` reach them, and
-    everything else is static. Any part can be replaced by one that keeps its protocol, see
-    `replace`. `print(model)` lists all numbers with their units.
+    Every part is a pytree: its arrays are traced, so that `jax.grad` and `jax.vmap` reach them,
+    and everything else is static. `replace` puts in any part that implements the same protocol.
+    `print(model)` lists all numbers with their units.
 
     Attributes:
         calibration: see `photometry.Calibration`.
@@ -93,13 +91,13 @@ class EdgeDepth(eqx.Module):
     ) -> "EdgeDepth":
         """Chooses capacities and ranges on the host, from a light field's shape and its range.
 
-        Numbers in px per view step are for 9x9 views, and larger for fewer: four times for 3x3.
+        Numbers in px per view step are scaled for fewer than 9x9 views: four times for 3x3.
 
         Args:
-            light_field: its disparity range is measured where it does not come with one.
+            light_field: its disparity range is measured if it has none.
             preset: `"full"`: edges and dense labels; `"edges"`: the edges alone, splatted with
                 transmittance; `"thesis"`: the steps of Chapters 4 and 6.
-            views: which of them labels are measured in, see `Measurement`.
+            views: the views to measure labels in, see `Measurement`.
             choices: numbers and static fields to set, by path, such as `{"refine.solves": 1}`.
 
         Returns:
@@ -125,12 +123,12 @@ class EdgeDepth(eqx.Module):
             The new model; traced values may be traced.
 
         Raises:
-            ValueError: a path is none of the model's, or a value is out of range.
+            ValueError: the model has no such path, or a value is out of range.
         """
         return replaced(self, {**(choices or {}), **parts})
 
     def __call__(self, light_field: LightField, *, key: PRNGKeyArray | None = None) -> DepthResult:
-        """Estimates the disparity of every pixel of the centre view, see `estimate_depth`.
+        """Estimates the disparity of every pixel of the center view, see `estimate_depth`.
 
         Args:
             light_field: the crosshair of views is read, or all of them; ground truth is not.
@@ -148,12 +146,12 @@ class EdgeDepth(eqx.Module):
 def depth(
     light_field: LightField, *, preset: Preset = "full", key: PRNGKeyArray | None = None
 ) -> DepthResult:
-    """Estimates the disparity of every pixel of a light field's centre view.
+    """Estimates the disparity of every pixel of a light field's center view.
 
     Args:
         light_field: ground truth is not read.
         preset: see `EdgeDepth.for_light_field`.
-        key: of the preset `"thesis"`, which draws.
+        key: random key; only preset `"thesis"` needs one.
 
     Returns:
         See `DepthResult`.
@@ -170,7 +168,7 @@ def depth(
 
 
 def _validate(light_field: Any, model: Any, **options: Any) -> tuple[Any, ...]:
-    """The arguments of `estimate_depth` and `multiview_edges`, or what is wrong with them."""
+    """Validates the arguments of `estimate_depth` and `multiview_edges`."""
     order = "the order is (light_field, model)"
     wrapped = "`LightField(views)` makes one of an array [v, u, y, x, c], and " + order
     expect("light_field", light_field, LightField, wrapped)
@@ -191,10 +189,10 @@ def estimate_depth(
 ) -> DepthResult:
     """Runs the chain: what calling an `EdgeDepth` does.
 
-    Every light-field shape and every combination of static fields is a program of its own, of some
-    1300 memory maps, or 2500 where `compiler_options` were not asked for. A process that compiles
-    more than about 25 should call `jax.clear_caches()` now and then: Linux allows 65530 maps,
-    beyond which the compiler crashes.
+    Every light-field shape and every combination of static fields is a program of its own, with
+    some 1300 memory maps (2500 without `compiler_options`). The compiler crashes beyond the 65530
+    maps that Linux allows, so a process that compiles more than about 25 programs should call
+    `jax.clear_caches()` now and then.
 
     Args:
         light_field: the crosshair of views is read, or all of them (`Measurement.views`); ground
@@ -206,10 +204,10 @@ def estimate_depth(
         Disparity, standard error, points, statistics. Differentiable, forwards and backwards, in
         the views and in every array of `model` at the selections made: points, hypotheses, sides,
         levels of the median. A leaf that only selects is a threshold: its derivative is 0
-        (`describe`). In single precision the derivative of a single pixel is lost below 1e-38, and
-        above 1e38 it is NaN: scale a loss that is smaller than 1e-10 or larger than 1e20. Rounding
-        alone leaves single parameters' derivatives right to about 2e-4 there, as they are sums that
-        cancel.
+        (`describe`). In single precision the derivative of a single pixel is lost below 1e-38 and
+        NaN above 1e38: scale a loss that is smaller than 1e-10 or larger than 1e20. Rounding
+        leaves a relative error of about 2e-4 in derivatives of single parameters, as these are
+        sums that cancel.
 
     Raises:
         ValueError: the light field has a single view per arm; or, outside `jit`, a number of the
@@ -218,7 +216,7 @@ def estimate_depth(
             of NaN, and `stats.sound` is False.
         TypeError: an argument is of another kind, or their order is another.
 
-    Source: Thesis 6.1, 4.2.2 and 4.3; what differs, and why, is a page of the documentation.
+    Source: Thesis 6.1, 4.2.2 and 4.3; docs/differences.md lists the differences and their reasons.
     """
     model = cast(model, light_field.views.dtype)
     fine = sound(model)
@@ -254,7 +252,7 @@ def estimate_depth(
         fine,
         searched,
     )
-    # Where there is a label at every pixel, the map itself shows its steps best.
+    # With a label at every pixel, the map itself is the best source of depth edges.
     edge = sides.edge if model.dense is None else gradient_magnitude(disparity)
     return DepthResult(disparity, error, edge, edges.points, sides.surface, stats)
 
@@ -267,7 +265,7 @@ def multiview_edges(
 
     Args:
         light_field: only the crosshair of views is read; ground truth is not.
-        model: its `calibration`, `measurement` and `edges`.
+        model: `calibration`, `measurement` and `edges` are run.
         key: of parts that draw.
 
     Returns:
@@ -278,7 +276,7 @@ def multiview_edges(
         ValueError: as `estimate_depth`; under `jit`, bad numbers give disparities of NaN.
         TypeError: an argument is of another kind, or their order is another.
 
-    Source: Thesis 4.1; where it differs, and why, is a page of the documentation.
+    Source: Thesis 4.1; docs/differences.md lists the differences and their reasons.
 
     Example:
         >>> flat = LightField(jnp.full((3, 3, 16, 16, 3), 0.5), disparity_range=(-1.0, 1.0))
@@ -290,7 +288,7 @@ def multiview_edges(
     edges = _found_edges(model, evidence, key)
     read = model.calibration, model.measurement, model.edges
     fine = jnp.all(jnp.stack([sound(part) for part in read if part is not None]))
-    # Selections drop NaN on the way: a number that is none would leave plausible points.
+    # `where` hides NaN parameters, so NaN is propagated explicitly.
     disparity = edges.points.disparity
     disparity = jnp.where(fine, disparity, jnp.asarray(jnp.nan, disparity.dtype))
     return eqx.tree_at(lambda found: found.points.disparity, edges, disparity)
@@ -307,13 +305,13 @@ def _found_edges(model: EdgeDepth, evidence: Evidence, key: PRNGKeyArray | None)
 def _outlined(
     found: Map, evidence: Evidence, refine: Refine, fine: Bool[Array, ""]
 ) -> tuple[Array, Array]:
-    """Disparity and its standard error once pixels of two surfaces have one of them."""
+    """Disparity and standard error after each pixel beside a step has taken one surface."""
     views = evidence.calibrated
     disparity, error = found.disparity, found.error
     if refine.outline is not None:
         shown = outline(disparity, views.guide, views.noise.deviation, refine.outline)
         disparity, error = (jnp.ravel(a)[shown] for a in (disparity, error))
-    # Selections drop NaN on the way: a number that is none would leave a plausible map.
+    # `where` hides NaN parameters, so NaN is propagated explicitly.
     unknown = jnp.asarray(jnp.nan, disparity.dtype)
     error = refine.error(error, disparity)
     return jnp.where(fine, disparity, unknown), jnp.where(fine, error, unknown)

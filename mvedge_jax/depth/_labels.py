@@ -1,4 +1,4 @@
-"""The labels part: edge points onto pixels."""
+"""The part `labels`: puts the labels of edge points onto pixels."""
 
 from typing import NamedTuple, Protocol, runtime_checkable
 
@@ -15,7 +15,7 @@ from mvedge_jax.splatting import SplatLabels
 
 
 def _splat() -> SplatLabels:
-    """As narrow as labels may be: wider points hide, at depth steps, what is behind them."""
+    """Narrow splats: at depth steps, wide points would hide the surface behind them."""
     return replaced(SplatLabels(), {"widths.sigma_label": 0.15, "widths.sigma_weight": 0.4})
 
 
@@ -23,7 +23,7 @@ class Labels(NamedTuple):
     """Labels and data weights per pixel.
 
     Attributes:
-        weight: against a perfect label, `[y, x]`.
+        weight: relative to that of a perfect label, `[y, x]`.
         value: disparity, `[y, x]`.
     """
 
@@ -35,7 +35,8 @@ class Labels(NamedTuple):
 class PointLabels(Protocol):
     """Puts the labels of edge points onto pixels; called inside `jit`.
 
-    Points that are not valid change neither value nor gradient. Where no point is, the weight is 0.
+    Points that are not valid change neither value nor gradient. Pixels without a point have weight
+    0.
     """
 
     def __call__(
@@ -45,8 +46,8 @@ class PointLabels(Protocol):
 
         Args:
             points: the edge points.
-            sides: on which side of its edge each of them belongs.
-            evidence: what the views say.
+            sides: on which side of its edge each point belongs.
+            evidence: calibrated views and measurement.
             precision: standard error, px, at which a label counts half as much as a perfect one.
 
         Returns:
@@ -58,11 +59,11 @@ class PointLabels(Protocol):
 class SharedLabels(eqx.Module):
     """Labels on either side of their edges, shared by the pixels of their surface.
 
-    For beside dense labels: which pixels are of a point's surface is read from the first map.
+    For chains with dense labels: the first map shows which pixels are on a point's surface.
 
     Attributes:
-        weight: of a point's label against a dense one.
-        agreement: distance of a label from the first map that quarters its share.
+        weight: weight of a point's label relative to a dense one.
+        agreement: distance of a label from the first map at which its share is a quarter.
     """
 
     weight: Float[Array, ""] = number(0.5, "dense labels")
@@ -76,7 +77,7 @@ class SharedLabels(eqx.Module):
             raise ValueError("`SharedLabels` need a `measurement` in the chain, got None.")
         first, surface = evidence.measured.disparity, sides.surface
         params = cast(self, first.dtype)
-        # Points take their disparity from few pixels, which noise leaves little of.
+        # A point's disparity comes from few pixels, so noise affects it more.
         trusted = params.weight * (1 - evidence.calibrated.noise.alpha) * points.confidence
         weight = trusted * precision_weight(points.error**2, precision)
         weight = jnp.where(points.valid, weight, 0)
@@ -91,8 +92,8 @@ class SharedLabels(eqx.Module):
 class PointWeight(eqx.Module):
     r"""Data weights of points: from standard errors, and from the depth-edge confidence.
 
-    Those of the standard errors times $(1 + e^{\min(a \lambda_e, l) - l}) / 2$, which is 1 at most
-    and one half at least.
+    The weight by the standard error is multiplied by $(1 + e^{\min(a \lambda_e, l) - l}) / 2$,
+    which lies between one half and 1.
 
     Attributes:
         gain: $a$, of the depth-edge confidence in the exponent of the data weight (Eq. 6.3).
@@ -114,7 +115,7 @@ class PointWeight(eqx.Module):
 
         Args:
             confidence: `Sides.confidence`, px.
-            points: their standard errors, and which are there.
+            points: `error` and `valid` are read.
             precision: standard error that halves a weight, px.
 
         Returns:
@@ -128,8 +129,8 @@ class PointWeight(eqx.Module):
 class StepWeight(eqx.Module):
     r"""Data weights of points by their depth-edge confidence, $e^{\min(a \lambda_e, l) - l}$.
 
-    $\omega e^{\min(a \lambda_e, l)}$ over its largest value; $\omega$ is relative to the
-    smoothness, which `Refine.stiffness` has.
+    This is $\omega e^{\min(a \lambda_e, l)}$ divided by its largest value; `Refine.stiffness` has
+    the ratio to the smoothness that $\omega$ sets.
 
     Attributes:
         gain: $a$.
@@ -155,7 +156,7 @@ class StepWeight(eqx.Module):
 
 
 class NearestLabels(eqx.Module):
-    """Every label on the pixel that its surface vector points to; the nearest surface wins.
+    """Puts each label on the pixel that its surface vector points to; the nearest surface wins.
 
     Attributes:
         weight: of the points.
@@ -178,15 +179,15 @@ class NearestLabels(eqx.Module):
 class SplattedLabels(eqx.Module):
     """Super-Gaussian splats on the surfaces of the edges, composited front to back (Thesis 7.1).
 
-    The same splat as that of the model of Chapter 7, whose points are free.
+    This is the splat of the model of Chapter 7, whose points can move.
 
     Attributes:
         splat: widths, density and raster.
-        clearing: c; a point of weight w has the opacity $1 - e^{-c w}$, so that one that nothing is
-            known of hides nothing.
+        clearing: c; a point of weight w has the opacity $1 - e^{-c w}$, so that a point without
+            information hides nothing.
         weight: of the points.
-        uncovered: coverage at which a label has half of its weight; below, single precision spoils
-            it.
+        uncovered: coverage at which a label has half of its weight; below, rounding in single
+            precision dominates.
 
     Source: Thesis 7.1.2-7.1.3.
     """
@@ -210,7 +211,7 @@ class SplattedLabels(eqx.Module):
             evidence.shape,
             opacity=-jnp.expm1(-params.clearing * weight),
         )
-        # A label has no digits left where hardly anything covers its pixel.
+        # Rounding dominates a label whose pixel is hardly covered.
         coverage = 1 - maps.transmittance
         return Labels(maps.weight * coverage / (coverage + params.uncovered), maps.label)
 
@@ -219,7 +220,7 @@ def precision_weight(variance: Array, precision: Float[Array, ""]) -> Array:
     """Weight of a label against that of a perfect one.
 
     Args:
-        variance: of the label, px².
+        variance: variance of the label, px².
         precision: the standard error that halves the weight, px.
 
     Returns:

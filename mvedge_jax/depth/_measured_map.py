@@ -1,4 +1,4 @@
-"""The map of dense labels, measured anew around every map."""
+"""The map of dense labels, which are measured again around every map."""
 
 from functools import partial
 from typing import Any, NamedTuple
@@ -28,9 +28,9 @@ def measured_map(given: Given, first: Float[Array, "y x"], parts: Parts) -> Map:
     """Repeated measurement in the views, sharpening and diffusion; see `refine_disparity`.
 
     Args:
-        given: see `Given`; its `views` are there.
-        first: where to start, px per view step.
-        parts: of the chain; `dense` is there.
+        given: see `Given`; `views` must not be None.
+        first: initial disparity, px per view step.
+        parts: parts of the chain; `dense` must not be None.
 
     Returns:
         The map. Differentiable.
@@ -38,8 +38,8 @@ def measured_map(given: Given, first: Float[Array, "y x"], parts: Parts) -> Map:
     every = _every(given) is not None
     kinds = _kinds(parts.refine, every=every)
 
-    # One look and one solver for all turns keep the program small: what differs between turns is a
-    # branch, and the two maps that a sharpening compares are looked at in turns of their own.
+    # One accumulation and one solver in the loop keep the program small. Steps differ by a branch,
+    # and the two maps that a sharpening compares are measured in steps of their own.
     def step(state: _State, turn: _Turn) -> tuple[_State, tuple[Array, Array, Array]]:
         if state.blurred is None:
             found = kept(_look(given, state.disparity))
@@ -73,13 +73,13 @@ def measured_map(given: Given, first: Float[Array, "y x"], parts: Parts) -> Map:
 
 
 class _Turn(NamedTuple):
-    """What is done in a turn of `measured_map`.
+    """One step of the loop of `measured_map`.
 
     Attributes:
         kind: see `_PLAIN`.
-        slack: by which factor a sharpened map may disagree more with the views.
-        sloped: whether the solve goes along the slopes of the map.
-        last: whether the error of the map is asked for.
+        slack: factor by which the residual of a sharpened map may be larger.
+        sloped: whether the solve uses the slopes of the map.
+        last: whether to compute the error of the map.
     """
 
     kind: Array
@@ -89,14 +89,14 @@ class _Turn(NamedTuple):
 
 
 class _Blurred(NamedTuple):
-    """What the views show of a map before it is sharpened, and how far they disagree with it."""
+    """Measurement around a map before sharpening, and its residual variance."""
 
     found: Look
     mismatch: Array
 
 
 class _State(NamedTuple):
-    """What a turn of `measured_map` hands on to the next."""
+    """The loop state of `measured_map`."""
 
     disparity: Array
     error: Array
@@ -104,7 +104,7 @@ class _State(NamedTuple):
 
 
 def _kinds(refine: Refine, *, every: bool) -> np.ndarray:
-    """The kinds of turns with measurements, in their order."""
+    """The kinds of the steps, in order."""
     if refine.sharpen.mode == "none":
         kinds = [_PLAIN] * refine.solves
     else:
@@ -123,7 +123,7 @@ def _turns(kinds: np.ndarray, refine: Refine, dtype: DTypeLike) -> _Turn:
 
 
 def _every(given: Given) -> Any:
-    """All views, where labels are measured in them."""
+    """All views if labels are measured in them, else None."""
     return None if given.views is None else given.views.every
 
 
@@ -134,7 +134,7 @@ def _views(given: Given) -> PreparedViews:
 
 
 def _look(given: Given, disparity: Array) -> Look:
-    """What the views of the crosshair, or the photographs, show around a map."""
+    """Accumulates the crosshair's or the photographs' normal equations around a map."""
 
     @staged
     def look(disparity: Array) -> Look:
@@ -146,7 +146,7 @@ def _look(given: Given, disparity: Array) -> Look:
 
 
 def _around(given: Given, found: Look, disparity: Array, *, parts: Parts) -> Look:
-    """What all views show around a map; beside its steps, what the crosshair does."""
+    """Mixes the normal equations of all views with those of the crosshair beside steps."""
     whole = _every(given).look(disparity, _views(given).params)
     share = _share_of_all(disparity, parts.refine)
     return jax.tree.map(lambda a, c: share * a + (1 - share) * c, whole.per_pixel(), found)
@@ -158,7 +158,7 @@ def _sharpened(
     turn: _Turn,
     parts: Parts,
 ) -> tuple[_State, Look]:
-    """The map, sharpened where the views do not mind, if it is the turn for that; and its look."""
+    """Sharpens the map where the residual allows it; also returns its normal equations."""
     assert state.blurred is not None
     sharpens, params = turn.kind == _SHARPENED, _views(given).params
 
@@ -173,7 +173,7 @@ def _sharpened(
     compared = sharpens | (turn.kind == _BLURRED)
     differs = lax.cond(compared, disagreement, lambda _, d: jnp.zeros_like(d), found, moved)
     minds = sharpens & (differs > turn.slack * (state.blurred.mismatch + 2 * params.noise**2))
-    # What was seen of the chosen map need not be looked up again.
+    # The chosen map has been measured already.
     disparity, found = jax.tree.map(
         partial(jnp.where, minds), (state.disparity, state.blurred.found), (moved, found)
     )
@@ -181,7 +181,7 @@ def _sharpened(
 
 
 def _solve(given: Given, found: Look, disparity: Array, turn: _Turn, parts: Parts) -> Any:
-    """Labels at every pixel, with those of the points, diffused."""
+    """Diffuses dense labels together with those of the points."""
     params, refine, sparse = _views(given).params, parts.refine, given.from_points
     assert parts.dense is not None
 
@@ -190,7 +190,7 @@ def _solve(given: Given, found: Look, disparity: Array, turn: _Turn, parts: Part
         return labels(found, given.lab, disparity, params, passes=params.passes)
 
     if _every(given) is not None:
-        # Points were measured in the crosshair, and have no say against all views.
+        # Points were measured in the crosshair only, so they do not override all views.
         alone = 1 - _share_of_all(disparity, refine)
         share = jnp.where(turn.kind == _AROUND, alone, 1)
         sparse = sparse._replace(weight=share * sparse.weight)
@@ -210,7 +210,7 @@ def _solve(given: Given, found: Look, disparity: Array, turn: _Turn, parts: Part
 
 
 def _share_of_all(disparity: Array, refine: Refine) -> Array:
-    """Share of all views against the crosshair in the label of a pixel: 1 far from steps."""
+    """Share of all views, against the crosshair, in a pixel's label: 1 far from steps."""
     window = (2 * refine.beside + 1,) * 2
     step = lax.reduce_window(steepest(disparity), -jnp.inf, lax.max, window, (1, 1), "SAME")
     return 1 / (1 + (step / refine.parted) ** 4)

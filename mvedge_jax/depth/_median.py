@@ -1,4 +1,4 @@
-"""A weighted median whose weights follow an image's colours."""
+"""A weighted median whose weights follow an image's colors."""
 
 from functools import partial
 from typing import Any, NamedTuple
@@ -27,17 +27,17 @@ def weighted_median(
     levels: int,
     quantised: bool = False,
 ) -> Float[Array, "y x"]:
-    r"""Median over a window, weighted as a guided filter weighs.
+    r"""Median over a window, with the weights of a guided filter.
 
-    The share of weight at or below a level is the guided filter's answer to the slice
-    $[v \le \ell]$; the median is the level at which it crosses one half. A ramp one slice wide
+    The guided filter, applied to the slice $[v \le \ell]$, gives the share of weight at or below
+    level $\ell$; the median is the level at which the share crosses one half. A ramp one slice wide
     instead of the sharp slice, and linear interpolation between levels, give a continuous value.
 
     Args:
         values: image to filter, `[y, x]`.
         guide: image with three channels that steers the weights, `[c, y, x]`.
-        epsilon: regularisation of the guide's covariance.
-        radius: of the window, px.
+        epsilon: regularization of the guide's covariance.
+        radius: radius of the window, px.
         levels: number of slices between the least and the largest value.
         quantised: return the first level past one half.
 
@@ -60,7 +60,7 @@ def weighted_median(
 
 
 class _Slices(NamedTuple):
-    """What is static of a median."""
+    """Static options of a median."""
 
     radius: int
     levels: int
@@ -68,13 +68,14 @@ class _Slices(NamedTuple):
 
 
 class _Sliced(NamedTuple):
-    """What the shares of a slice have derivatives in.
+    """The arrays with respect to which the shares of a slice are differentiated.
 
     Attributes:
         values: `[y, x]`.
         low: the first level.
-        spacing: of levels.
-        guide: its channels; a stack's derivatives would be put together anew at every level.
+        spacing: spacing of the levels.
+        guide: channels of the guide, not stacked: a stack's derivative would be assembled at every
+            level.
         mean: of the channels around every pixel.
         moments: their covariances, see `Factored`.
     """
@@ -98,10 +99,10 @@ class _Crossing(NamedTuple):
     """Where the share of weight below a level reaches one half.
 
     Attributes:
-        level: the number of the first level at which it does, of floating type; the number of
-            levels where none does.
-        share: there.
-        before: at the level before; 0 for the first.
+        level: index of the first level at which it does, as a float; the number of levels if there
+            is none.
+        share: share of weight at this level.
+        before: share at the previous level; 0 for the first.
     """
 
     level: Array
@@ -141,7 +142,7 @@ def _search(slices: _Slices, sliced: _Sliced, still: _Still) -> _Crossing:
 
 @partial(jax.custom_jvp, nondiff_argnums=(0,))
 def _crossing(slices: _Slices, sliced: _Sliced, still: _Still) -> _Crossing:
-    """`_search`, whose derivatives need nothing of what the levels hand on to one another."""
+    """`_search` with a derivative rule that does not differentiate the scan's carry."""
     return _search(slices, sliced, still)
 
 
@@ -195,26 +196,26 @@ def _share(slices: _Slices, level: Array, sliced: _Sliced, still: _Still) -> Flo
 
 
 def _ramp(level: Array, sliced: _Sliced) -> Array:
-    """What a slice is made from by clipping: it rises from 0 to 1 around its level."""
+    """The unclipped ramp of a slice: it rises from 0 to 1 around its level."""
     return (sliced.low + sliced.spacing * level - sliced.values) / sliced.spacing + 0.5
 
 
 def _sums(piece: Array, guide: tuple[Array, ...], radius: int) -> list[Array]:
-    """Sums over the windows, of a map and of its products with the guide's colours."""
+    """Window sums of a map and of its products with the guide's channels."""
     return [_box_sum(m, radius) for m in (piece, *(c * piece for c in guide))]
 
 
 def _regressed(
     sums: list[Array], sliced: _Sliced, still: _Still
 ) -> tuple[Array, tuple[Array, ...]]:
-    """Mean of a map around every pixel and its slopes in the guide's colours, from `_sums`."""
+    """Local mean of a map and its slopes in the guide's channels, from `_sums`."""
     mean, *products = (total / still.area for total in sums)
     covariance = [p - m * mean for p, m in zip(products, sliced.mean, strict=True)]
     return mean, solved(Factored(sliced.moments, still.factors), covariance)
 
 
 def _offset(mean: Array, slope: tuple[Array, ...], sliced: _Sliced) -> Array:
-    """What a regression says where the guide is 0."""
+    """Intercept of a regression: its value where the guide is 0."""
     for s, m in zip(slope, sliced.mean, strict=True):
         mean = mean - s * m
     return mean
@@ -225,9 +226,9 @@ def _pulled_share(
 ) -> _Sliced:
     """The transpose of a share's derivative, by hand: JAX's takes twice the time.
 
-    The filter is its own transpose but for the areas: cotangents are regressed on the guide as the
-    slice is, and both slopes together give the cotangents of means and moments. These are still to
-    be multiplied by the areas.
+    The filter is its own transpose up to the window areas: cotangents are regressed on the guide
+    like the slice, and both slopes give the cotangents of means and moments. The caller multiplies
+    these by the areas.
     """
 
     def both(piece: Array, wanted: Array, guide: tuple[Array, ...]) -> tuple[list[Array], ...]:
@@ -238,7 +239,7 @@ def _pulled_share(
 
     ramp = _ramp(level, sliced)
     piece, wanted = jnp.clip(ramp, 0, 1), wanted / still.area
-    # Stored, or XLA computes the sums anew for each of their readers.
+    # Stored; otherwise XLA recomputes the sums for each of their readers.
     of_piece, of_wanted = fenced(both, piece, wanted, sliced.guide)
     mean, slope = _regressed(of_piece, sliced, still)
     around, turned = _regressed(of_wanted, sliced, still)

@@ -27,16 +27,16 @@ from ._sharpen import Sharpen
 if TYPE_CHECKING:
     from ._edge_depth import EdgeDepth
 
-# Residuals at which diffusions stop, relative to the right-hand side, which labels of the edges
-# alone make so small that single precision gets no further. Maps do not change.
+# Relative residuals at which diffusions stop. With labels at edges alone, the right-hand side is
+# so small that single precision gets no further; maps do not change.
 _DENSE, _SPARSE = 1e-5, 1e-4
 PRESETS = ("full", "edges", "thesis")
-# Points per pixel to reserve, which sets shapes: memory; what finds no slot is counted.
+# Slots for points, per pixel. They set shapes and memory; overflow is counted.
 _FILL = 0.65
-# Ranges of files are rounded, a number format: beyond so much, px per view step, they are others.
+# Ranges in files are rounded: differences up to this, px per view step, are ignored.
 _ROUNDED = 0.02
 
-# Defaults in px per view step are for light fields that reach this far from the centre view.
+# Defaults in px per view step are for light fields with views this far from the center view.
 _REACH = 4
 _PER_STEP = (
     "measurement.largest_step",
@@ -73,7 +73,7 @@ def parts_for(
     capacity = max(int(_FILL * height * width), 1)
     if preset == "thesis":
         check_regular(light_field, "the preset 'thesis'")
-        # A filter beyond either end of the range, so that its ends are no border of the bank.
+        # One filter beyond either end, so that the ends of the range are not borders of the bank.
         reach = round(1.05 * max(abs(low), abs(high), 0.1), 3)
         return {
             "calibration": AsIs(),
@@ -125,13 +125,13 @@ def parts_for(
 def for_few_views(model: "EdgeDepth", farthest: int) -> dict[str, Any]:
     """Numbers in px per view step for light fields of fewer than 9x9 views.
 
-    What views tell of a disparity is a shift in the outermost one: over fewer steps, it is that of
-    disparities that are so much larger. Numbers grow in proportion, but for the difference of
-    neighbors of one surface, which also tells outlines: it grows with the root.
+    A disparity is observed as a shift in the outermost view, so with fewer view steps the same
+    shift means a larger disparity. Numbers grow in proportion, except `measurement.same_surface`,
+    which also separates surfaces at outlines and grows with the square root.
 
     Args:
-        model: of a preset, with the numbers for 9x9 views.
-        farthest: view steps from the centre view to the outermost one.
+        model: a preset's model with the numbers for 9x9 views.
+        farthest: view steps from the center view to the outermost one.
 
     Returns:
         Values by path; none for 9x9 views and more.
@@ -145,8 +145,8 @@ def for_few_views(model: "EdgeDepth", farthest: int) -> dict[str, Any]:
 
 
 def _solver(tolerance: float) -> AutoSolver:
-    # By the estimated error, solves take up to five times the steps for the same map: most of that
-    # error is in pixels without any label to speak of.
+    # A bound on the estimated error takes up to five times the steps for the same map, because
+    # most of that error is in pixels without a significant label.
     return AutoSolver(tolerance=as_number(tolerance), by_residual=True)
 
 
@@ -154,11 +154,11 @@ def check_covers(light_field: LightField, model: "EdgeDepth") -> None:
     """Refuses a model made for other positions of the views or another range of disparities.
 
     Args:
-        light_field: whose range and positions count; those that are traced are taken on trust.
-        model: what it searches has to cover them.
+        light_field: its range and positions are checked unless they are traced.
+        model: its searched range has to cover that of the light field.
 
     Raises:
-        ValueError: it does not.
+        ValueError: the model does not cover the light field.
     """
     _check_positions(light_field, model)
     known = light_field.disparity_range

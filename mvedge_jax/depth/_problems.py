@@ -1,4 +1,4 @@
-"""What a result says against itself, in sentences for people."""
+"""Problems of a result, as sentences."""
 
 from typing import TYPE_CHECKING, Any
 
@@ -21,7 +21,7 @@ def problems(result: "DepthResult") -> tuple[str, ...]:
         )
     found += _vignette_doubts(stats.exposure)
     if not int(stats.edges.valid):
-        # A step between two plain surfaces may be a surface's end, and then fits any disparity.
+        # A step between two plain surfaces may be the end of one, which fits any disparity.
         found.append("no edge was found: the views do not determine the map, whatever its error.")
     if int(stats.edges.overflow):
         found.append(f"{int(stats.edges.overflow)} weak edges found no slot and were left out.")
@@ -29,7 +29,7 @@ def problems(result: "DepthResult") -> tuple[str, ...]:
 
 
 def _vignette_doubts(exposure: Any, *, most: float = 0.3) -> list[str]:
-    """Vignettes that differ a lot were taken out; what the lens of the centre view does was not."""
+    """Warns of strong vignettes: their differences are removed, the center view's own is not."""
     uneven = np.asarray(exposure.unevenness)
     if not (uneven > most).any():
         return []
@@ -51,19 +51,19 @@ def map_problems(
     beyond: float = 0.02,
     near: float = 0.005,
 ) -> tuple[str, ...]:
-    """What a disparity map and its statistics say against it, on the host.
+    """Problems of a disparity map, by its statistics, on the host.
 
     Args:
         disparity: px, `[y, x]`.
         error: its standard error, px, `[y, x]`.
         converged: whether every diffusion reached its tolerance.
         searched: lowest and highest disparity that was tried, px.
-        vague: half of the pixels known to no better than this share of the range are not known.
-        beyond: share of the pixels beyond an end of the range from which the range is doubted.
-        near: what is no farther beyond an end, px, is at it.
+        vague: a map is doubted if its median error exceeds this share of the range.
+        beyond: the range is doubted if this share of the pixels lies beyond one end.
+        near: pixels up to this far beyond an end, px, count as within the range.
 
     Returns:
-        Sentences for people, none if there is nothing to say.
+        One sentence per problem.
 
     Example:
         >>> map_problems(np.zeros((2, 2)), np.full((2, 2), 0.01), False, (-1.0, 1.0))
@@ -89,7 +89,7 @@ def map_problems(
 def _range_doubts(
     disparity: np.ndarray, searched: np.ndarray, most: float, near: float
 ) -> list[str]:
-    """Where the range was too narrow, pixels gather beyond its ends."""
+    """Warns of a range that is too narrow: pixels gather beyond its ends."""
     doubts = []
     for end, word, outside in (
         (searched[0], "lowest", disparity < searched[0] - near),

@@ -1,4 +1,4 @@
-"""What the diffusions of the chain read, and how they go."""
+"""Inputs and options of the chain's diffusions."""
 
 from typing import NamedTuple
 
@@ -28,24 +28,25 @@ class Refine(eqx.Module):
     Attributes:
         precision: standard error at which a label counts half as much as a perfect one.
         stiffness: weight of an uncut edge between pixels against a perfect label.
-        slopes: of the map's slopes; None for a map that is as flat as its labels allow.
+        slopes: diffusion of the map's slopes; None for a map that is as flat as its labels allow.
         sharpen: moves depth steps onto color steps.
-        error: from errors of labels to those of the map.
+        error: standard error of the map from those of labels.
         worse_at_first: a pixel follows the first sharpened map unless its residual grows by more
-            than this factor (plus twice this, squared noise): the median would swallow structures
-            that are thinner than half of its window, and the views know better. At first, thin
-            structures are not yet fitted to the views.
+            than this factor (plus twice this, squared noise): the median removes structures
+            thinner than half of its window, and the views show them. At first, thin structures are
+            not yet fitted to the views.
         worse: the same factor for the second sharpening.
-        parted: step beside a pixel that halves the share of all views in its label: the views of
-            the corners look past an edge on two sides, and smear it.
+        parted: step beside a pixel that halves the share of all views in its label: views in the
+            corners of the grid look past an edge on two sides and blur it.
         coarser: solves for slopes and errors stop at this many times the tolerance of the map.
-        accepted: a label of less weight is not accepted: its standard error is ten times
-            `precision`, or the views disagree about its pixel. Accepted ones are counted, no more.
-        outline: which of two surfaces a pixel beside a step shows, so that it goes to the one that
-            covers most of it; None to leave pixels where the diffusion put them.
+        accepted: least weight of an accepted label, that of a standard error of ten times
+            `precision`. Only the statistics use it.
+        outline: assigns a pixel beside a step to the surface that covers most of it; None to keep
+            the diffused value.
         solves: diffusions between two sharpenings.
-        around: solves at the end whose labels are measured in all views, where these are asked for.
-        beside: how far from a step labels of all views are doubted, px.
+        around: solves at the end with labels measured in all views, if `Measurement.views` is
+            `"all"`.
+        beside: distance from a step within which labels of all views lose weight, px.
     """
 
     precision: Float[Array, ""] = number(0.005, "px")
@@ -68,13 +69,13 @@ class Refine(eqx.Module):
 
 
 class Map(NamedTuple):
-    """A map, the standard error of its labels, and how the diffusions went.
+    """A map, the standard error of its labels, and the convergence of the diffusions.
 
     Attributes:
         disparity: `[y, x]`.
-        error: of the labels that every pixel is made from; 0 without labels. `StandardError` makes
-            it that of the map.
-        iterations: of every diffusion of the map.
+        error: standard error of the labels that every pixel is diffused from; 0 without labels.
+            `StandardError` turns it into that of the map.
+        iterations: solver iterations of every diffusion of the map.
         converged: whether all diffusions reached their tolerance.
         labeled: share of the pixels with an accepted label in the last solve.
     """
@@ -92,18 +93,17 @@ def labeled_share(labels: Labels, refine: Refine) -> Array:
 
 
 class Given(NamedTuple):
-    """What all solves read.
+    """Inputs of all solves.
 
     Attributes:
-        from_points: labels of the points, of weight 0 where there is none.
-        views: of a light field or of posed photographs, ready to be measured in; None without
-            dense labels.
+        from_points: labels of the points, with weight 0 where there is none.
+        views: prepared views of a light field or of posed photographs; None without dense labels.
         lab: the reference view in CIELAB, denoised, `[c, y, x]`.
         guide: the same in sRGB.
         span: width of the range that was searched, px: the standard error of a map without
             evidence.
         depth_edge: depth-edge confidence, px per px, `[y, x]`.
-        lit: 0 where there is nothing of the scene to see: no label counts, and no step is cut.
+        lit: 0 in the vignette mask, where labels have no weight and no edge is cut.
     """
 
     from_points: Labels
@@ -125,7 +125,7 @@ class Parts(NamedTuple):
 
 
 def cut_edges(given: Given, disparity: Array, smoothness: Smoothness) -> tuple[Array, Array]:
-    """Smoothness by the steps of a map: full between neighbors of which one is not lit."""
+    """Smoothness by the steps of a map; 1 between neighbors of which one is not lit."""
     tx, ty = smoothness(given.lab, disparity, given.depth_edge)
     if given.lit is None:
         return tx, ty

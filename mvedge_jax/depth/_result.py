@@ -1,4 +1,4 @@
-"""What the chain returns."""
+"""The result of the chain."""
 
 from typing import NamedTuple
 
@@ -14,18 +14,18 @@ from ._problems import problems
 
 
 class DepthStats(NamedTuple):
-    """How the chain went.
+    """Statistics of the chain.
 
     Attributes:
         edges: counts of the point stage.
         points: edge points that reached a pixel.
         sided: points with a surface vector.
-        iterations: of the two directional diffusions and of every map, in order.
+        iterations: solver iterations of the two directional diffusions and of every map, in order.
         converged: whether every diffusion of maps, slopes and errors reached its tolerance.
-        noise: of the views, in their units after `exposure` was taken out.
-        exposure: what was taken out of the views before they were compared: `gain`, `vignette`.
+        noise: noise of the views, in their units after `exposure` was removed.
+        exposure: `gain` and `vignette` that were removed from the views before they were compared.
         sound: whether all parameters were finite and none negative; if not, the map is NaN.
-        searched: lowest and highest disparity that was tried, px per view step.
+        searched: lowest and highest disparity searched, px per view step.
     """
 
     edges: EdgeStats
@@ -43,15 +43,15 @@ class DepthStats(NamedTuple):
 
 
 class DepthResult(NamedTuple):
-    """Depth of the centre view, with what it was made from.
+    """Depth of the center view, with the edges and statistics behind it.
 
     Attributes:
         disparity: px per view step, larger is nearer, `[y, x]`.
-        error: standard error of the disparity, px, `[y, x]`: of the labels that a pixel was made
-            from, its own and, where these are weak, those of its surroundings, which far from any
-            label give way to the spread of the whole map or, where little was measured at all, to
-            the width of the range that was tried; and what bends of the map and half a pixel of
-            doubt about the place of a depth step amount to. Infinite if there is no label at all.
+        error: standard error of the disparity, px, `[y, x]`. It combines the errors of the labels
+            that a pixel was diffused from, the bending of the map, and half a pixel of uncertainty
+            about the position of a depth step. Far from any label it grows to the spread of the
+            map or, if little was measured, to the width of the searched range. Infinite if there
+            is no label at all.
         depth_edge: depth-edge confidence, px per px, `[y, x]`: the gradient of the map or, where
             the chain has no dense labels, that of its `sides` (Thesis, Section 4.3).
         points: the multi-view edges.
@@ -67,11 +67,11 @@ class DepthResult(NamedTuple):
     stats: DepthStats
 
     def problems(self) -> tuple[str, ...]:
-        """What the statistics say against the map, one sentence each; on the host."""
+        """Problems of the map by its statistics, one sentence each; on the host."""
         return problems(self)
 
     def check(self) -> "DepthResult":
-        """The same result, if there is nothing to say against it; on the host.
+        """The same result, if it has no problems; on the host.
 
         Raises:
             RuntimeError: with the sentences of `problems`.

@@ -19,12 +19,11 @@ class Sharpen(eqx.Module):
     Attributes:
         epsilon: regularization of the guided filter.
         slack: with `"clip"`, how far the map may stay from the median.
-        radius: of the guided filter, px.
-        levels: slices of the range of disparities.
-        mode: `"median"` interpolates the median between slices; `"clip"` keeps the map where it
-            is within `slack` of that median, and so its precision; `"quantised"` returns the slice
-            itself, as the thesis does, through which no derivative passes; `"none"` changes
-            nothing.
+        radius: radius of the guided filter, px.
+        levels: number of slices of the range of disparities.
+        mode: `"median"` interpolates the median between slices; `"clip"` keeps the map, and so its
+            precision, within `slack` of that median; `"quantised"` returns the slice itself, as
+            the thesis does, and has no derivative; `"none"` changes nothing.
 
     Source: Thesis 6.1, "Cross-hair View Projection"; the interpolation and the clip are ours.
 
@@ -56,7 +55,7 @@ class Sharpen(eqx.Module):
 
         Args:
             disparity: px per view step, `[y, x]`.
-            guide: the centre view, sRGB, three channels `[c, y, x]`.
+            guide: the center view, sRGB, three channels `[c, y, x]`.
 
         Returns:
             The sharpened map. Differentiable; which level crosses one half is a selection.

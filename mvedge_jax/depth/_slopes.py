@@ -29,15 +29,15 @@ def slope_labels(
     edges: tuple[Float[Array, "y x-1"], Float[Array, "y-1 x"]],
     params: Slopes,
 ) -> tuple[Float[Array, "2 y x"], Float[Array, "2 y x"]]:
-    """What a map says about its slopes, to be diffused as the map's own labels are.
+    """Labels of the slopes, from the differences of a map.
 
-    Membranes bend nothing: where labels are weak they flatten a slanted wall. Differences of the
-    map are therefore diffused along uncut edges themselves, weighted by how well both pixels are
-    known, and the next solve asks for these differences (`rises`) instead of for none.
+    A membrane flattens a slanted wall where labels are weak. So the differences of the map are
+    diffused themselves, along uncut edges and weighted by the labels of both pixels, and the next
+    solve prefers these differences (`rises`) to 0.
 
     Args:
         disparity: a map, px per view step, `[y, x]`.
-        weight: of the labels that it was made from, `[y, x]`.
+        weight: weights of the labels of the map, `[y, x]`.
         edges: smoothness between neighbors, in [0, 1], `tx` and `ty`.
         params: see `Slopes`.
 
@@ -52,7 +52,7 @@ def slope_labels(
 
 
 def rises(slopes: Float[Array, "2 y x"]) -> tuple[Float[Array, "y x-1"], Float[Array, "y-1 x"]]:
-    """What neighboring pixels should differ by: the mean of their slopes.
+    """Preferred differences of neighboring pixels: the mean of their slopes.
 
     Args:
         slopes: along x and along y, px per px.
@@ -71,12 +71,12 @@ def _known(
     steepest: Float[Array, ""],
     axis: int,
 ) -> tuple[Array, Array]:
-    """What is known of the slope along an axis at every pixel: weight, and weight times slope."""
+    """Weight, and weight times slope, along an axis at every pixel."""
     size = disparity.shape[axis]
     start, end = (lax.slice_in_dim(weight, i, i + size - 1, axis=axis) for i in (0, 1))
     rise = jnp.diff(disparity, axis=axis)
     both = start * end / jnp.maximum(start + end, LEAST_DIVISOR)
-    # A cut edge tells nothing about the slope of either surface.
+    # A cut edge has no information about the slope of either surface.
     share = edges[1 - axis] ** 2 * both / (1 + (rise / steepest) ** 4)
     return _ends(share, axis), _ends(share * rise, axis)
 

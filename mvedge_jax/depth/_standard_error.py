@@ -1,4 +1,4 @@
-"""Standard error of a map: that of its labels, of what has none, and of the place of its steps."""
+"""Standard error of a map: of its labels, of regions without any, and of depth steps."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -12,24 +12,25 @@ class StandardError(eqx.Module):
     r"""From standard errors of labels to those of the map.
 
     The error $\sigma$ of a label becomes $m \sigma^2 / (\sigma + h)$: the map averages labels that
-    agree, so that most pixels are far better than their labels' floor says, whereas labels that are
-    known badly share their mistake with all others around. A map that bends is off as well: windows
-    of labels average over the bend.
+    agree, so most pixels are far more accurate than the floor of their labels' errors, whereas
+    inaccurate labels share their error with all labels around. A bend of the map adds an error,
+    because windows of labels average over it.
 
-    Only what is stated depends on this, never the map. Defaults are from cotton, backgammon, bench
+    Only the stated error depends on these numbers, never the map. Defaults are from cotton,
+    backgammon, bench
     and rendered scenes, see `experiments/calibration.py`.
 
     Attributes:
-        most: $m$, error of the map per error of labels where these are known badly.
-        half: $h$, error of a label at which it is half of that. For 9x9 views; larger for fewer.
-        bent: error per second difference of the map between neighbors.
+        most: $m$, error of the map per error of inaccurate labels.
+        half: $h$, error of a label at which this ratio is halved. For 9x9 views; larger for fewer.
+        bent: error of the map per second difference between neighbors.
         step: second differences beyond this are depth steps, which are errors of another kind. For
             9x9 views; larger for fewer.
-        misplaced: a depth step is found to this distance.
-        alike: the map's own spread is believed as far as perfect labels outnumber these, which a
-            window of 7x7 pixels shares. With fewer, anything within the range searched may be true.
-        forgotten: distance from any label beyond which a map tells no more about a surface than its
-            own spread.
+        misplaced: uncertainty of the position of a depth step.
+        alike: the spread of the map is used as far as there are more perfect labels than this
+            number, that of a window of 7x7 pixels. With fewer labels, the width of the searched
+            range is used.
+        forgotten: distance from any label beyond which the error is the spread of the map.
     """
 
     most: Float[Array, ""] = number(2.5)
@@ -62,11 +63,11 @@ class StandardError(eqx.Module):
         return jnp.where(known, jnp.sqrt(square), jnp.inf)
 
     def spread(self, disparity: Array, weight: Array, span: Array) -> Array:
-        """How far from the map a surface without labels may be: by the map, or by the range.
+        """Standard error of a surface without labels: spread of the map, or width of the range.
 
         Args:
             disparity: the map, any shape.
-            weight: of the labels, 1/variance against a perfect one, broadcastable.
+            weight: weights of the labels, 1/variance relative to a perfect one, broadcastable.
             span: width of the range that was searched.
 
         Returns:

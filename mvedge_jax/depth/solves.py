@@ -15,16 +15,16 @@ from ._refine import Given as Given, Map as Map, Parts as Parts, cut_edges, labe
 
 
 def refine_disparity(given: Given, first: Float[Array, "y x"], parts: Parts) -> Map:
-    """Diffusion of labels, repeated, with slopes from the second solve on, and sharpening.
+    """Repeated diffusion of labels, with slopes from the second solve on, and sharpening.
 
-    With dense labels, these are measured anew around every map, and a pixel follows the sharpened
-    map only where the views do not mind. Without, the labels of the points are diffused `solves`
-    times, each time with the edges that the map before it cuts, and the map is sharpened once.
+    Dense labels are measured again around every map, and a pixel follows the sharpened map only if
+    the residual allows it. Without dense labels, those of the points are diffused `solves` times,
+    each time with edges cut by the previous map, and the map is sharpened once.
 
     Args:
         given: see `Given`.
-        first: where to start, px per view step.
-        parts: of the chain.
+        first: initial disparity, px per view step.
+        parts: parts of the chain.
 
     Returns:
         The map. Differentiable.

@@ -5,12 +5,11 @@ such an image away after a few levels and needs two to five times the iterations
 square. For 64 images 512 long, elimination takes a ninth of its time with 9 rows, a third with 16
 and as long with 24, at any contrast.
 
-Four habits of XLA on the CPU shape the code, each worth a factor of 1.2 to ten here. A product is
-computed anew for every reader: a pixel is eliminated behind a fence, and what is read often is the
-result of a division, which is not repeated. A sum along a short axis is a call to a library; the
-same sum, written out, is not. A slice of a large array is copied element by element unless it is a
-row. Every array that a scan puts together starts as a copy of zeros: one large one is better than
-many.
+Four properties of XLA on the CPU shape the code, each worth a factor of 1.2 to ten here. A product
+is recomputed for every reader: a pixel is therefore eliminated behind a fence, and values that are
+read often are results of a division, which is not repeated. A sum along a short axis is a library
+call, unless it is written out. A slice of a large array is copied element by element unless it is
+a row. Every output of a scan starts as a copy of zeros, so one large array is better than many.
 """
 
 from collections.abc import Iterable
@@ -27,15 +26,15 @@ from mvedge_jax._cpu import fenced
 from ._pcg import Iterate
 from ._stencil import Coefficients, inner, largest, pad, product, spread
 
-# Error of the elimination, in roundings of the largest entry: twice the largest that was seen, on
-# sides from 1 to 16, up to 2000 pixels long, data at 1 to 90 % of them, and any contrast.
+# Error bound of the elimination, in roundings of the largest entry: twice the largest error
+# measured, on sides from 1 to 16, up to 2000 pixels long, data at 1 to 90 % of them, any contrast.
 _ROUNDING = 32
 
 
 class _Front(NamedTuple):
     """The last column that was eliminated."""
 
-    tableau: Array  # swept: its inverse, and that times its row sums and right-hand side
+    tableau: Array  # swept: its inverse, and the inverse times its row sums and right-hand side
     tie: Array  # to the next column, `[h, b]`
 
 
@@ -65,10 +64,11 @@ def refine(
     by_residual: bool,
     max_iterations: int,
 ) -> Iterate:
-    """Eliminates, and substitutes again with what is left while that is asked for and helps.
+    """Eliminates, and repeats the substitution with the residual while it is needed and helps.
 
-    Once is enough for an error above the rounding. With a negative weight digits may be lost, so
-    that the first estimate is the solution itself; each later one is the last correction.
+    One substitution suffices for a threshold above the rounding error. A negative weight may lose
+    digits, so the first estimate of the error is the solution itself, and later ones are the last
+    correction.
 
     Args:
         coefficients: the matrix, with any leading batch axes.
@@ -77,7 +77,7 @@ def refine(
         absolute: part of the threshold for the measure of error.
         relative: part of the threshold, as a share of the largest entry of the solution.
         by_residual: measure the root of the sum of squares of the residual, not the error.
-        max_iterations: substitutions at most.
+        max_iterations: largest number of substitutions.
 
     Returns:
         The solution and its statistics.
@@ -148,7 +148,8 @@ def _eliminate(coefficients: Coefficients, right: Array) -> tuple[_Eliminated, A
         right: right-hand side.
 
     Returns:
-        What `_forwards` and `_backwards` need, and what `_forwards` makes of `right`.
+        The elimination, for `_forwards` and `_backwards`, and the result of `_forwards` for
+        `right`.
     """
     y, x = right.shape[-2:]
     tx, ty = pad(coefficients.tx, (0, 0), (0, 1)), pad(coefficients.ty, (0, 1), (0, 0))
@@ -184,7 +185,7 @@ def _forwards(eliminated: _Eliminated, data: Array) -> Array:
 
 
 def _backwards(eliminated: _Eliminated, carried: Array) -> Array:
-    """The solution from what `_forwards` returns; zero where nothing is tied to data."""
+    """The solution from the result of `_forwards`; zero where nothing is tied to data."""
 
     def step(later: Array, column: tuple[Array, Array, Array]) -> tuple[Array, Array]:
         at, carried, ahead = column
@@ -201,13 +202,13 @@ def _times(inverses: Array, at: Array, right: Array) -> Array:
 
 
 def _next_column(front: _Front, weight: Array, ahead: Array, within: Array, data: Array) -> Array:
-    """The tableau of the next column, from the one that was eliminated.
+    """The tableau of the next column, from the last eliminated one.
 
     Args:
         front: the last column.
-        weight: data weights of this one.
+        weight: data weights of the next column.
         ahead: its ties to the column after it.
-        within: ties between its neighbours.
+        within: ties between its neighbors.
         data: its right-hand side.
 
     Returns:
@@ -228,19 +229,19 @@ def _next_column(front: _Front, weight: Array, ahead: Array, within: Array, data
 def _sweep(tableau: Array, *, pivot: int) -> Array:
     """Eliminates one pixel (sweep operator, by additions only).
 
-    Where both pixels were swept, the ties have become entries of the inverse; where one was, the
-    chance of a random walk from it to leave by the other. The diagonal is not used before its
-    pixel is swept.
+    Ties between two swept pixels become entries of the inverse; those between a swept and another
+    pixel, the probability of a random walk to leave by the other. The diagonal is not used before
+    its pixel is swept.
 
     Args:
         tableau: as `_next_column` makes it, swept for the pixels before.
         pivot: the pixel.
 
     Returns:
-        The same for one pixel more; nothing passes through a pixel that is tied to nothing.
+        The tableau with one more pixel swept; a pixel without ties changes nothing.
     """
     height, width = tableau.shape[:2]
-    # They hold the same ties, but the product of both is faster than that of the row with itself.
+    # Row and column hold the same ties, but their product is faster than that of the row alone.
     row, column = tableau[pivot], tableau[:, pivot]
     total = row[height] + _sum(row[j] for j in range(pivot + 1, height))
     alive = total > 0
@@ -261,7 +262,7 @@ def _sum(terms: Iterable[Array]) -> Any:
 
 
 def _kept(values: Array) -> Array:
-    """The values, as the result of a division by a one that the compiler does not see."""
+    """The values, divided by a one that is opaque to the compiler."""
     return values / jnp.where(jnp.isinf(values), values, 1)
 
 

@@ -1,4 +1,4 @@
-"""What `vmap` makes of a solver: members of a batch in turn, or in groups if they are small."""
+"""Solvers under `vmap`: members of a batch in turn, or in groups if they are small."""
 
 from collections.abc import Callable
 from functools import lru_cache
@@ -77,7 +77,7 @@ def mapped(function: Callable[..., Any], solver: Any) -> Callable[..., Any]:
 
 
 def _group(solver: Any, arguments: Any) -> int:
-    """How many members are solved together, from the size of the first image."""
+    """Number of members solved together, by the size of the first image."""
     y, x = jax.tree.leaves(arguments)[0].shape[-2:]
     return solver.together((y, x))
 

@@ -16,10 +16,10 @@ from ._stencil import pad
 
 
 class Stencil(NamedTuple):
-    """A symmetric matrix: mass (row sums) and what ties a pixel to its eight neighbours.
+    """A symmetric matrix: mass (row sums), and ties of a pixel to its eight neighbors.
 
-    Keeping the row sums instead of the diagonal means that a region which hangs on the rest by
-    edges a billion times weaker than its own does not lose them to rounding.
+    Row sums in place of the diagonal keep the edges of a weakly connected region, even a billion
+    times weaker than the edges inside, from being lost to rounding.
     """
 
     mass: Array
@@ -30,7 +30,7 @@ class Stencil(NamedTuple):
 
 
 class Interpolation(NamedTuple):
-    """What each fine pixel takes from the corners of its cell."""
+    """Weights of the corners of its cell for each fine pixel."""
 
     side_x: tuple[Array, Array]
     side_y: tuple[Array, Array]
@@ -38,7 +38,7 @@ class Interpolation(NamedTuple):
 
 
 def ties(stencil: Stencil, values: Array) -> Array:
-    """Sum of the eight neighbours, each times the weight of the edge to it."""
+    """Sum of the eight neighbors, each times the weight of its edge."""
     total = (
         pad(stencil.tx * values[..., 1:], (0, 0), (0, 1))
         + pad(stencil.tx * values[..., :-1], (0, 0), (1, 0))
@@ -154,10 +154,10 @@ def coarsen(stencil: Stencil) -> tuple[Stencil, Interpolation]:
     """Interpolation that follows the edge weights, and the matrix on the coarse grid.
 
     On a side, the tie to each corner is the sum of all edges that lead to its half, and the edges
-    along the other direction are left out; inside, the pixel's own equation is solved. Where
-    there is a data weight the sum of what is taken falls short of 1, which pins corrections to
-    zero at strong data. The pixels inside have no residual after interpolation, so that the
-    Galerkin product needs only the sides (Dendy 1982, black-box multigrid).
+    along the other direction are left out; inside, the pixel's own equation is solved. At a data
+    weight the interpolation weights sum to less than 1, which holds corrections at zero at strong
+    data. The pixels inside have no residual after interpolation, so that the Galerkin product
+    needs only the sides (Dendy 1982, black-box multigrid).
     """
     weights, shortfall = fenced(_weights, stencil)
     leak = fenced(lambda: stencil.mass - product(stencil, shortfall))
@@ -165,7 +165,7 @@ def coarsen(stencil: Stencil) -> tuple[Stencil, Interpolation]:
 
 
 def _weights(stencil: Stencil) -> tuple[Interpolation, Array]:
-    """Interpolation, and by how much each fine pixel falls short of a constant."""
+    """Interpolation, and one minus the sum of each fine pixel's weights."""
     fine = _fine(stencil)
     west = fine.c_h + fine.h_v_rising + before_y(fine.v_h)
     east = fine.h_c + fine.h_v + before_y(fine.v_h_rising)
@@ -207,7 +207,8 @@ def _galerkin(stencil: Stencil, weights: Interpolation, shortfall: Array, leak: 
     """The matrix on the coarse grid.
 
     Off-diagonal entries are summed cell by cell, over the inside pixel, the four edges between
-    sides, and the edges along the sides. Row sums come from the fine ones, free of cancellation.
+    sides, and the edges along the sides. Row sums are computed from the fine row sums, without
+    cancellation.
     """
     fine = _fine(stencil)
     (west, east), (north, south) = weights.side_x, weights.side_y
@@ -245,9 +246,9 @@ def _galerkin(stencil: Stencil, weights: Interpolation, shortfall: Array, leak: 
     tx = above + before_y(below) + along_x - fine.mass_x * west * east
     ty = left + before_x(right) + along_y - fine.mass_y * north * south
 
-    # Interpolation in strongly uneven cells makes some edges and row sums negative. Cutting these
-    # off adds to the matrix, so that corrections get smaller but never unstable, and every level
-    # has the properties that the next one and the smoother rest on. With negative edges, float32
+    # Interpolation in strongly uneven cells makes some edges and row sums negative. Clipping them
+    # adds to the matrix, so that corrections get smaller but never unstable, and every level has
+    # the properties that the next one and the smoother need. With negative edges, float32
     # diverged on random smoothness of 1 and 1e-4.
     mass = restrict(weights, leak)
     return Stencil(

@@ -39,21 +39,22 @@ def diffuse(
     $\partial L/\partial w = a (s - D)$,
     $\partial L/\partial t_{pq} = -(a_q - a_p)(D_q - D_p - r_{pq})$ and
     $\partial L/\partial r_{pq} = t_{pq} (a_q - a_p)$. Both use the hierarchy again, and both
-    may be differentiated once more. They are those of the exact solution: `start`, the tolerance
-    and the statistics have none. How such a solve goes, Lineax tells for a cotangent at hand:
+    may be differentiated once more. Derivatives are those of the exact solution: `start`, the
+    tolerance and the statistics have none. For the statistics of such a solve, call Lineax with
+    the cotangent:
     `lineax.linear_solve(linear_operator(system), cotangent, Multigrid())`.
 
-    *Stopping.* The residual is a poor measure where weights differ by orders of magnitude: it
-    weighs an error by the stiffness of the place. One V-cycle on the residual is an estimate of
-    the error itself, in the unit of the labels, that conjugate gradients computes anyway; one step
-    after its largest entry falls below the tolerance times the range of the labels, it ends. Where
-    the preconditioner misses a mode, the estimate is too small by the smallest eigenvalue of the
-    preconditioned matrix, so it is divided by what conjugate gradients have seen of that. Where
-    edges differ by more than 1e3, what they have not seen yet is looked for in a companion, a
-    system of the same matrix whose solution is known and that takes the same steps: its error,
-    times three, has to fall below the tolerance, too. What float32 cannot solve, it cannot solve
-    for the companion either, nor below its precision times the norm of the inverse, and does not
-    claim to: that begins where edges are cut by 1e-6 or more (`experiments/solver_truth.py`).
+    *Stopping.* The residual is a poor measure if weights differ by orders of magnitude, because it
+    scales an error by the local stiffness. One V-cycle on the residual, which conjugate gradients
+    compute anyway, estimates the error itself in the unit of the labels. The solver stops one step
+    after the largest entry of this estimate falls below the tolerance times the range of the
+    labels. If the preconditioner misses a mode, the estimate is too small by the smallest
+    eigenvalue of the preconditioned matrix; it is therefore divided by the estimate of that
+    eigenvalue from conjugate gradients. If edges differ by more than 1e3, modes may still be
+    unnoticed. Then a companion system with the same matrix and a known solution takes the same
+    steps: three times its error has to fall below the tolerance, too. Where float32 cannot solve
+    the system, with edges cut by 1e-6 or more, the companion fails as well or the norm of the
+    inverse shows it, and `converged` is False (`experiments/solver_truth.py`).
 
     *Singular parts.* A part of the image without a path of positive edges to any data has no
     unique solution. It takes the weighted mean of all labels, or 0; `stats.isolated` counts it.
@@ -66,22 +67,22 @@ def diffuse(
     Args:
         system: weights and labels; `weight`, `tx`, `ty` finite and ≥ 0, labels finite where
             `weight > 0`.
-        start: where to start, `[y, x]`, unit of the labels; by default the weighted mean of the
+        start: initial value, `[y, x]`, unit of the labels; by default the weighted mean of the
             labels. Not differentiable.
         solver: `AutoSolver`, the default, `Multigrid`, `Elimination` or a `ConjugateGradients` of
             your own, with tolerance and cap on the iterations; or any solver of Lineax for
-            symmetric operators, which says by its own measure whether it converged.
-        adjoint: what solves for the derivatives in either mode; by default `solver`. One that
-            differs in nothing but its tolerance shares the compiled solver.
+            symmetric operators, with its own measure of convergence.
+        adjoint: solver of the derivatives in either mode; by default `solver`. It shares the
+            compiled program if only the tolerance differs.
 
     Returns:
         The dense map and statistics. Differentiable with respect to all maps of `system`.
 
     Raises:
         ValueError: shapes do not match or, outside `jit`, a weight is negative or not finite, or
-            a label that counts is not finite, or a tolerance is negative or NaN. Under `jit` such a
-            system gives NaN and `stats.converged` is False, which it is for such a tolerance, too;
-            a negative weight that leaves the matrix positive definite is solved.
+            a label that counts is not finite, or a tolerance is negative or NaN. Under `jit` such
+            a system gives NaN, and `stats.converged` is False, as for such a tolerance. A system
+            with a negative weight is solved if its matrix is positive definite.
         TypeError: the maps are not of one floating type.
 
     Source: Thesis 6.1, Eq. 6.1; 7.1.1, Eq. 7.2.
@@ -110,11 +111,10 @@ def diffuse(
 def _jitted(static: Any, numbers: Any, system: System, start: Array | None) -> Diffused:
     """Solves for a correction of the start, so that a large common offset costs no digits.
 
-    Written around `lax.custom_linear_solve`, which is a primitive: a `custom_jvp` is forgotten
-    where JAX splits a loop for reverse mode, and forward mode over that would go through the
-    iterations.
+    It uses the primitive `lax.custom_linear_solve`, because JAX drops a `custom_jvp` when it
+    splits a loop for reverse mode; forward mode over that would differentiate the iterations.
     """
-    # A pixel without a finite label can have no weight, and so no derivative in it either.
+    # A pixel without a finite label has weight 0, so the derivative in the weight is 0, too.
     finite = jnp.isfinite(system.label)
     weight = jnp.where(finite, system.weight, lax.stop_gradient(system.weight))
     coefficients = Coefficients(weight, *system.edges)
@@ -122,7 +122,7 @@ def _jitted(static: Any, numbers: Any, system: System, start: Array | None) -> D
     both = eqx.combine(numbers, static)
     solve_one, keep, threshold = _solvers(both, fixed)
     label = jnp.where(finite | (weight != 0), system.label, 0)
-    # Data on a part that has none would tie it: the mean has no derivative in its weights.
+    # A part without data gets the mean, which has no derivative in the weights of this part.
     known = jnp.where(keep, weight, 0)
     total = _total(known)
     mean = inner(known, label) / jnp.where(total > 0, total, 1)
@@ -158,7 +158,7 @@ def _jitted(static: Any, numbers: Any, system: System, start: Array | None) -> D
     rest = lax.stop_gradient(jnp.sqrt(inner(rest, rest)))
     converged = found.converged
     if getattr(both[0], "by_residual", False):
-        # Conjugate gradients update the residual, which drifts from the true one.
+        # The residual that conjugate gradients update drifts from the true one.
         converged = converged & (rest <= 3 * threshold)
     if isinstance(both[0], AbstractSolver):
         converged = converged & (both[0].tolerance >= 0)
@@ -184,7 +184,7 @@ def _solvers(both: Any, system: System) -> tuple[Callable[..., Any], Array, Arra
     ours = isinstance(solver, AbstractSolver)
     keep = state.keep if ours else reachable(system.coefficients)
     threshold = _threshold(solver, system) if ours else jnp.asarray(jnp.nan, system.weight.dtype)
-    # The thresholds are numbers: one program serves both.
+    # The thresholds are traced: one program serves both.
     shared = ours and isinstance(adjoint, AbstractSolver) and choices(solver) == choices(adjoint)
     if adjoint is None or shared:
         other = adjoint or solver
@@ -216,7 +216,7 @@ def _solved(
     share: Array,
     promise: lx.AbstractLinearSolver,
 ) -> Iterate:
-    """Solves with a solver of ours, or any other, which knows its own tolerance only."""
+    """Solves with a solver of this package, or with another one and its own tolerance."""
     if isinstance(solver, AbstractSolver) and isinstance(promise, AbstractSolver):
         return solve(solver, state, right, absolute, share * promise.tolerance)
     value, result, stats = solver.compute(state, right, {})

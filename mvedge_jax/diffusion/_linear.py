@@ -12,7 +12,7 @@ from ._system import System
 
 
 class SystemOperator(lx.AbstractLinearOperator):
-    """The matrix of a `System`: symmetric, positive semidefinite, never made.
+    """The matrix of a `System`, matrix-free: symmetric, positive semidefinite.
 
     Attributes:
         coefficients: data weights and edges.
@@ -46,7 +46,7 @@ class SystemOperator(lx.AbstractLinearOperator):
 
 
 def linear_operator(system: System) -> SystemOperator:
-    """The matrix of a system as an operator, for our solvers and all others of Lineax.
+    """The matrix of a system as an operator, for solvers of this package and of Lineax.
 
     Args:
         system: the weights; labels are not used.

@@ -1,4 +1,4 @@
-"""Multigrid with operator-dependent interpolation: one V-cycle, fixed, symmetric, definite."""
+"""Multigrid with operator-dependent interpolation: one V-cycle, symmetric and definite."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -14,12 +14,12 @@ from mvedge_jax._cpu import fenced
 from ._coarsen import Interpolation, Stencil, coarsen, degree, fill, interpolate, restrict, ties
 from ._stencil import Coefficients
 
-# Steps of a smoother, and the least eigenvalue that they damp, of at most 2. The preconditioner's
-# alone: they cost or save steps, and the solution is the same.
+# Steps of a smoother, and the least eigenvalue (of at most 2) that they damp. They affect the
+# number of iterations, not the solution.
 _DEGREE = 3
 _LOWEST = 0.3
-# Levels that fit into this many pixels a side are padded to one shape and handled by a loop: they
-# cost nothing to run, but each level that is written out costs time to compile.
+# Levels up to this many pixels a side are padded to one shape and run in a loop: their time is
+# negligible, but every unrolled level costs compile time.
 _SMALL = 32
 
 
@@ -27,7 +27,7 @@ class Level(NamedTuple):
     """One level, scaled so that its eigenvalues lie between 0 and 2.
 
     Attributes:
-        root: square roots of the numbers that it is scaled by.
+        root: square roots of the scale factors.
         stencil: the scaled edges; the mass is that of the unscaled matrix. The diagonal is 1.
         weights: interpolation from the next level, unscaled.
     """
@@ -103,7 +103,7 @@ def _small_cycle(levels: Level, residual: Array) -> Array:
 
     upper = jax.tree.map(lambda maps: maps[:-1], levels)
     bottom, (values, rights) = lax.scan(down, residual, upper)
-    # Only one pixel is left, and the sum of all data weights.
+    # One pixel remains, with the sum of all data weights.
     solution = _inverse(levels.root[-1]) ** 2 * bottom
     return lax.scan(up, solution, (upper, values, rights), reverse=True)[0]
 
@@ -126,8 +126,8 @@ def _up(level: Level, value: Array, right: Array, correction: Array) -> Array:
 
 
 def _smooth(value: Array, right: Array, level: Level, factors: Array) -> Array:
-    # The scan keeps XLA from fusing the steps: it would compute each stencil anew for each of
-    # its neighbours, 50 times slower for three steps.
+    # The scan keeps XLA from fusing the steps: it would recompute each stencil for each of its
+    # neighbors, 50 times slower for three steps.
     def step(value: Array, factor: Array) -> tuple[Array, None]:
         return value + factor * _residual(value, right, level), None
 

@@ -1,15 +1,15 @@
 """Preconditioned conjugate gradients on a batch of images, each with its own stopping.
 
-A preconditioner may miss a mode: a region that hangs on the rest by edges a billion times weaker
-than its own has as small a residual, however wrong its level is, and conjugate gradients take long
-to notice. Nothing that is computed from the residual can tell. Where edges are that uneven, a
-*companion* is therefore solved along: the same matrix with a right-hand side whose solution is
-known. Both share the steps of conjugate gradients, so that the same polynomial of the matrix
-multiplies both errors, and that of the companion can simply be looked at. It has a constant, which
-meets the data as the solve itself does, and what repeated preconditioning leaves of waves: just
-the modes that are missed. What the number format loses shows in it, too, but as a matter of luck
-where that is nearly all of the error: it must not be, by the norm of the inverse, which conjugate
-gradients estimate on their way.
+A preconditioner may miss a mode: a region whose edges to the rest are a billion times weaker than
+its own has a tiny residual, however wrong its level is, and conjugate gradients need many steps to
+notice. No quantity computed from the residual shows this error. If edges are that uneven, a
+*companion* system is therefore solved with the same matrix and a right-hand side whose solution is
+known. Both share the steps of conjugate gradients, so the same polynomial of the matrix multiplies
+both errors, and that of the companion can be measured. The solution of the companion is a
+constant, which meets the data like the solve itself, plus the remainder of waves after repeated
+preconditioning: exactly the missed modes. Rounding errors show in the companion, too, but
+unreliably if they are nearly all of the error; a bound by the norm of the inverse, which conjugate
+gradients estimate, excludes that case.
 """
 
 from collections.abc import Callable
@@ -22,21 +22,20 @@ from jaxtyping import Array
 
 from ._stencil import Coefficients, inner, largest, product, spread
 
-# The numbers of the stopping rule follow from arithmetic and many systems, not from scenes: they
-# decide when to stop, not what is solved.
+# The numbers of the stopping rule come from arithmetic and tests on many systems, not from scenes.
 # Steps that prepare the companion, and the share of its error to that of the solve.
 _PROBES, _SAFETY = 4, 3.0
 # The number format's precision times the norm of the inverse bounds what rounding does to the
 # solution. Of that bound, errors were seen to be a hundredth to twice, and where they could be
 # told from the companion it was below ten thresholds; above sixty the two have nothing in common.
 _ROUNDED = 1 / 60
-# Where the largest is more than this times the smallest, edges are uneven; multigrid was not seen
-# to miss anything below.
+# Edges are uneven if the largest is more than this times the smallest; below, multigrid missed no
+# mode in tests.
 _EVEN = 1e3
 
 
 class Iterate(NamedTuple):
-    """What conjugate gradients found: the solution and how well it is known."""
+    """Result of conjugate gradients: the solution and its error estimate."""
 
     value: Array
     iterations: Array
@@ -45,7 +44,7 @@ class Iterate(NamedTuple):
 
 
 class _Problem(NamedTuple):
-    """What stays the same from step to step."""
+    """The constants of an iteration."""
 
     coefficients: Coefficients
     precondition: Callable[[Array], Array]
@@ -153,7 +152,7 @@ def _step(problem: _Problem, state: _State) -> _State:
 
     def walk(i: Array, carry: tuple[Any, Array]) -> tuple[Any, Array]:
         images, sizes = carry
-        # Selected, not multiplied by zero: what cannot be used may be infinite.
+        # Selected, not multiplied by zero, because unused values may be infinite.
         steps = (spread(length) * moved.direction[i], -spread(length) * moved.moved[i])
         walked = [
             jnp.where(spread(able), a[i] + b, a[i]) for a, b in zip(images, steps, strict=True)
@@ -172,8 +171,8 @@ def _step(problem: _Problem, state: _State) -> _State:
     if problem.by_residual:
         estimate = jnp.sqrt(inner(residual[0], residual[0]))
     else:
-        # The step is taken after its estimate has been made, so that the answer is better than
-        # the estimate by about the factor of one iteration.
+        # The step follows its estimate, so that the solution is better than the estimate by about
+        # the factor of one iteration.
         known = wrong * jnp.maximum(size / _nonzero(moved.scale), 1)
         estimate = errors[0] * longest
         rounded = _ROUNDED * jnp.finfo(size.dtype).eps * longest * size
@@ -182,7 +181,7 @@ def _step(problem: _Problem, state: _State) -> _State:
     threshold = problem.absolute + problem.relative * size
     converged = ~probing & (estimate <= threshold)
     solving = state.active & ~probing
-    # Residuals that are updated fall on when values no longer do: what is left is rounding.
+    # Updated residuals keep falling when the values have converged to rounding.
     own = jnp.max(errors, axis=0) * longest
     lost = problem.doubtful & (own <= jnp.finfo(own.dtype).eps * threshold)
     more = able & ~converged & ~lost & (state.iterations + 1 < problem.max_iterations)
@@ -200,7 +199,7 @@ def _step(problem: _Problem, state: _State) -> _State:
 
 
 def _members(problem: _Problem, state: _State) -> tuple[Array, Array]:
-    """From which image to which: the companion is left out where nothing is in doubt."""
+    """Range of images to iterate: without the companion if edges are even."""
     first = jnp.where(state.probes > 1, 1, 0)
     return first, jnp.where(jnp.any(problem.doubtful), 2, 1)
 
@@ -233,7 +232,7 @@ def _directed(problem: _Problem, state: _State) -> tuple[_State, Array, Array, A
         before = jnp.where(spread(factor) == 0, 0, spread(factor) * direction[i])
         return direction.at[i].set(guess[i] + before)
 
-    # A loop of its own: a direction that is not in memory yet is made again by all who use it.
+    # A separate loop, because a direction that is not stored is recomputed by each reader.
     direction = lax.fori_loop(*members, turned, state.direction)
 
     def multiplied(i: Array, carry: tuple[Array, Array]) -> tuple[Array, Array]:
@@ -247,7 +246,7 @@ def _directed(problem: _Problem, state: _State) -> tuple[_State, Array, Array, A
 
 
 def _accompanied(problem: _Problem, state: _State, first: Array) -> _State:
-    """While probing, the next probe; after the last one, the companion at its start."""
+    """While probing, the next probe; after the last one, the start of the companion."""
     last = state.probes == 1
     # As large as the solution: the first guess of it.
     scale = jnp.where(last, first, state.scale)
@@ -269,7 +268,7 @@ def _each(images: tuple[Array, ...], i: Array, values: list[Array]) -> Any:
 
 
 def _uneven(coefficients: Coefficients) -> Array:
-    """Whether edges differ by so much that regions may be missed."""
+    """Whether edges are so uneven that multigrid may miss a mode."""
     _, tx, ty = coefficients
     strong = jnp.maximum(largest(tx), largest(ty))
     return strong > _EVEN * jnp.minimum(_least(tx), _least(ty))
@@ -305,7 +304,7 @@ def _longest(state: _State, mixture: Array, length: Array) -> tuple[Array, Array
     Conjugate gradients build the Cholesky factor `R` of a tridiagonal matrix whose eigenvalues
     approach those of the preconditioned matrix: `1 / sqrt(length)` on the diagonal, and
     `sqrt(mixture / length)` above it. The squared norm of the inverse is estimated by extending
-    the maximising vector by one entry per step (Duff & Vömel 2002; Meurant & Tichý 2019).
+    the maximizing vector by one entry per step (Duff & Vömel 2002; Meurant & Tichý 2019).
     """
     first = state.iterations == 0
     above = jnp.sqrt(mixture / _nonzero(state.length))

@@ -1,4 +1,4 @@
-"""What a solver is, and how a solve went."""
+"""The interface of solvers, and the statistics of a solve."""
 
 import abc
 from collections.abc import Callable
@@ -19,11 +19,11 @@ from ._stencil import Coefficients, inner, largest, reachable, spread
 
 
 class SolverState(NamedTuple):
-    """All that a solver knows about a matrix before it sees a right-hand side.
+    """A prepared matrix, independent of the right-hand side.
 
     Attributes:
         coefficients: the matrix.
-        hierarchy: what the solver prepared.
+        hierarchy: result of `prepare`.
         keep: pixels that positive edges connect with data; elsewhere the matrix is singular.
     """
 
@@ -35,16 +35,16 @@ class SolverState(NamedTuple):
 class AbstractSolver(lx.AbstractLinearSolver[SolverState]):
     r"""A solver of `System`s, for `diffuse` and, with `linear_operator`, for Lineax.
 
-    What is said about its result is meant to be true: where a solve says that it converged, the
-    error is below the promise, and a number format that cannot keep it says so by not converging.
+    `converged` is a guarantee: the error is below the bound. If the number format cannot guarantee
+    it, `converged` is False.
 
     Attributes:
-        tolerance: where to stop, traced. The promise is a largest error of the solution, in the
-            unit of the labels, below `tolerance` times the range of the labels; where there are no
-            labels, as in the solves for derivatives, times the largest entry of the solution.
+        tolerance: bound of the error, traced. The largest error of the solution, in the unit of
+            the labels, is below `tolerance` times the range of the labels or, in solves for
+            derivatives, times the largest entry of the solution.
         by_residual: stop when the norm of the residual is below `tolerance` times the norm of the
-            right-hand side instead, which is how solvers are usually compared and says little
-            about the error where data weights differ by orders of magnitude.
+            right-hand side instead, which is how solvers are usually compared. It says little
+            about the error if data weights differ by orders of magnitude.
         max_iterations: steps at most.
     """
 
@@ -75,7 +75,7 @@ class AbstractSolver(lx.AbstractLinearSolver[SolverState]):
 
     @abc.abstractmethod
     def together(self, shape: tuple[int, int]) -> int:
-        """How many images of a size to solve at once under `vmap`."""
+        """Number of images of a size to solve at once under `vmap`."""
 
     def init(self, operator: Any, options: dict[str, Any]) -> SolverState:
         """Prepares a matrix.
@@ -85,7 +85,7 @@ class AbstractSolver(lx.AbstractLinearSolver[SolverState]):
             options: none are read.
 
         Returns:
-            What `compute` needs.
+            The input of `compute`.
 
         Raises:
             TypeError: the operator is another one.
@@ -198,14 +198,13 @@ class ConjugateGradients(AbstractSolver):
         )
 
     def together(self, shape: tuple[int, int]) -> int:
-        """As many as share operations that are long enough to be worth starting."""
+        """Enough small images to make operations long."""
         return max(_TOGETHER // (shape[0] * shape[1]), 1)
 
 
-# Pixels that are solved together under `vmap`. Images of more than half of that are solved one
-# after the other: each stops on its own and stays in the cache. Smaller ones share operations, so
-# that these are long enough to be worth starting; larger groups leave the cache and wait for the
-# slowest member.
+# Pixels solved together under `vmap`. Images of more than half of that are solved one after the
+# other: each stops on its own and stays in the cache. Smaller ones share operations, to make these
+# long; larger groups leave the cache and wait for the slowest member.
 _TOGETHER = 1 << 14
 
 
@@ -216,7 +215,7 @@ def check_steps(max_iterations: int) -> None:
 
 
 def choices(solver: AbstractSolver) -> AbstractSolver:
-    """The solver without its numbers, which is hashable and tells compiled solvers apart."""
+    """The solver without its numbers: a hashable key of compiled solvers."""
     return jax.tree.map(lambda _: 0.0, solver)
 
 
@@ -267,15 +266,14 @@ def _iterate(
 
 
 class SolveStats(eqx.Module):
-    """How a solve went.
+    """Statistics of a solve.
 
     Attributes:
         iterations: steps of conjugate gradients.
         residual: norm of the true residual over the norm of the right-hand side, both without
             the mean label.
         estimate: the number that was compared with the tolerance: the estimated largest error in
-            the unit of the labels, unless the solver goes `by_residual`. NaN if the solver is one
-            of Lineax.
+            the unit of the labels, or the residual with `by_residual`. NaN for solvers of Lineax.
         converged: whether the tolerance was reached. False for NaN in the system.
         isolated: number of pixels without a path of positive edges to any data.
     """
@@ -291,7 +289,7 @@ class SolveStats(eqx.Module):
 
 
 class Diffused(eqx.Module):
-    """A dense map and how it was found.
+    """A dense map with the statistics of its solve.
 
     Attributes:
         value: the solution, in the unit of the labels.

@@ -1,4 +1,4 @@
-"""The solvers to choose from."""
+"""The solvers of the package."""
 
 from collections.abc import Callable
 from typing import Any
@@ -13,16 +13,16 @@ from ._pcg import Iterate
 from ._solver import AbstractSolver, ConjugateGradients, SolverState, check_steps
 from ._stencil import Coefficients
 
-# Entries of the inverses of a column that are worked on together: as many as fit in the fastest
+# Entries of the inverses of a column that are processed together: as many as fit into the fastest
 # cache (512 images of 9x512, on one device: 74 ms in groups of 64, 79 of 32, 109 of 16).
 _WINDOW = 64 * 9 * 9
-# Thin images that are worth eliminating: the cost per pixel grows with the square of the short
-# side, and columns come one after the other.
+# Largest thin images for elimination: its cost per pixel grows with the square of the short side,
+# and columns are sequential.
 _THIN, _SHORT = 16, 1 << 14
 
 
 class Multigrid(ConjugateGradients):
-    r"""Conjugate gradients with one V-cycle of multigrid: the choice for images.
+    r"""Conjugate gradients with one V-cycle of multigrid, for images.
 
     Attributes:
         tolerance: where to stop, a share of the range of the labels; see `AbstractSolver`.
@@ -46,14 +46,13 @@ class Multigrid(ConjugateGradients):
 class Elimination(AbstractSolver):
     """Exact elimination: for images with a short side, such as epipolar-plane images.
 
-    One step suffices, and the estimate is a bound on the rounding that was measured, not computed.
-    With a negative weight, or a tolerance below that bound (4e-6 in float32), what is left is
-    substituted again.
+    One step suffices; its estimate is a measured bound of the rounding error. With a negative
+    weight, or a tolerance below that bound (4e-6 in float32), the residual is substituted again.
 
     Attributes:
         tolerance: where to stop, a share of the range of the labels; see `AbstractSolver`.
         by_residual: stop by the residual instead.
-        max_iterations: substitutions at most.
+        max_iterations: largest number of substitutions.
     """
 
     tolerance: Float[Array, ""] | float = number(1e-4, threshold=True)
@@ -64,7 +63,7 @@ class Elimination(AbstractSolver):
         check_steps(self.max_iterations)
 
     def prepare(self, coefficients: Coefficients) -> tuple[()]:
-        """Nothing: inverses take `h` times the memory of an image, every solve makes them anew."""
+        """Nothing: inverses take `h` times the memory of an image, so solves recompute them."""
         return ()
 
     def iterate(
@@ -82,7 +81,7 @@ class Elimination(AbstractSolver):
         )
 
     def together(self, shape: tuple[int, int]) -> int:
-        """As many as fit in the fastest cache."""
+        """As many images as fit into the fastest cache."""
         return max(_WINDOW // min(shape) ** 2, 1)
 
 

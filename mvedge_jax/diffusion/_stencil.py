@@ -1,7 +1,7 @@
 """The five-point stencil: products with the matrix, its diagonal, and sums over the image.
 
 Every function works on the last two axes, so that a leading axis is a batch. Shifts are written
-as padded slices, the form that XLA turns into one vectorised pass over the image on the CPU.
+as padded slices, which XLA compiles to one vectorized pass over the image on the CPU.
 """
 
 from typing import NamedTuple
@@ -40,7 +40,7 @@ def around(along_x: Array, along_y: Array, sign: int) -> Array:
 
 
 def neighbours(values: Array, tx: Array, ty: Array) -> Array:
-    """Sum of the four neighbours, each times the weight of the edge to it."""
+    """Sum of the four neighbors, each times the weight of its edge."""
     return (
         pad(tx * values[..., 1:], (0, 0), (0, 1))
         + pad(tx * values[..., :-1], (0, 0), (1, 0))
@@ -57,8 +57,8 @@ def differences(values: Array) -> tuple[Array, Array]:
 def product(coefficients: Coefficients, values: Array) -> Array:
     """`A values`, from differences along edges.
 
-    Multiplying by the diagonal and subtracting the neighbours would be the same in exact
-    arithmetic, but rounds a data weight of 1 beside an edge weight of 1e7 away in float32.
+    The diagonal minus the neighbors would be equal in exact arithmetic, but in float32 it loses a
+    data weight of 1 beside an edge weight of 1e7.
     """
     along_x, along_y = differences(values)
     flux = around(coefficients.tx * along_x, coefficients.ty * along_y, -1)
@@ -72,7 +72,7 @@ def diagonal(coefficients: Coefficients) -> Array:
         coefficients: the matrix.
 
     Returns:
-        An image, `[..., y, x]`: the plainest preconditioner. Differentiable.
+        An image, `[..., y, x]`: the simplest preconditioner. Differentiable.
     """
     return coefficients.weight + around(coefficients.tx, coefficients.ty, 1)
 
@@ -95,8 +95,8 @@ def largest(values: Array) -> Array:
 def reachable(coefficients: Coefficients) -> Array:
     """Pixels that are connected with some data through edges of positive weight.
 
-    Where all edges are positive, the answer needs no more than a look at the data weights.
-    Otherwise the data flood the image, one pixel of path length per step.
+    If all edges are positive, the data weights decide. Otherwise the data flood the image, one
+    pixel of path length per step.
 
     Returns:
         Boolean image, per image of a batch.
@@ -126,7 +126,7 @@ def reachable(coefficients: Coefficients) -> Array:
 def energy(
     coefficients: Coefficients, label: Float[Array, "y x"], value: Float[Array, "y x"]
 ) -> Float[Array, ""]:
-    """The quadratic that the solution minimises."""
+    """The quadratic form that the solution minimizes."""
     along_x, along_y = differences(value)
     data = coefficients.weight * (value - label) ** 2
     return (

@@ -20,13 +20,13 @@ if TYPE_CHECKING:
 class System(eqx.Module):
     r"""A weighted Poisson problem on the pixel grid.
 
-    Its solution minimises
+    Its solution minimizes
 
     $$\sum_p w_p (D_p - s_p)^2 + \sum_{(p,q)} t_{pq} (D_q - D_p - r_{pq})^2,$$
 
-    which solves $(\mathrm{diag}(w) + L_t) D = w s + \mathrm{div}(t r)$. Without rises $r$ it is
-    flat where nothing else is known, with them it follows a slant. Each edge between 4-neighbours
-    is stored once; nothing is tied to anything beyond the border (Neumann).
+    which solves $(\mathrm{diag}(w) + L_t) D = w s + \mathrm{div}(t r)$. Without rises $r$ the
+    solution is flat away from data; with them it follows a slant. Each edge between 4-neighbors is
+    stored once; no edge crosses the border (Neumann).
 
     Attributes:
         weight: data weights $w \ge 0$; 0 where a pixel has no label. A boolean mask counts as 1
@@ -34,8 +34,8 @@ class System(eqx.Module):
         label: labels $s$, any unit; read only where `weight > 0`.
         tx: weights of the edges between `(y, x)` and `(y, x + 1)`, ≥ 0.
         ty: weights of the edges between `(y, x)` and `(y + 1, x)`, ≥ 0.
-        rise_x: what `D[y, x + 1] - D[y, x]` should be, unit of the labels; None for 0.
-        rise_y: what `D[y + 1, x] - D[y, x]` should be; None for 0, as is `rise_x`.
+        rise_x: preferred `D[y, x + 1] - D[y, x]`, unit of the labels; None for 0.
+        rise_y: preferred `D[y + 1, x] - D[y, x]`; None for 0, if `rise_x` is None.
 
     Source: Thesis 4.2.2 and 6.1, Eq. 4.8, 6.1, 6.2; 7.1.1, Eq. 7.2 (with squares, each edge once).
 
@@ -57,7 +57,7 @@ class System(eqx.Module):
 
     def __post_init__(self) -> None:
         if getattr(self.weight, "dtype", None) == jnp.bool_ and hasattr(self.label, "dtype"):
-            # JAX's own precision for the labels of NumPy, which fields convert after this.
+            # JAX's default precision for labels in NumPy, which fields convert after this.
             self.weight = jnp.asarray(self.weight).astype(jnp.asarray(self.label).dtype)
 
     @property
@@ -86,7 +86,7 @@ class System(eqx.Module):
         return diagonal(self.coefficients)
 
     def right_hand_side(self) -> Float[Array, "y x"]:
-        """`b = w s + div(t r)`; no data where the weight is zero, whatever the label says."""
+        """`b = w s + div(t r)`; labels of zero weight are ignored, even NaN."""
         counts = (self.weight != 0) | jnp.isfinite(self.label)
         return self.weight * jnp.where(counts, self.label, 0) + inflow(self)
 
@@ -122,14 +122,14 @@ class System(eqx.Module):
 
 
 def inflow(system: System) -> Array:
-    """`div(t r)`: what the rises add to the right-hand side, with any leading batch axes."""
+    """`div(t r)`: the right-hand side of the rises, with any leading batch axes."""
     if system.rise_x is None or system.rise_y is None:
         return jnp.zeros_like(system.weight)
     return around(system.tx * system.rise_x, system.ty * system.rise_y, -1)
 
 
 def check(system: System) -> None:
-    """Raises a ValueError where a system cannot be solved; values are looked at outside `jit`."""
+    """Raises a ValueError if a system is invalid; values are checked outside `jit` only."""
     if system.weight.ndim != 2 or 0 in system.weight.shape:
         raise ValueError(
             "`system.weight` must be an image with at least one pixel, [y, x]; "

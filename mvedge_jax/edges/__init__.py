@@ -1,7 +1,7 @@
-"""Multi-view edges: points in the centre view and their disparity (Thesis 4.1).
+"""Multi-view edges: points in the center view and their disparity (Thesis 4.1).
 
-Rooms: `sides` (which surface an edge belongs to, and depth edges; Thesis 4.2.2, 4.3), `thesis`
-(points by the thesis' own steps).
+Subpackages: `sides` (the surface of an edge, and depth edges; Thesis 4.2.2, 4.3), `thesis` (points
+    by the thesis' own steps).
 """
 
 from ._edges import EdgeDetector as EdgeDetector, OrientedEdges as OrientedEdges

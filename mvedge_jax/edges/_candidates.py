@@ -1,4 +1,4 @@
-"""Where edges are: pixels at which the filter bank or the centre view alone finds one."""
+"""Candidate pixels: those at which the filter bank or the center view alone finds an edge."""
 
 from typing import NamedTuple
 
@@ -11,16 +11,16 @@ from mvedge_jax.interpolation import vertex
 
 
 class Candidates(NamedTuple):
-    """Pixels on an edge, in raster order: the gathers of the refinement then stay local.
+    """Pixels on an edge, in raster order, which keeps the gathers of the refinement local.
 
     Attributes:
-        row: y of each.
-        column: x of each.
-        valid: which slots hold one.
+        row: y of each candidate.
+        column: x of each candidate.
+        valid: which slots hold a candidate.
         found: whether the filter response is a maximum along x, and along y.
-        alone: whether only the contrast of the centre view is.
-        total: how many there are.
-        overflow: how many found no slot.
+        alone: whether only the contrast of the center view is a maximum.
+        total: number of candidates.
+        overflow: number of candidates without a slot.
     """
 
     row: Int[Array, " n"]
@@ -62,17 +62,17 @@ def find_candidates(
     *,
     capacity: int,
 ) -> Candidates:
-    """Local maxima of the filter response or of the centre view's contrast, along x or y.
+    """Local maxima of the filter response or of the center view's contrast, along x or y.
 
-    Where lines cross, the stronger one raises the response of filters that only cross it, all
-    around: the weaker one is not a maximum there, although the centre view shows it clearly.
+    Near a crossing of lines, the stronger line raises the response of all filters that cross it,
+    so the weaker line is no maximum there, although the center view shows it clearly.
 
     Args:
         strength: filter responses along x and along y.
         centre: see `contrast`.
         floor: weakest response.
-        centre_floor: weakest contrast of the centre view alone, whose noise is not averaged.
-        capacity: slots.
+        centre_floor: weakest contrast of the center view, whose noise is not averaged.
+        capacity: number of slots.
 
     Returns:
         The candidates, in raster order.
@@ -86,7 +86,7 @@ def find_candidates(
     strongest = jnp.where(own, strength, jnp.where(single, centre, 0)).max(0)
     either = (own | single).any(0)
     count = either.sum()
-    # The weakest go first where there are more candidates than slots, not the last ones.
+    # If there are more candidates than slots, the weakest are dropped, not the last.
     if capacity < strongest.size:
         cut = jnp.sort(strongest.reshape(-1))[strongest.size - capacity - 1]
         either = either & ((count <= capacity) | (strongest > cut))
@@ -103,7 +103,7 @@ def find_candidates(
 def subpixel(
     strength: Float[Array, "2 y x"], centre: Float[Array, "2 y x"], candidates: Candidates
 ) -> Float[Array, "n 2"]:
-    """Vertex of the response along the direction, or directions, in which it is a maximum."""
+    """Vertex of a parabola through the response along each direction of a maximum."""
     row, column = candidates.row, candidates.column
     height, width = strength.shape[1:]
 

@@ -1,4 +1,4 @@
-"""Edge points: the oriented filter bank says where, the measurement at which disparity."""
+"""Edge points: positions by the oriented filter bank, disparities by the measurement."""
 
 from typing import Protocol, runtime_checkable
 
@@ -27,11 +27,11 @@ class EdgeDetector(Protocol):
     """
 
     def __call__(self, evidence: Evidence, *, key: PRNGKeyArray | None = None) -> Edges:
-        """Finds the points of the centre view.
+        """Finds the points of the center view.
 
         Args:
-            evidence: what the views say.
-            key: of detectors that draw.
+            evidence: calibrated views and measurement.
+            key: random key, for detectors that need one.
 
         Returns:
             Points and statistics.
@@ -43,8 +43,8 @@ class OrientedEdges(eqx.Module):
     """Edges by oriented Prewitt filters (Thesis 4.1.1), their disparity by the measurement.
 
     A bank of filters gives edge strength and position along every horizontal and vertical EPI.
-    Local maxima along either direction become points, one per pixel; so do those of the centre
-    view's own contrast, which lines that cross a stronger one need. Points that the views do not
+    Local maxima along either direction become points, one per pixel; so do those of the center
+    view's own contrast, to find lines that cross a stronger one. Points that the views do not
     determine are dropped, in place of Thesis 4.1.3 and 4.1.5.
 
     Attributes:
@@ -52,22 +52,23 @@ class OrientedEdges(eqx.Module):
         filters: number of filters.
         capacity: slots for points.
         spacing: spacing of the filters, px per view step.
-        farthest: view steps from the centre view to the outermost one of a light field that comes
+        farthest: view steps from the center view to the outermost one of a light field that comes
             with `positions`; None for a regular grid.
         banks: filters of the horizontal and of the vertical arm; None for Prewitt filters. Give
             them (`prewitt`) to learn them.
         strength_floor: weakest edge considered in a scene without noise.
-        above_noise: the same as a multiple of the noise: half of all pixels would be edges without.
-        error_limit: largest standard error of an accepted point in a scene without noise. Wide,
-            because each point carries its own error and weighs by it, and borders of plain surfaces
-            have no better ones; with noise in proportion wider.
+        above_noise: the same as a multiple of the noise; without it, half of all pixels would be
+            edges.
+        error_limit: largest standard error of an accepted point in a scene without noise. Large,
+            because each point is weighted by its own error, and borders of plain surfaces have no
+            better points. It grows in proportion to noise.
         error_noise: how fast the limit grows with noise: the standard deviation of a gray value
             over that of its three channels.
         darkest: lightness that some pixel of the 5x5 around a point must exceed: two of 255 steps,
             as in the vignetted corners of a lenslet camera.
         half_confidence: strength at which the confidence is one half.
-        deviation: squared difference of a view from the others, in multiples of what they differ by
-            among themselves, beyond which it does not show a point.
+        deviation: largest squared difference of a view from the others, in multiples of their own
+            variance, at which the view shows a point.
     """
 
     first: int = eqx.field(static=True)
@@ -98,7 +99,7 @@ class OrientedEdges(eqx.Module):
 
     @property
     def searched(self) -> tuple[float, float]:
-        """Lowest and highest disparity of the scene: without one filter at either end."""
+        """Lowest and highest disparity of the scene: the range less one filter at either end."""
         low, high = self.ends
         return low + self.spacing, high - self.spacing
 
@@ -109,13 +110,13 @@ class OrientedEdges(eqx.Module):
         *,
         steps: tuple[Float[Array, " u"], Float[Array, " v"]] | None = None,
     ) -> tuple[FilterBank, FilterBank]:
-        """The Prewitt filters: the default, and where learning them starts.
+        """The Prewitt filters: the default, and the start for learning filters.
 
         Args:
-            views: rows and columns of the grid of views, perhaps with more after them.
-            dtype: of the filters.
-            steps: from the centre view to the views of the horizontal arm and of the vertical one,
-                for a light field that comes with `positions`, at most `farthest` long.
+            views: a shape that begins with the rows and columns of the grid of views.
+            dtype: dtype of the filters.
+            steps: view steps from the center view to the views of the horizontal and the vertical
+                arm, at most `farthest`, for a light field with `positions`.
 
         Returns:
             The bank of the horizontal arm and that of the vertical one.
@@ -147,18 +148,18 @@ class OrientedEdges(eqx.Module):
 
 
 def _longest(params: OrientedEdges, views: int) -> int:
-    """View steps from the centre view to the outermost one of an arm of so many views."""
+    """View steps from the center view to the outermost one of an arm of so many views."""
     return views // 2 if params.farthest is None else params.farthest
 
 
 def _frontmost(
     measured: PhotometricLabels, limit: Array, step: float
 ) -> tuple[Float[Array, "y x"], Float[Array, "y x"]]:
-    """Labels, on the borders of surfaces those of the nearer one, and their variances.
+    """Labels and variances; on the border of two surfaces, those of the nearer one.
 
-    A border belongs to the nearer surface, but shows half of either: it is itself measured
-    worse than that surface is one pixel further on. Surfaces less than `step` apart, px per view
-    step, are one; variances beyond `limit` tell none.
+    A border belongs to the nearer surface, but its pixels show half of either, so a pixel of the
+    surface beside it is measured better. Surfaces less than `step` apart, px per view step, count
+    as one; labels with a variance beyond `limit` are ignored.
     """
     own, variance = measured.disparity, measured.variance
     best = jnp.where(variance < limit, own, -jnp.inf), variance
@@ -178,7 +179,7 @@ def _frontmost(
 
 
 def _measured_edges(evidence: Evidence, params: OrientedEdges) -> Edges:
-    """The points of evidence that has been measured."""
+    """Points from measured evidence."""
     scene, measured, shown = evidence.calibrated, evidence.measured, evidence.shown
     if measured is None or shown is None:
         raise ValueError("`OrientedEdges` need a `measurement` in the chain, got None.")
@@ -207,8 +208,8 @@ def _measured_edges(evidence: Evidence, params: OrientedEdges) -> Edges:
     label, variance = _frontmost(measured, limit**2, step)
     disparity = label[row, column]
     error = jnp.sqrt(variance[row, column])
-    # Where a lens gives no light at all, only the sensor's own pattern agrees between the views.
-    # What belongs to the sensor is as much brighter as the views are.
+    # In vignetted corners only the sensor's fixed pattern agrees between the views. It is
+    # brightened with them.
     light = highest(100 * srgb_to_gray(view), 2)[row, column]
     lit = light > params.darkest * scene.exposure.scale
     consistent = candidates.valid & (error < limit)

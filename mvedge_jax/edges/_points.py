@@ -1,4 +1,4 @@
-"""Multi-view edge points: the sparse, labelled features that the whole method rests on."""
+"""Multi-view edge points: the sparse, labeled features of the method."""
 
 import equinox as eqx
 from jaxtyping import Array, Bool, Float, Int
@@ -7,19 +7,19 @@ from mvedge_jax._params import jax_array, readable
 
 
 class EdgePoints(eqx.Module):
-    """A padded set of points of the centre view, each on an edge that is seen in many views.
+    """A padded set of points of the center view, each on an edge visible in many views.
 
     Slots that are not `valid` hold zeros and mean nothing.
 
     Attributes:
-        xy: position in the centre view, px, sub-pixel along the directions in which an edge was
+        xy: position in the center view, px, sub-pixel along the directions in which an edge was
             found.
         disparity: px per view step, larger is nearer.
         confidence: strength of the edge in (0, 1).
         error: standard error of `disparity`, px, from the residuals and the contrast around the
             point.
         normal: unit direction of the image gradient, `(x, y)`.
-        visible: in which views of the crosshair the point is seen: the vertical arm first, then
+        visible: views of the crosshair that show the point: the vertical arm first, then
             the horizontal one.
         valid: which slots hold a point.
     """
@@ -34,13 +34,13 @@ class EdgePoints(eqx.Module):
 
 
 class EdgeStats(eqx.Module):
-    """How many points were there after each step of `multiview_edges`.
+    """Number of points after each step of `multiview_edges`.
 
     Attributes:
         candidates: pixels at which the filter bank found an edge along a row or a column.
-        overflow: candidates that found no slot; the weakest are left out.
-        consistent: those whose disparity the views determine.
-        valid: points returned: those of them that are lit.
+        overflow: candidates without a slot; the weakest are left out.
+        consistent: candidates whose disparity the views determine.
+        valid: points returned: consistent candidates outside of the vignette mask.
     """
 
     candidates: Int[Array, ""]
@@ -57,7 +57,7 @@ class Edges(eqx.Module):
 
     Attributes:
         points: the edge points.
-        stats: how they came about.
+        stats: counts of each step.
     """
 
     points: EdgePoints

@@ -1,4 +1,4 @@
-"""The disparity range of a scene, measured where it is not given."""
+"""The disparity range of a scene, measured if it is unknown."""
 
 from dataclasses import dataclass
 
@@ -21,18 +21,18 @@ from ._candidates import contrast
 
 @dataclass(frozen=True)
 class RangeSearch:
-    """How the disparity range of a scene is looked for; numbers of the host.
+    """Parameters of the search for the disparity range, on the host.
 
     Attributes:
         step: spacing of the disparities tried, px per view step of the shrunk views.
-        window: half the width of the windows in which they are compared, px.
-        sure: largest cost, of 2, that is believed: the better halves of both arms agree half-way.
-        widest: magnitude up to which the range is doubled, px per view step: beyond this a scene
-            point leaves most views; nothing in the literature is wider.
-        grainy: noise in the shrunk views, gray levels of 100, from which single pixels are not
-            believed.
+        window: half the width of the windows in which views are compared, px.
+        sure: largest accepted cost, of 2.
+        widest: magnitude up to which the range is doubled, px per view step. Beyond this a scene
+            point leaves most views; no data set is wider.
+        grainy: noise in the shrunk views, gray levels of 100, above which single pixels are not
+            trusted.
         tail: share of the pixels beyond either end.
-        false: what noise beyond `grainy` adds to that share per gray level: false matches.
+        false: increase of that share per gray level of noise beyond `grainy`, for false matches.
     """
 
     step: float = 0.1
@@ -48,7 +48,7 @@ class RangeSearch:
 def _coarse(
     light_field: LightField, disparities: Array, noise: Noise, *, window: int
 ) -> tuple[Array, ...]:
-    """Best disparity, its cost, and the contrast of the centre view, per pixel."""
+    """Best disparity, its cost, and the contrast of the center view, per pixel."""
     lab = srgb_to_lab(light_field.centre_view)
     params = cast(Matching(), lab.dtype)
     planes = jnp.moveaxis(lab, -1, 0)
@@ -63,14 +63,14 @@ def disparity_range(
 ) -> tuple[float, float]:
     """Measures the disparity range of a scene from the crosshair of views, on the host.
 
-    The cost of `hypotheses` is looked up in shrunk views, their brightness made alike, over a wide
-    range, which is doubled as long as the best disparities lie at its ends. Textureless pixels, and
-    what the noise may have drawn, have no say; the margin covers what shrinking loses.
+    The cost of `hypotheses` is computed in shrunk views of equal brightness, over a wide range,
+    which is doubled while the best disparities lie at its ends. Textureless pixels and likely
+    noise are ignored; the margin covers the loss by shrinking.
 
     Args:
-        light_field: a `disparity_range` it may have is not looked at.
+        light_field: its own `disparity_range` is ignored.
         start: first magnitude tried, px per view step.
-        search: how; None for the defaults.
+        search: parameters; None for the defaults.
 
     Returns:
         Lowest and highest disparity, px per view step, with a margin.
@@ -94,7 +94,7 @@ def disparity_range(
     light_field = light_field.bare()
     exposure, noise = rough_brightness(light_field)
     coarse = expose(light_field.downsample(factor), exposure)
-    # Grey levels of 100 in the shrunk views; a fifth to a half of what colours in Lab show of it.
+    # Gray levels of 100 in the shrunk views; a fifth to a half of the noise of colors in Lab.
     grain = 100 / factor * float(noise.alpha * noise.deviation)
     noise = Noise.of(noise.deviation / factor)
     reach = start
@@ -107,7 +107,7 @@ def disparity_range(
         edge = slope > 1 + 6 * grain
         if not edge.any():
             edge = slope > 1
-        # The outermost disparities win by accident where there is no contrast: leave those out.
+        # Without contrast the outermost disparities win by chance: leave these pixels out.
         sure = edge & (cost < search.sure)
         if not edge.any():
             raise ValueError(
@@ -115,7 +115,7 @@ def disparity_range(
                 "`disparity_range`."
             )
         if grain > search.grainy:
-            # What noise adds to single pixels would make the tails.
+            # Noise in single pixels would make the tails.
             around = np.pad(disparities, 2, mode="edge")
             windows = np.lib.stride_tricks.sliding_window_view(around, (5, 5))
             disparities = np.median(windows, axis=(2, 3))
@@ -132,7 +132,7 @@ def disparity_range(
 
 
 def scene_range(light_field: LightField) -> tuple[float, float]:
-    """The disparity range of a light field: its own where it knows one, and a measured one else.
+    """The disparity range of a light field: its own if it has one, else a measured one.
 
     Args:
         light_field: the views.

@@ -1,4 +1,4 @@
-"""Points onto pixels: the nearest label wins, or all are shared by the pixels around them."""
+"""Points onto pixels: the nearest label wins, or labels are shared by nearby pixels."""
 
 from typing import NamedTuple
 
@@ -14,8 +14,8 @@ class Raster(NamedTuple):
     """Which point each pixel shows.
 
     Attributes:
-        slot: of the point, `[y, x]`; the number of points where there is none.
-        hit: pixels that show a point, `[y, x]`.
+        slot: slot of the point, `[y, x]`; the number of points where there is none.
+        hit: whether a pixel shows a point, `[y, x]`.
     """
 
     slot: Int[Array, "y x"]
@@ -34,18 +34,18 @@ def rasterise(
     valid: Bool[Array, " n"],
     shape: tuple[int, int],
 ) -> Raster:
-    """Puts points on their nearest pixels; of several on one pixel, the nearest surface stays.
+    """Puts points on their nearest pixels; of several on one pixel, the nearest surface wins.
 
-    Bilinear splatting would mix the two sides of an edge, which is what labels must not do.
+    Bilinear splatting would mix the labels of both sides of an edge.
 
     Args:
         xy: positions `(x, y)`, px; points outside of the image are left out.
-        disparity: decides who stays; ties go to the later point.
+        disparity: the largest one wins; ties go to the later point.
         valid: which slots hold a point.
         shape: rows and columns of the image.
 
     Returns:
-        The selection; no gradient passes through it, values gathered with it keep theirs.
+        The selection. It has no gradient; values gathered with it have one.
     """
     disparity = lax.stop_gradient(disparity)
     height, width = shape
@@ -75,19 +75,19 @@ def share(
 ) -> tuple[Float[Array, "y x"], Float[Array, "y x"]]:
     """Shares every label bilinearly among the four pixels around it that lie on its surface.
 
-    Plain bilinear splatting would mix the two sides of an edge. Here the share of a pixel also
-    falls with the distance of the label from a map that knows the surfaces.
+    Plain bilinear splatting would mix the labels of both sides of an edge. Here the share of a
+    pixel also falls with the distance of the label from a map of the surfaces.
 
     Args:
-        xy: positions `(x, y)`, px; what falls outside of the image is lost.
+        xy: positions `(x, y)`, px; shares outside of the image are lost.
         disparity: of the labels, px per view step.
         weight: of the labels, 0 for empty slots.
         surface: a map of the surfaces, px per view step, `[y, x]`.
-        tolerance: distance from the map, px, that quarters a share.
+        tolerance: distance from the map, px, at which a share is a quarter.
 
     Returns:
-        Sum of weights and weighted mean of labels per pixel, `[y, x]`; the mean is that of the map
-        where no label is. Differentiable in everything, positions included.
+        Sum of weights and weighted mean of labels per pixel, `[y, x]`; the mean is the map where
+        there is no label. Differentiable in all arguments, positions included.
     """
     height, width = surface.shape
     whole = jnp.floor(lax.stop_gradient(xy))

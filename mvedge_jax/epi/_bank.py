@@ -14,7 +14,7 @@ from mvedge_jax._params import accepts_numpy
 class FilterBank(eqx.Module):
     """One oriented step filter per disparity.
 
-    A filter as tall as twice the EPI covers all of its rows wherever it is centred, so that every
+    A filter as tall as twice the EPI covers all of its rows wherever it is centered, so that every
     row of a line sees the same sum: the response depends on the line `(x_c, d)` alone, and the
     bank is a set of 1-D convolutions along x with the views as input channels.
 
@@ -92,7 +92,7 @@ def line_taps(
         disparity: px per view step.
         views: number of views of the arm.
         radius: reach of the taps, see `bank_radius`.
-        steps: from the centre view to each view, `Arm.steps`; None for evenly spaced views.
+        steps: from the center view to each view, `Arm.steps`; None for evenly spaced views.
 
     Returns:
         Non-negative taps with unit sum. Differentiable in `disparity` and `steps`, piecewise.
@@ -119,7 +119,7 @@ def prewitt_bank(
         disparity: px per view step of each filter.
         views: number of views of the arm, odd.
         radius: reach of the taps in px; `bank_radius` gives what the disparities need.
-        steps: from the centre view to each view, which disparity is multiplied by, for views that
+        steps: from the center view to each view, which disparity is multiplied by, for views that
             are not evenly spaced; taps beyond the radius are cut off.
 
     Returns:

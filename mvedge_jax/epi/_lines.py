@@ -19,7 +19,7 @@ class EpiLines(NamedTuple):
     """Padded lines of one EPI; `vmap` over EPIs. Slots that are not `valid` hold zeros.
 
     Attributes:
-        position: where the line crosses the centre view, px.
+        position: where the line crosses the center view, px.
         disparity: px per view step.
         confidence: filter response.
         valid: which slots hold a line.
@@ -51,7 +51,7 @@ def epi_edge_map(
     """Edge confidence and slope at every pixel of an EPI, all rows.
 
     All rows of a line see the same filter sum, so the response of row `u` at `x` to disparity `d`
-    is that of the centre row at `x - (u_c - u) d`. Where lines cross, each wins on the rows where
+    is that of the center row at `x - (u_c - u) d`. Where lines cross, each wins on the rows where
     it is apart from the other: both survive.
 
     Args:
@@ -191,7 +191,7 @@ def merge_scales(
 
     Returns:
         Fine lines followed by the coarse ones that were kept, at the fine scale. A coarse pixel's
-        centre lies half a fine pixel off: `x_fine = 2 x + 0.5`.
+        center lies half a fine pixel off: `x_fine = 2 x + 0.5`.
 
     Source: Thesis 4.1.4; the crossing test is the authors'.
     """

@@ -71,7 +71,7 @@ def in_row_blocks(function: Callable[[Array], Array], rows: Array) -> Array:
 
 
 def bank_response(arm: Float[Array, "u y x c"], bank: FilterBank) -> Float[Array, "y x c k"]:
-    """Response of every filter at every pixel of the centre view, per channel, with its sign.
+    """Response of every filter at every pixel of the center view, per channel, with its sign.
 
     Rows are padded with their edge values: zeros would invent an edge at the border.
 

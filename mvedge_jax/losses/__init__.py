@@ -1,6 +1,6 @@
-"""What the optimisation minimises (Thesis 7.1.4).
+"""Losses of the optimization (Thesis 7.1.4).
 
-Rooms: `terms` (the summands), `features` (what views are compared in).
+Subpackages: `terms` (terms of the losses), `features` (image features to compare).
 """
 
 from mvedge_jax._export import register

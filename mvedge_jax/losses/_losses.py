@@ -45,7 +45,7 @@ class LossTerms(NamedTuple):
     Attributes:
         reprojection: mean of `error`.
         smoothness: edge-aware smoothness of the map.
-        dissimilarity: 1 - SSIM, or 0 if it was not asked for.
+        dissimilarity: 1 - SSIM, or 0 without `similarity`.
         gradient: mean gradient of the summed error, to be rewarded.
         error: E of (7.15), per pixel.
     """
@@ -77,11 +77,11 @@ class LossTerms(NamedTuple):
 def occlusion_masks(
     disparity: Float[Array, "y x"], views: Views, *, binned: bool = False
 ) -> Bool[Array, "k y x"]:
-    """Which pixels each view sees, without gradient.
+    """Pixels of the center view that each view shows, without gradient.
 
     Args:
-        disparity: of the centre view.
-        views: the views; those that are not available see nothing.
+        disparity: of the center view.
+        views: the views; masks of missing ones are 0.
         binned: by the authors' 32 bins rather than by an exact z-buffer.
 
     Returns:
@@ -102,14 +102,14 @@ def self_supervised_loss(
     features: Features | None = None,
     similarity: bool = False,
 ) -> tuple[Float[Array, ""], LossTerms]:
-    """The loss (7.16): how badly a disparity map explains the views.
+    """The loss (7.16): photometric error of the views, warped by a disparity map.
 
     Args:
-        disparity: of the centre view, px per view step.
+        disparity: of the center view, px per view step.
         views: the views.
         weights: of the terms.
         visible: mask M; by default the exact z-buffer of `disparity`.
-        features: what images are compared by; colours by default.
+        features: image features to compare; colors by default.
         similarity: compute the SSIM term at all; it costs as much as the rest.
 
     Returns:
@@ -117,8 +117,7 @@ def self_supervised_loss(
         weights.
 
     Source:
-        Thesis 7.1.4, Eq. 7.15-7.16, with signs and weights as on the documentation's
-        page of equations.
+        Thesis 7.1.4, Eq. 7.15-7.16; docs/method.md has signs and weights.
     """
     weights = cast(weights, disparity.dtype)
     visible = occlusion_masks(disparity, views) if visible is None else visible

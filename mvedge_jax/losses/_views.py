@@ -1,4 +1,4 @@
-"""The views that a depth map is held against, in the layout that the losses read."""
+"""The views of the losses: the center view and those compared with it."""
 
 from collections.abc import Sequence
 
@@ -12,10 +12,10 @@ from mvedge_jax.lightfield import LightField
 
 
 class Views(eqx.Module):
-    """A centre view and views around it, as channel planes.
+    """A center view and views around it, as channel planes.
 
     Attributes:
-        centre: the image whose disparity is sought.
+        centre: the image whose disparity is estimated.
         others: the views that are warped to it.
         steps: `(u_c - u, v_c - v)` of every view.
         available: views that take part.
@@ -34,11 +34,11 @@ class Views(eqx.Module):
 def gather_views(
     light_field: LightField, *, choice: Sequence[tuple[int, int]] | None = None
 ) -> Views:
-    """Collects the views that the losses compare with the centre view.
+    """Collects the views that the losses compare with the center view.
 
     Args:
         light_field: the views.
-        choice: grid positions `(v, u)`; by default all of the crosshair but the centre.
+        choice: grid positions `(v, u)`; by default all of the crosshair but the center.
 
     Returns:
         The views. Missing ones are marked as not available.
@@ -66,7 +66,7 @@ def gather_views(
 
 
 def all_views(light_field: LightField) -> list[tuple[int, int]]:
-    """Grid positions of all available views but the centre, for `gather_views`.
+    """Grid positions of all available views but the center, for `gather_views`.
 
     Args:
         light_field: the views; `available` must be concrete, not traced.

@@ -1,4 +1,4 @@
-"""What images are compared by: colours, a filter bank, or the first layers of VGG16."""
+"""Image features to compare: colors, a filter bank, or the first layers of VGG16."""
 
 import zipfile
 from pathlib import Path
@@ -13,7 +13,7 @@ from mvedge_jax._params import cast, number
 from mvedge_jax._product import FULL
 from mvedge_jax.color import srgb_to_gray
 
-# Bytes of an array of weights, which none of ours comes near: a file may claim anything.
+# Maximum size of a weight array in bytes; guards against corrupt headers.
 _MOST = 10_000_000
 
 
@@ -34,14 +34,14 @@ class Colours(eqx.Module):
 
 
 class FilterBank(eqx.Module):
-    """Colours, and Gabor filters of the grey image at several scales and orientations.
+    """Colors, and Gabor filters of the gray image at several scales and orientations.
 
     A fixed stand-in for the first layers of a trained network: it compares structure beside
-    colour and needs no weights. Filters are zero-mean and of unit absolute sum.
+    color and needs no weights. Filters are zero-mean and of unit absolute sum.
 
     Attributes:
         wavelengths: px per period, one per scale.
-        gain: weight of the filters beside the colours.
+        gain: weight of the filters beside the colors.
         orientations: number of orientations per scale.
         radius: half-width of the filters, px.
 
@@ -76,7 +76,7 @@ class FilterBank(eqx.Module):
         return bank.reshape(-1, 1, *x.shape)
 
     def __call__(self, image: Float[Array, "c y x"]) -> Float[Array, "k y x"]:
-        """Returns the colours and the filters' responses."""
+        """Returns the colors and the filters' responses."""
         gray = srgb_to_gray(jnp.moveaxis(image, 0, -1))[None]
         responses = _convolve(gray, self.kernels(image.dtype))
         return jnp.concatenate([image, self.gain.astype(image.dtype) * responses])

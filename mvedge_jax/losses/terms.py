@@ -30,11 +30,11 @@ def _sobel(planes: Float[Array, "*k y x"]) -> tuple[Float[Array, "*k y x"], Floa
 def warp_views(
     disparity: Float[Array, "y x"], views: Views, visible: Bool[Array, "k y x"]
 ) -> Float[Array, "k c y x"]:
-    """Warps all views to the centre; masked pixels show the centre image.
+    """Warps all views to the center; masked pixels show the center image.
 
     Args:
-        disparity: of the centre view, px per view step.
-        views: what to warp.
+        disparity: of the center view, px per view step.
+        views: the views to warp.
         visible: mask M of (7.15).
 
     Returns:
@@ -55,16 +55,16 @@ def reprojection_error(
     visible: Bool[Array, "k y x"],
     features: Features,
 ) -> Float[Array, "y x"]:
-    r"""How much the warped views differ from the centre view.
+    r"""Difference of the warped views from the center view.
 
     $$ E = \frac{1}{\max(\sum_i M^i, 1)} \sum_i M^i
     \operatorname{mean}_c |F_c(I) - F_c(W[I^i])| $$
 
     Args:
-        disparity: of the centre view, px per view step.
+        disparity: of the center view, px per view step.
         views: the views.
-        visible: mask M, no gradient. Masked pixels are replaced by the centre image before
-            features are taken, so that they leak nothing into the features of their neighbours.
+        visible: mask M, no gradient. Masked pixels are replaced by the center image before
+            computing features, so that they do not affect the features of their neighbors.
         features: `features(image) -> [c, y, x]`.
 
     Returns:
@@ -83,7 +83,7 @@ def reprojection_error(
         difference = jnp.mean(jnp.abs(features(warped) - reference), axis=0)
         return total + jnp.where(mask, difference, 0), None
 
-    # One view at a time: the program stays small and features of one view only are alive.
+    # One view at a time, which keeps the program small and one view's features in memory.
     total, _ = jax.lax.scan(one, jnp.zeros_like(disparity), (views.others, views.steps, visible))
     count = jnp.sum(visible, axis=0).astype(disparity.dtype)
     return total / jnp.maximum(count, 1)
@@ -99,7 +99,7 @@ def gradient_reward(error: Float[Array, "y x"]) -> Float[Array, "y x"]:
         error: E of (7.15).
 
     Returns:
-        Magnitude per pixel; Sobel, unnormalised as in the authors' code (8 times the slope).
+        Magnitude per pixel; Sobel, unnormalized as in the authors' code (8 times the slope).
 
     Source:
         Thesis 7.1.4, Eq. 7.16.
@@ -119,7 +119,7 @@ def edge_aware_smoothness(
         centre: the image.
 
     Returns:
-        `|S_x D| exp(-mean |S_x I|)` plus the same in y, with unnormalised Sobel filters.
+        `|S_x D| exp(-mean |S_x I|)` plus the same in y, with unnormalized Sobel filters.
 
     Source:
         Thesis 7.1.4, E_S of Eq. 7.16.
@@ -138,7 +138,7 @@ def edge_aware_slopes(
         centre: the image.
 
     Returns:
-        `S D exp(-mean |S I|)`, with unnormalised Sobel filters.
+        `S D exp(-mean |S I|)`, with unnormalized Sobel filters.
     """
     pairs = zip(_sobel(disparity), _sobel(centre), strict=True)
     return jnp.stack(

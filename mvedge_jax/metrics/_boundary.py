@@ -53,10 +53,10 @@ def boundary_scores(
     r"""Scores where a disparity map puts its depth boundaries.
 
     The strength of a boundary at a pixel is the larger of the absolute jumps of disparity to its
-    right and lower neighbour. The true boundary is where the truth's strength exceeds
+    right and lower neighbor. The true boundary is where the truth's strength exceeds
     `truth_threshold`. For each threshold $t$ of the sweep, the detected boundary is where the
     map's strength exceeds $t$, and with both kinds of match "within `tolerance` px" (Euclidean;
-    1.5 px is the 3x3 neighbourhood; not one-to-one):
+    1.5 px is the 3x3 neighborhood; not one-to-one):
 
     - precision: share of the detected pixels that match a true one (1 if nothing was detected);
     - recall: share of the true pixels that match a detected one;

@@ -12,14 +12,14 @@ _SAME = 0.1
 
 
 class Agreement(NamedTuple):
-    """Sums of one view, or of many, against the centre view.
+    """Sums of one view, or of many, against the center view.
 
     Attributes:
         distance: between centroids, px, over labels, of what both views see.
         labels: that both have.
         distance_code: the same of all pixels, the labels hidden in either left out.
         labels_code: that both have.
-        seen: whether the view sees a pixel of the centre view.
+        seen: whether the view sees a pixel of the center view.
         differs: whether it sees it and gives it a label that is not around it.
         differs_code: whether what lands on it, if anything, has a label that is not around it.
     """
@@ -61,7 +61,7 @@ def _around(label: Array, labels: Array) -> Array:
 
 
 def _landed(labels: Array, x: Array, y: Array, step: Array, disparity: Array) -> Array:
-    """The label that lands on each pixel of the centre view, least horizontal motion first."""
+    """The label that lands on each pixel of the center view, least horizontal motion first."""
     height, width = labels.shape
     column, row = (jnp.floor(a + 0.5).astype(jnp.int32) for a in (x, y))
     inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
@@ -85,7 +85,7 @@ def agreement(
     *,
     count: int,
 ) -> Agreement:
-    """Compares the labels of every view with those of the centre view.
+    """Compares the labels of every view with those of the center view.
 
     Args:
         labels: 0 for none.
@@ -95,7 +95,7 @@ def agreement(
 
     Returns:
         Sums over the views that take part; what is not of the authors' program leaves out the
-        centre view.
+        center view.
     """
     rows, columns, height, width = labels.shape
     vc, uc = rows // 2, columns // 2

@@ -47,7 +47,7 @@ def counted_pixels(
 
 
 def depth_steps(disparity: Float[Array, "y x"], counted: Bool[Array, "y x"]) -> Float[Array, "y x"]:
-    """Largest jump of disparity from a pixel to its right and lower neighbour.
+    """Largest jump of disparity from a pixel to its right and lower neighbor.
 
     Args:
         disparity: `[y, x]`, px per view step.
@@ -92,7 +92,7 @@ def edge_band(
     """Pixels close to a depth edge of the ground truth: a mask for every depth metric.
 
     A pixel is on a depth edge if the disparity jumps by more than `threshold` to its right or lower
-    neighbour. Jumps to or from pixels that are not counted are ignored.
+    neighbor. Jumps to or from pixels that are not counted are ignored.
 
     Args:
         truth: Ground-truth disparity, `[y, x]`, px per view step; NaN where unknown.

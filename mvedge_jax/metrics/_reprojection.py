@@ -1,4 +1,4 @@
-"""Reprojection error: what a disparity map does to the colours (Appendix C.1, Tab. C.1)."""
+"""Reprojection error: what a disparity map does to the colors (Appendix C.1, Tab. C.1)."""
 
 from typing import Literal, NamedTuple
 
@@ -21,10 +21,10 @@ _WORST = {"rgb": 1.0, "lab": 100.0}
 
 
 class Reprojection(NamedTuple):
-    """Colour error between the centre view and other views; see `reprojection_error`.
+    """Colour error between the center view and other views; see `reprojection_error`.
 
     Attributes:
-        error: Mean over the target views: RGB x 100, or the colour difference in Lab.
+        error: Mean over the target views: RGB x 100, or the color difference in Lab.
         per_view: The same per target view, `[t]`, in the order of `targets`.
         image: Mean over the target views that see the pixel, `[y, x]`, same unit; NaN where none.
         covered: Share of pixels that entered `per_view`, `[t]`.
@@ -46,9 +46,9 @@ def reprojection_error(
     crop: int = 0,
     tolerance: float | Float[Array, ""] = 1.0,
 ) -> Reprojection:
-    r"""Colour error of the centre view moved to other views by its disparity map.
+    r"""Colour error of the center view moved to other views by its disparity map.
 
-    Each pixel of the centre view is compared with the colour that the target view has where the
+    Each pixel of the center view is compared with the color that the target view has where the
     disparity puts it (bilinear), if the target sees it (`warping.visible`). RGB: mean absolute
     difference of the channels of sRGB in [0, 1], x 100. Lab: Euclidean distance, CIE 1976
     $\Delta E$. A pixel whose disparity is not finite is charged 100 in either space.
@@ -57,11 +57,11 @@ def reprojection_error(
     any error, and an exact map has an error at blurred depth edges, noise and highlights.
 
     Args:
-        disparity: Disparity of the centre view, `[y, x]`, px per view step.
+        disparity: Disparity of the center view, `[y, x]`, px per view step.
         light_field: The views; its ground truth is not read.
         space: `rgb` (Tab. C.1) or `lab`, static.
         targets: Views `(v, u)` to compare with, static; by default the four corners.
-        crop: Pixels of the centre view to leave out on each side, static.
+        crop: Pixels of the center view to leave out on each side, static.
         tolerance: Parallax from which on a nearer pixel hides one that lands on the same place, px
             in the target view, traced.
 

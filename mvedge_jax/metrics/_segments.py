@@ -31,7 +31,7 @@ class Shape(NamedTuple):
     Attributes:
         compactness: (5.4) with the sides of pixels as perimeter.
         median: median of its terms, with the pixels at the border as perimeter.
-        density: share of neighbouring pixels with different labels.
+        density: share of neighboring pixels with different labels.
         pieces: number of connected pieces.
         present: number of labels.
     """
@@ -67,14 +67,14 @@ def overlap(counts: Int[Array, "n k"], dtype) -> Overlap:
 
 
 def _differ(labels: Int[Array, "y x"]) -> tuple[Bool[Array, "y w"], Bool[Array, "h x"]]:
-    """Whether neighbours in rows and in columns have different labels, both of them one."""
+    """Whether neighbors in rows and in columns have different labels, both of them one."""
     right = (labels[:, 1:] != labels[:, :-1]) & (labels[:, 1:] > 0) & (labels[:, :-1] > 0)
     down = (labels[1:] != labels[:-1]) & (labels[1:] > 0) & (labels[:-1] > 0)
     return right, down
 
 
 def _at_steps(labels: Int[Array, "y x"]) -> Bool[Array, "y x"]:
-    """Pixels with a neighbour of another label."""
+    """Pixels with a neighbor of another label."""
     right, down = _differ(labels)
     beside = jnp.pad(right, ((0, 0), (0, 1))) | jnp.pad(right, ((0, 0), (1, 0)))
     return beside | jnp.pad(down, ((0, 1), (0, 0))) | jnp.pad(down, ((1, 0), (0, 0)))

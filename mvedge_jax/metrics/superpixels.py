@@ -24,31 +24,31 @@ class SuperpixelScores(NamedTuple):
         accuracy: achievable accuracy, share of pixels, each superpixel on the object that it has
             most pixels of in all views together.
         accuracy_code: the same, on the object that it has most pixels of in any one view.
-        recall: boundary recall (5.2), pooled over views; boundaries are where labels of neighbours
+        recall: boundary recall (5.2), pooled over views; boundaries are where labels of neighbors
             differ, on both sides.
         recall_code: mean over views; boundaries by Sobel's operator on the numbers of the labels.
         undersegmentation: (5.3), mean over objects and views.
         undersegmentation_area: leaks over pixels, counted for both objects; mean over views.
         undersegmentation_once: the same, each leak once.
         compactness: (5.4) as printed, 0..1, with the sides of pixels as perimeter, mean over views.
-        compactness_centre: of the centre view.
-        compactness_code: median of the terms of (5.4) in the centre view, with pixels at the border
+        compactness_centre: of the center view.
+        compactness_code: median of the terms of (5.4) in the center view, with pixels at the border
             as perimeter; grows with the size of superpixels.
-        self_similarity: px between centroids of a label in the centre view and in another one, of
+        self_similarity: px between centroids of a label in the center view and in another one, of
             what both see; mean over labels and views.
-        self_similarity_code: the same, of everything in either view, the centre view included.
-        labels_per_pixel: 1 + number of views that see a pixel of the centre view and give it a
+        self_similarity_code: the same, of everything in either view, the center view included.
+        labels_per_pixel: 1 + number of views that see a pixel of the center view and give it a
             label that is not within 1 px of it.
         labels_per_pixel_code: the same, views that do not see the pixel disagree.
         inconsistent: share of the pairs of a pixel and another view seeing it that disagree.
-        boundary_density: share of neighbouring pixels with different labels, mean over views.
+        boundary_density: share of neighboring pixels with different labels, mean over views.
         unlabelled: share of pixels without a label.
         number: labels in all views together.
-        number_connected: connected pieces in the centre view.
+        number_connected: connected pieces in the center view.
         pieces: connected pieces per label and view that has it.
-        hidden: labels that the centre view lacks.
-        small: labels with 1 to 9 px in the centre view.
-        size: mean square root of the area in the centre view, px.
+        hidden: labels that the center view lacks.
+        small: labels with 1 to 9 px in the center view.
+        size: mean square root of the area in the center view, px.
     """
 
     accuracy: Float[Array, ""]
@@ -93,7 +93,7 @@ def superpixel_scores(
         labels: `[v, u, y, x]`, at least 0; 0 for none. Of one view alone, `[1, 1, y, x]`.
         object_ids: true objects in every view, at least 0; None leaves their scores out.
         disparity: true, of every view, px per view step; None leaves out scores of consistency.
-        available: views that take part, all by default; the centre view has to.
+        available: views that take part, all by default; the center view has to.
 
     Returns:
         The scores. Not differentiable. Call it outside of `jit`: how many labels there are sets
@@ -128,7 +128,7 @@ def labels_per_pixel(
     *,
     available: Bool[Array, "v u"] | None = None,
 ) -> Float[Array, "y x"]:
-    """How many views label a pixel of the centre view otherwise, plus one: Fig. 5.9.
+    """How many views label a pixel of the center view otherwise, plus one: Fig. 5.9.
 
     Args:
         labels: `[v, u, y, x]`, at least 0; 0 for none.

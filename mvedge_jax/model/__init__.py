@@ -1,7 +1,8 @@
-"""The differentiable model of multi-view edges, and its optimisation (Thesis 7).
+"""The differentiable model of multi-view edges, and its optimization (Thesis 7).
 
-Rooms: `objectives` (what is minimised), `optimisation` (the loop, its state, growing points),
-`approaches` (from the views: by evidence, by reprojection), `codec` (a map as its edges, 8.1.1).
+Subpackages: `objectives` (losses), `optimisation` (the loop, its state, growing points),
+`approaches` (losses from the views: by evidence, by reprojection), `codec` (compression of a map
+to its edges, 8.1.1).
 """
 
 from mvedge_jax._export import register

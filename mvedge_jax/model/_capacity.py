@@ -1,4 +1,4 @@
-"""How many places for points a model has."""
+"""The number of slots for points in a model."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -7,13 +7,13 @@ from ._model import DepthModel
 
 
 def without_free_places(model: DepthModel) -> DepthModel:
-    """Drops the places of a model that hold no point.
+    """Drops the slots of a model that hold no point.
 
     Args:
-        model: the model, not traced: how many points there are sets the shape.
+        model: the model, not traced, because the number of points sets the shape.
 
     Returns:
-        The model with as many places as points, in their order.
+        The model with as many slots as points, in their order.
     """
     there = np.flatnonzero(np.asarray(model.valid))
     return DepthModel(
@@ -26,17 +26,17 @@ def without_free_places(model: DepthModel) -> DepthModel:
 
 
 def with_capacity(model: DepthModel, capacity: int) -> DepthModel:
-    """Appends free places to the model.
+    """Appends free slots to the model.
 
     Args:
         model: the model.
-        capacity: number of places, at least what the model has.
+        capacity: number of slots, at least that of the model.
 
     Returns:
-        The model with `capacity` places.
+        The model with `capacity` slots.
 
     Raises:
-        ValueError: the model has more places already.
+        ValueError: the model already has more slots.
     """
     extra = capacity - model.valid.size
     if extra < 0:

@@ -1,4 +1,4 @@
-"""Supervised optimisation of the model towards a known map, in one call."""
+"""Supervised optimization of the model towards a known map, in one call."""
 
 from collections.abc import Callable
 
@@ -27,7 +27,7 @@ class SupervisedFit(eqx.Module):
     Attributes:
         weights: of the terms of the loss.
         rates: learning rates.
-        iterations: how many, by default.
+        iterations: default number of iterations.
     """
 
     weights: SupervisedWeights = eqx.field(default_factory=SupervisedWeights)
@@ -47,23 +47,23 @@ def fit_edges(
     state: State | None = None,
     progress: Callable[[Progress], None] | None = None,
 ) -> Optimised:
-    """Fits points and smoothness to a known map: what the model can represent.
+    """Fits points and smoothness to a known map, to measure what the model can represent.
 
-    Runs on the host, in compiled pieces; nothing in it is random.
+    Runs on the host, in compiled pieces, deterministically.
 
     Args:
-        truth: the map, px per view step, and where it is known.
-        start: the model to start from, see `start_from_depth`, and a map near what it renders; the
-            errors of its labels are not used. Free places leave.
+        truth: the map, px per view step, and a mask of known pixels.
+        start: the initial model, see `start_from_depth`, and a map near its rendering; the errors
+            of its labels are not used. Free slots are dropped.
         fit: see `SupervisedFit`.
-        renderer: how the model becomes a map, such as `Renderer.on_raster(1)`.
-        strategy: how points are moved or added; by default `Growth()`. `FixedPoints()` leaves all
-            to the gradient, as in the thesis.
-        routine: what every iteration does; by default `fit.iterations`, of all parameters at
-            once.
-        state: of an earlier call with the same arguments, to go on from: iterations of `routine`
-            that it has done are skipped.
-        progress: called now and then with how far it is.
+        renderer: renders the model to a map, such as `Renderer.on_raster(1)`.
+        strategy: adds or moves points; by default `Growth()`. `FixedPoints()` only follows
+            gradients, as in the thesis.
+        routine: learning rates of every iteration; by default `fit.iterations` on all parameters
+            at once.
+        state: state of an earlier call with the same arguments, to resume it: finished iterations
+            of `routine` are skipped.
+        progress: called between pieces with a `Progress`.
 
     Returns:
         The map, the model with the lowest loss, the history. Not differentiable: each iteration

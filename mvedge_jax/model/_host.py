@@ -1,4 +1,4 @@
-"""The rendering as the host calls it: compiled, with warnings of what the splat cuts off."""
+"""Rendering on the host: compiled, with warnings of points that the splat cuts off."""
 
 import warnings
 from typing import Any
@@ -24,7 +24,7 @@ _render = lean_jit(render_model)
 def compiled_render(
     model: DepthModel, renderer: Renderer, *, start: Float[Array, "y x"] | None = None
 ) -> Rendered:
-    """`render_model` as a program of its own; warns of what the splat cut off or left out.
+    """`render_model`, compiled; warns of points that the splat cuts off or leaves out.
 
     Args:
         model: points and smoothness.
@@ -45,11 +45,11 @@ def _splatted(model: DepthModel, renderer: Renderer) -> Splat:
 
 
 def warn_of_cuts(model: DepthModel, objective: Any) -> None:
-    """Warns of what the rendering within an objective cuts off or leaves out.
+    """Warns of points that the rendering of an objective cuts off or leaves out.
 
     Args:
         model: the points.
-        objective: with a `renderer`, as `Supervised` has it; others are not looked at.
+        objective: ignored unless it has a `renderer`, as `Supervised` has.
     """
     renderer = getattr(objective, "renderer", None)
     if not isinstance(renderer, Renderer):

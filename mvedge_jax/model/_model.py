@@ -33,7 +33,7 @@ class DepthModel(eqx.Module):
         xy: positions, image pixels.
         log_weight: R; the data weight of a point is `exp(-R)`.
         roughness: Q; the smoothness of a pixel is `exp(-Q)`.
-        valid: points that take part; the others are free capacity.
+        valid: points that take part; the other slots are free.
     """
 
     disparity: Float[Array, "n"] = eqx.field(converter=jax_array)
@@ -44,23 +44,23 @@ class DepthModel(eqx.Module):
 
 
 class Renderer(eqx.Module):
-    """How a model becomes a map: labels, smoothness, diffusion.
+    """Renders a model to a map: labels, smoothness, diffusion.
 
-    The second half of `EdgeDepth`, with points and a smoothness map that are free.
+    This is the second half of `EdgeDepth` with free points and a free smoothness map.
 
     Attributes:
         splat: puts the points' labels onto a raster; by default narrow points, see `on_raster`.
-        solver: of the diffusion: one of `mvedge_jax.diffusion` or any solver of Lineax for
+        solver: solver of the diffusion: one of `mvedge_jax.diffusion` or any solver of Lineax for
             symmetric operators.
         clearing: c; with `clears`, a point of weight w has the opacity `1 - exp(-c w)`.
         normalized: divide labels by their coverage.
-        clears: a point that loses its weight loses its opacity too, so that what it hides comes
-            back. In the thesis a point hides what is behind it whatever its weight. In
+        clears: a point that loses its weight loses its opacity, too, and uncovers the points
+            behind it. In the thesis a point hides those behind it whatever its weight. In
             `experiments/hidden_points.py`, where 70 % of the points are hidden, many by wrong
-            ones, this alone lowers the error after the optimization by 1 %, recycling hidden
-            points (`grow`) by 5 %, both together by 14 %. Narrower points hide 5 % of the points
-            from the start: they lower it by 66 %, and all three together by 98 %.
-        pairing: how two pixels' smoothness makes an edge's, see `edge_weights`.
+            ones, `clears` alone lowers the error after the optimization by 1 %, recycling hidden
+            points (`grow`) by 5 %, both together by 14 %. Narrow points, which hide only 5 % of
+            the points, lower it by 66 %; all three together by 98 %.
+        pairing: how an edge combines the smoothness of two pixels, see `edge_weights`.
 
     Example:
         >>> Renderer.on_raster(2).splat.raster.radius
@@ -78,8 +78,8 @@ class Renderer(eqx.Module):
     def on_raster(scale: int) -> "Renderer":
         """Narrow points on a raster of any scale, see `SplatLabels.on_raster`.
 
-        A point of the thesis' width hides the pixels beside it, so that no other can speak there,
-        however it is optimized: fitted to the synthetic scene "edges" at 512x512, with points
+        A point of the thesis' width hides the pixels beside it from other points, whatever the
+        optimization does: fitted to the synthetic scene "edges" at 512x512, with points
         added, the model ends at a mean squared error (times 100) of 0.08 with that width, and below
         0.001 with narrow points (`experiments/figure_7_10.py`).
 
@@ -106,12 +106,12 @@ class Renderer(eqx.Module):
 
 
 class Rendered(eqx.Module):
-    """A rendered map, what it was diffused from, and how the solve went.
+    """A rendered map, its splatted labels, and the statistics of the solve.
 
     Attributes:
         disparity: the map, px per view step.
         splat: the labels and weights on the raster.
-        stats: of the solve.
+        stats: statistics of the solve.
     """
 
     disparity: Float[Array, "y x"]
@@ -119,7 +119,7 @@ class Rendered(eqx.Module):
     stats: SolveStats
 
     def problems(self) -> tuple[str, ...]:
-        """What the splat and the solve say against the map, one sentence each; on the host."""
+        """Problems of the splat and the solve, one sentence each; on the host."""
         unsolved = "the diffusion stopped before its tolerance."
         return self.splat.problems() + (() if bool(self.stats.converged) else (unsolved,))
 
@@ -127,7 +127,7 @@ class Rendered(eqx.Module):
 def upsample(image: Float[Array, "y x"], scale: int) -> Float[Array, "y2 x2"]:
     """Interpolates linearly onto a raster with `scale` (1 or 2) pixels per pixel and axis.
 
-    Pixel areas coincide: raster pixel `k` is centred at `(k + 1/2) / scale - 1/2`. The authors'
+    Pixel areas coincide: raster pixel `k` is centered at `(k + 1/2) / scale - 1/2`. The authors'
     align-corners form drifts by up to a raster pixel over the image.
 
     Args:
@@ -212,7 +212,7 @@ def render_model(
     Returns:
         The map. Differentiable with respect to the floating leaves of `model`, `renderer.splat` and
         `renderer.clearing`. Points that the splat cuts off or leaves out raise a warning, and too
-        wide ones an error. Under `jit` neither is seen: ask `Rendered.problems` there.
+        wide ones an error. Under `jit`, check `Rendered.problems` instead.
 
     Source:
         Thesis 7.1, Eq. 7.2-7.14.
@@ -239,14 +239,14 @@ def map_roughness(
     color_step: Float[Array, ""] | float = 0.3,
     largest: Float[Array, ""] | float = 10.0,
 ) -> Float[Array, "y x"]:
-    r"""Initial Q from a map that is already there: rough where it steps, and the image with it.
+    r"""Initial Q from a map: rough where map and image have a step.
 
     $Q = \ln(1 + (|\Delta Lab| / c)^{1.5} (|\Delta D| / d)^2)$, the largest over a pixel's
-    edges. The product of both steps matters: either alone leaks or cuts too much.
+    edges. Only the product of both steps is reliable: either alone leaks or cuts too much.
 
     Args:
         disparity: a first map.
-        centre: the image; with None only the map counts.
+        centre: the image; None to use the map alone.
         depth_step: d, px.
         color_step: c, units of Lab.
         largest: Q is clipped at this.

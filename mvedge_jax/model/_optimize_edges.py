@@ -1,4 +1,4 @@
-"""Self-supervised optimisation of the model against the views, in one call."""
+"""Self-supervised optimization of the model against the views, in one call."""
 
 from collections.abc import Callable
 
@@ -29,32 +29,31 @@ def optimize_edges(
     progress: Callable[[Progress], None] | None = None,
     key: PRNGKeyArray | None = None,
 ) -> Optimised:
-    """Optimises points and smoothness so that the rendered map explains the views.
+    """Optimizes points and smoothness so that the rendered map explains the views.
 
     Runs on the host, in compiled pieces. Ground truth is not read.
 
     Args:
         light_field: the views.
-        start: the model to start from and the first map, see `start_from_depth`.
-        approach: how the views are asked: `ByEvidence()`, or `ByReprojection()` as in the thesis.
-        renderer: how the model becomes a map, such as `Renderer.on_raster(1)`.
-        routine: what every iteration does; by default `approach.iterations`, of all parameters at
-            once.
-        state: of an earlier call with the same arguments, to go on from: iterations of `routine`
-            that it has done are skipped.
-        progress: called after every quarter with how far it is.
-        key: draws the views of `ByReprojection.subset`, by default always the same; nothing else is
-            random.
+        start: the initial model and the first map, see `start_from_depth`.
+        approach: the objective: `ByEvidence()`, or `ByReprojection()` as in the thesis.
+        renderer: renders the model to a map, such as `Renderer.on_raster(1)`.
+        routine: learning rates of every iteration; by default `approach.iterations` on all
+            parameters at once.
+        state: state of an earlier call with the same arguments, to resume it: finished iterations
+            of `routine` are skipped.
+        progress: called after every quarter with a `Progress`.
+        key: random key of `ByReprojection.subset`, fixed by default; nothing else is random.
 
     Returns:
-        The map, the model with the lowest loss, the history, what the views say of it. Not
-        differentiable: each iteration is a step along the gradient of its objective, which is.
+        The map, the model with the lowest loss, the history and the verdict. Not differentiable,
+        but its objective is.
 
     Raises:
-        ValueError: `start` has not the shape of the views, or `state` is of another size.
+        ValueError: `start` does not have the shape of the views, or `state` has another size.
 
     Source:
-        Thesis 7.1.4 and 7.1.5. `ByEvidence` says what differs, and why.
+        Thesis 7.1.4 and 7.1.5. `ByEvidence` documents the differences.
 
     Example:
         >>> import jax.numpy as jnp

@@ -1,4 +1,4 @@
-"""What an optimisation found, and what the views say of it."""
+"""The result of an optimization, and its validation by the views."""
 
 from typing import NamedTuple
 
@@ -10,13 +10,13 @@ from .optimisation._state import State
 
 
 class Verdict(NamedTuple):
-    """What the views say of a result.
+    """Validation of a result by the views.
 
     Attributes:
         error: reprojection error (7.15) of every second view of the crosshair, before and after.
         kept: whether the change was kept.
-        confirmed: how much of what one half of the views proposed the other confirmed, in [0, 1];
-            None if they were not asked so.
+        confirmed: share of one half's corrections that the other half of the views confirmed, in
+            [0, 1]; None without such halves.
     """
 
     error: Float[Array, "2"]
@@ -25,14 +25,14 @@ class Verdict(NamedTuple):
 
 
 class Optimised(NamedTuple):
-    """What `optimize_edges` or `fit_edges` found.
+    """The result of `optimize_edges` or `fit_edges`.
 
     Attributes:
         disparity: the map, px per view step.
         model: the parameters with the lowest loss.
         history: loss and gradient per iteration.
-        state: to save and to go on from.
-        verdict: what the views say of the map; None if they were not asked.
+        state: the state, to save and resume.
+        verdict: validation of the map by the views; None for `fit_edges`.
     """
 
     disparity: Float[Array, "y x"]

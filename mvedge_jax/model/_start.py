@@ -1,4 +1,4 @@
-"""Where the optimisation starts: a model that renders what the edges gave."""
+"""The start of the optimization: a model that renders the map of the edges."""
 
 from typing import NamedTuple
 
@@ -27,10 +27,11 @@ _ROUGHNESS = 0.3
 
 
 class StartFit(eqx.Module):
-    """How a model is made from points and a first map.
+    """Parameters of a model from points and a first map.
 
     Attributes:
-        agreement: a point whose disparity differs by more from the map takes the map's, px.
+        agreement: largest difference between point and map, px; beyond, a point takes the map's
+            disparity.
         reference_error: standard error at which a point has the weight 1, px.
         offset: added to Q; positive values trust labels more than smoothness.
         rates: of the fit to the map: Q, Z, R, xy.
@@ -43,11 +44,11 @@ class StartFit(eqx.Module):
 
 
 class Start(NamedTuple):
-    """A model, what is known of its labels, and the map that it stands for.
+    """A model, the errors of its labels, and the map that it represents.
 
     Attributes:
         model: the parameters.
-        error: standard error of each label, px per view step; infinite where nothing is known.
+        error: standard error of each label, px per view step; infinite if unknown.
         disparity: a map near the one that `model` renders, px per view step.
     """
 
@@ -59,12 +60,12 @@ class Start(NamedTuple):
 def start_from_depth(
     light_field: LightField, depth: DepthResult, *, fit: StartFit | None = None
 ) -> Start:
-    """Makes a model from what `EdgeDepth` found, with any preset.
+    """Makes a model from a result of `EdgeDepth`, with any preset.
 
     Args:
-        light_field: whose depth it is.
-        depth: of its centre view.
-        fit: see `StartFit`, whose defaults are taken without it.
+        light_field: the light field of the result.
+        depth: result of `EdgeDepth`.
+        fit: see `StartFit`; None for the defaults.
 
     Returns:
         The model, from points on their surfaces and the steps of the map, see
@@ -88,10 +89,10 @@ def start_from_image(start: Start, centre: Float[Array, "y x c"]) -> Start:
 
     Args:
         start: a model.
-        centre: the centre view, sRGB.
+        centre: the center view, sRGB.
 
     Returns:
-        The same with other Q. Differentiable in the view.
+        The model with the new Q. Differentiable in the view.
 
     Source:
         Thesis 7.1.5.
@@ -117,8 +118,8 @@ def start_from_points(
         disparity: their labels.
         error: their standard errors.
         valid: points that take part; those outside the image do not.
-        centre: the centre view.
-        first: a first dense map, which says where depth steps are.
+        centre: the center view.
+        first: a first dense map, the source of depth steps.
         fit: see `StartFit`.
 
     Returns:
@@ -148,15 +149,15 @@ def fit_to_map(
     iterations: int = 6,
     extra: int | None = None,
 ) -> Start:
-    """Fits a model to its own map, so that optimisation starts from that map's quality.
+    """Fits a model to its own map, so that the optimization starts with the quality of that map.
 
     Args:
         start: a model and the map to reproduce.
         fit: learning rates.
-        renderer: of the model.
-        iterations: of Adam, on all parameters.
-        extra: points to add where the model reproduces the map worst, in the middle of the fit; by
-            default a tenth of the points.
+        renderer: renderer of the model.
+        iterations: iterations of Adam, on all parameters.
+        extra: number of points to add at the largest errors, in the middle of the fit; by default
+            a tenth of the points.
 
     Returns:
         The fitted model and the same map; new points have an infinite standard error.
@@ -190,16 +191,16 @@ def trust_labels(
     label: Float[Array, ""] | float = 0.05,
     position: Float[Array, ""] | float = 1.0,
 ) -> Trust:
-    """Trust in the labels of a start, by their standard errors.
+    """Prior and limits for the labels of a start, by their standard errors.
 
     Args:
         start: the model and its errors.
-        weight: of the prior.
+        weight: weight of the prior.
         label: largest change of a label, px per view step.
         position: largest change of a position, px.
 
     Returns:
-        The trust; labels of infinite error have limits, but no prior.
+        Prior and limits; labels of infinite error have limits, but no prior.
     """
     one = start.model.disparity.dtype
     weight, label, position = (jnp.asarray(v).astype(one) for v in (weight, label, position))

@@ -31,12 +31,12 @@ class Encoding(eqx.Module):
     """A depth map as points and cuts.
 
     Attributes:
-        pixel: of each point, counted row by row, ascending.
-        label: of each point, in `bits` bits.
-        cut: pixels that are cut off from their left and upper neighbour.
-        low: label of 0.
-        high: label of `2**bits - 1`.
-        bits: of a label, at most 16.
+        pixel: index of each point's pixel, row by row, ascending.
+        label: label of each point, in `bits` bits.
+        cut: pixels that are cut off from their left and upper neighbor.
+        low: value of label 0.
+        high: value of label `2**bits - 1`.
+        bits: number of bits of a label, at most 16.
     """
 
     pixel: Int[Array, "n"]
@@ -52,12 +52,12 @@ class Encoding(eqx.Module):
         The format, version 1: `MVEC`, version and bits of a label (a byte each), height, width and
         number of points (4 bytes each), `low` and `high` (doubles), CRC-32 of the rest, all little
         endian; then the words of a range coder (constriction's queue) whose bits have adaptive
-        probabilities. Cuts and places of points are planes of bits, each in the context of ten
-        bits before it; places also of the cuts around and of the grid that half of the points
-        start from. Labels are differences from the nearest point before.
+        probabilities. Cuts and positions of points are planes of bits, each in the context of the
+        ten bits before it; positions also of the cuts around and of the grid of half of the
+        points. Labels are differences from the nearest point before.
 
         Args:
-            path: where to write; `.mvec` by custom.
+            path: the file to write, `.mvec` by convention.
 
         Returns:
             Size of the file in bytes.
@@ -82,7 +82,7 @@ class Encoding(eqx.Module):
             path: the file.
 
         Returns:
-            The encoding; its range has the precision that JAX works in.
+            The encoding; its range has JAX's default precision.
 
         Raises:
             FileNotFoundError: there is no such file.
@@ -103,7 +103,7 @@ class Encoding(eqx.Module):
 
 
 def _likely(height: int, width: int, count: int) -> np.ndarray:
-    """Where half of so many points start."""
+    """Grid positions of half of the points."""
     return _first_points(height, width, max(count // 2, 1)).reshape(height, width)
 
 
@@ -124,7 +124,7 @@ def _model(pixel: Array, label: Array, valid: Array, cut: Array) -> DepthModel:
 
 
 def _cuts(disparity: Float[Array, "y x"], step: Float[Array, ""]) -> Bool[Array, "y x"]:
-    """Pixels whose left or upper neighbour differs by more than `step`."""
+    """Pixels whose left or upper neighbor differs by more than `step`."""
     jump = jnp.abs(disparity - jnp.roll(disparity, 1, 1)).at[:, 0].set(0)
     jump_y = jnp.abs(disparity - jnp.roll(disparity, 1, 0)).at[0].set(0)
     return jnp.maximum(jump, jump_y) > step
@@ -140,16 +140,16 @@ def encode(
 ) -> Encoding:
     """Finds `k` points and a bit per pixel that reproduce a depth map.
 
-    Half of the points start on a grid; the rest is added, round by round, where the reproduction
-    is worst; then the labels are optimised together.
+    Half of the points start on a grid. The rest is added in rounds at the largest errors. Then all
+    labels are optimized together.
 
     Args:
         disparity: the map, any unit, finite.
         k: number of points.
         step: jumps larger than this are cut; by default 2 % of the map's range.
-        iterations: of Adam on the labels at the end.
-        bits: of a label, 1 to 16; by default as few as add a hundredth to the root of the mean
-            squared error.
+        iterations: iterations of Adam on the labels at the end.
+        bits: number of bits of a label, 1 to 16; by default as few as add a hundredth to the root
+            mean squared error.
 
     Returns:
         The encoding.
@@ -159,7 +159,7 @@ def encode(
             is not finite.
 
     Source:
-        Thesis 1.1.1 and 7.2.3, completeness: what the model can represent at all.
+        Thesis 1.1.1 and 7.2.3 (completeness).
     """
     if not 1 <= k <= disparity.size:
         raise ValueError(f"`k` must be from 1 to the {disparity.size} pixels there are, got {k}.")
@@ -189,7 +189,7 @@ def encode(
         last = later == _ROUNDS - 1
         error = jnp.abs(current(taken)[1] - disparity)
         error = jnp.where(jnp.asarray(taken.reshape(disparity.shape)), -1, error)
-        # Blocks keep points apart, so that they do not crowd; the last ones may.
+        # Blocks keep points apart, except for the last ones.
         xy, value = worst_pixels(
             error, missing if last else -(-missing // (_ROUNDS - later)), block=1 if last else 2
         )

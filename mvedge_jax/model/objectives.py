@@ -1,4 +1,4 @@
-"""What the optimisation minimises: losses of the rendered map, priors on the parameters."""
+"""Objectives of the optimization: losses of the rendered map, priors on the parameters."""
 
 from typing import Protocol, runtime_checkable
 
@@ -22,23 +22,22 @@ from mvedge_jax.losses.terms import Features, edge_aware_slopes, warp_views
 
 from ._model import DepthModel, Renderer, render_model
 
-# Absolute errors, squared: below these, differences of features, which are colours in [0, 1], and
-# slopes are squares.
+# Scales below which absolute errors become squares, for features (colors in [0, 1]) and slopes.
 _BLUNT_FEATURE, _BLUNT_SLOPE = 2 / 255, 0.01
 
 
 def _rooted(error: Array, absolute: Array, square: Array, blunt: Array | float) -> Array:
-    """What half of the square of is `absolute |error| + square error²`, smooth where it is 0."""
+    """Residual r with r²/2 = `absolute |error| + square error²`, smoothed at 0."""
     bent = jnp.sqrt(1 + (error / blunt) ** 2)
     return error * root(2 * (square + absolute / (blunt * (1 + bent))))
 
 
 @runtime_checkable
 class Objective(Protocol):
-    """What `optimise` minimises: a pytree that is called with the model; a protocol.
+    """The protocol of a loss for `optimise`: a pytree that is called with the model.
 
-    Any `equinox.Module` with these two methods is one. It is an argument of a compiled loop, so its
-    arrays are traced, and what is no array must be a static field. Where it has a `renderer`
+    Any `equinox.Module` with these two methods is an objective. It is an argument of a compiled
+    loop: its arrays are traced, everything else must be a static field. If it has a `renderer`
     (`Renderer`), `optimise` warns of points that the rendering cuts off.
 
     Example:
@@ -65,40 +64,41 @@ class Objective(Protocol):
     ) -> tuple[Float[Array, ""], Float[Array, "y x"]]:
         """Loss of `model`, differentiable in it, and the map it renders.
 
-        `start` is the previous map, where a solve may start from; `key` is new in every iteration.
+        `start` is the previous map, as the start of a solve; `key` is new in every iteration.
         """
         ...
 
     def project(self, model: DepthModel) -> DepthModel:
-        """The nearest model that is allowed; called after every step."""
+        """The nearest allowed model; called after every step."""
         ...
 
 
 @runtime_checkable
 class SquaredObjective(Objective, Protocol):
-    """An objective that is, but for terms that have no squares, half a sum of squares; a protocol.
+    """The protocol of an objective that is half a sum of squares, for `minimise_least_squares`.
 
-    `minimise_least_squares` needs one.
+    Terms that are not squares are left out of `residuals`.
     """
 
     def residuals(
         self, model: DepthModel, start: Float[Array, "y x"]
     ) -> tuple[tuple[Array, ...], Float[Array, "y x"]]:
-        """What is squared, and the map; `start` is a map near it."""
+        """The residuals, and the map; `start` is a map near it."""
         ...
 
 
 class Trust(eqx.Module):
-    """How far the parameters may go, and what going costs.
+    """Prior and limits of the parameters.
 
-    Points from `multiview_edges` are known to a few thousandths of a pixel, far better than the
-    photometric loss of a single pixel can tell. The prior keeps a label near its first value in
-    units of its standard error; the limits keep everything within reach.
+    Points from `multiview_edges` are accurate to a few thousandths of a pixel, far better than the
+    photometric loss of a single pixel. The prior keeps a label near its initial value, in units of
+    its standard error; the limits bound all changes.
 
     Attributes:
         origin: the parameters at the start.
         error: standard error of each label, px per view step.
-        weight: of the mean of `((Z - Z_0) / error)²`, capped for outliers by a Cauchy function.
+        weight: weight of the mean of `((Z - Z_0) / error)²`, bounded for outliers by a Cauchy
+            function.
         label: largest change of a label, px per view step.
         position: largest change of a position along each axis, px.
         log_weight: largest |R|.
@@ -114,7 +114,7 @@ class Trust(eqx.Module):
     roughness: Float[Array, "2"] = number((-4.0, 14.0))
 
     def penalty(self, model: DepthModel) -> Float[Array, ""]:
-        """Cost of leaving the first labels."""
+        """Penalty of changes of the labels."""
         trust = cast(self, model.disparity.dtype)
         moved = (model.disparity - trust.origin.disparity) / jnp.maximum(trust.error, 1e-6)
         cost = jnp.where(model.valid, jnp.log1p(jnp.where(model.valid, moved, 0) ** 2), 0)
@@ -122,7 +122,7 @@ class Trust(eqx.Module):
         return trust.weight * jnp.sum(cost) / count
 
     def residuals(self, model: DepthModel) -> Float[Array, "n"]:
-        """What half of the square of is `penalty`."""
+        """Residuals whose half sum of squares is `penalty`."""
         trust = cast(self, model.disparity.dtype)
         moved = (model.disparity - trust.origin.disparity) / jnp.maximum(trust.error, 1e-6)
         squared = jnp.maximum(
@@ -146,7 +146,7 @@ class Trust(eqx.Module):
 
 
 def unlimited(model: DepthModel) -> Trust:
-    """Trust without a prior: only R and Q are limited.
+    """Limits without a prior: only R and Q are bounded.
 
     Args:
         model: the parameters at the start.
@@ -162,12 +162,12 @@ class Supervised(eqx.Module):
 
     Attributes:
         truth: the known map.
-        known: where it is known.
+        known: mask of known pixels.
         trust: limits and prior.
         renderer: of the model.
         weights: of the terms.
-        blunt: below this, px per view step, absolute errors are squares in `residuals`; it should
-            be below the errors that are hoped for.
+        blunt: absolute errors below this, px per view step, are squares in `residuals`; it should
+            be below the expected errors.
     """
 
     truth: Float[Array, "y x"]
@@ -188,7 +188,7 @@ class Supervised(eqx.Module):
     def residuals(
         self, model: DepthModel, start: Float[Array, "y x"]
     ) -> tuple[tuple[Array, ...], Float[Array, "y x"]]:
-        """What half of the sum of squares of is the loss, absolute errors blunted, and the map."""
+        """Residuals whose half sum of squares is the loss, smoothed at 0, and the map."""
         disparity = render_model(model, self.renderer, start=start).disparity
         weights = cast(self.weights, disparity.dtype)
         count = jnp.maximum(jnp.sum(self.known).astype(disparity.dtype), 1)
@@ -216,15 +216,15 @@ def check_subset(subset: int | None) -> None:
 
 
 class SelfSupervised(eqx.Module):
-    """How badly the rendered map explains the views.
+    """Photometric error of the views, warped by the rendered map.
 
     Attributes:
         views: the views.
         trust: limits and prior.
         renderer: of the model.
         weights: of the terms.
-        features: what images are compared by.
-        subset: views drawn anew for every iteration, or None for all.
+        features: image features to compare.
+        subset: number of views drawn in every iteration, or None for all.
         similarity: compute the SSIM term at all, see `self_supervised_loss`.
     """
 
@@ -256,10 +256,9 @@ class SelfSupervised(eqx.Module):
     def residuals(
         self, model: DepthModel, start: Float[Array, "y x"]
     ) -> tuple[tuple[Array, ...], Float[Array, "y x"]]:
-        """What half of the sum of squares of is the loss over all views, blunted, and the map.
+        """Residuals whose half sum of squares is the loss over all views, and the map.
 
-        The reward of the error's gradient and the dissimilarity, which have no squares, are left
-        out.
+        The gradient reward and the dissimilarity, which are not squares, are left out.
         """
         disparity = render_model(model, self.renderer, start=start).disparity
         views, weights = self.views, cast(self.weights, disparity.dtype)

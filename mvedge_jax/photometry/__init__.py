@@ -1,8 +1,8 @@
-"""What the colors of the views say: calibrated views, and the measurement of every pixel in them.
+"""Photometric measurement: calibrated views, and disparity and standard error of every pixel.
 
-Views are the crosshair of a light field, or a `ViewSet` in any places, such as posed photographs.
-Rooms: `views` (where they show a pixel), `brightness` (exposure, noise), `matching` (costs of
-hypotheses), `measuring` (disparity and standard error of a pixel).
+Views are the crosshair of a light field, or a `ViewSet` at any positions, such as posed
+photographs. Subpackages: `views` (positions of a pixel in the views), `brightness` (exposure,
+noise), `matching` (costs of hypotheses), `measuring` (disparity and standard error of a pixel).
 """
 
 from ._calibration import (

@@ -1,4 +1,4 @@
-"""The calibration part: views whose colors compare, and a first map."""
+"""The part `calibration`: views with comparable colors, and a first map."""
 
 from typing import NamedTuple, Protocol, runtime_checkable
 
@@ -20,7 +20,7 @@ from .measuring import Measurement, PhotometricLabels
 
 @runtime_checkable
 class Calibration(Protocol):
-    """Views as they came to views whose colors compare; called inside `jit`.
+    """Makes the colors of raw views comparable; called inside `jit`.
 
     It must not read ground truth, and keeps the dtype of the views.
     """
@@ -28,15 +28,16 @@ class Calibration(Protocol):
     def __call__(
         self, light_field: LightField, searched: tuple[float, float], *, every: bool = False
     ) -> CalibratedViews:
-        """Takes out of the views what is the cameras' and not the scene's.
+        """Removes the cameras' differences in exposure and gain from the views.
 
         Args:
-            light_field: the views as they came.
+            light_field: the raw views.
             searched: lowest and highest disparity, px per view step.
-            every: calibrate all views, not those of the crosshair alone.
+            every: calibrate all views instead of the crosshair alone.
 
         Returns:
-            The crosshair, what was taken out, the noise that is left. Differentiable.
+            The calibrated crosshair, the exposure and gains removed, and the noise.
+            Differentiable.
         """
         ...
 
@@ -48,9 +49,9 @@ class Calibrate(eqx.Module):
         matching: costs of the hypotheses of the first map.
         hypotheses: disparities tried per pixel.
         window: half the width of the windows in which hypotheses are compared, px.
-        brightness: how exposure, gains and noise are found.
-        known: exposure and noise that were measured before and are not measured again; None if
-            there is nothing of the kind.
+        brightness: parameters of exposure, gains and noise.
+        known: exposure and noise that were measured before, to be used as they are; None to measure
+            them.
     """
 
     matching: Matching
@@ -95,14 +96,15 @@ class AsIs(eqx.Module):
 
 
 class Evidence(NamedTuple):
-    """What the views say before any edge is looked for.
+    """Calibrated views and their measurement, before the search for edges.
 
     Attributes:
-        calibrated: views whose colors compare.
-        prepared: the same, ready to be measured in; None without a measurement.
-        measured: disparity and standard error of every pixel around the first map; None likewise.
-        shown: how far each view of the crosshair shows a pixel, the vertical arm first; None
-            likewise.
+        calibrated: views with comparable colors.
+        prepared: the same, prepared for the measurement; None without one.
+        measured: disparity and standard error of every pixel, measured around the first map; None
+            without a measurement.
+        shown: weight of each view of the crosshair at each pixel, the vertical arm first; None
+            without a measurement.
     """
 
     calibrated: CalibratedViews
@@ -112,7 +114,7 @@ class Evidence(NamedTuple):
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Rows and columns of the centre view."""
+        """Rows and columns of the center view."""
         height, width = self.calibrated.guide.shape[1:]
         return height, width
 

@@ -1,4 +1,4 @@
-"""What is found out about a scene before anything is measured in it."""
+"""Preparation of a scene: calibrated views, a first map, and splines for the measurement."""
 
 import math
 from typing import Any, NamedTuple
@@ -29,17 +29,17 @@ from .views import ViewSet, views_of
 
 
 class CalibratedViews(NamedTuple):
-    """Views whose brightness and noise are known.
+    """Views without differences of exposure and gain, with their noise.
 
     Attributes:
-        views: the crosshair of a light field, or photographs; exposure and gains taken out.
-        exposure: what was taken out.
-        noise: of the views, in their units now.
+        views: the crosshair of a light field, or photographs, after exposure and gains.
+        exposure: the exposure and gains removed.
+        noise: noise of these views, in their units.
         guide: the reference view, denoised, `[c, y, x]`.
         lab: the same in CIELAB.
         first: per pixel, the disparity at which the views agree best; None after `recentred`.
-        lit: 0 where the reference shows nothing of the scene, such as where the lens leaves the
-            views dark, and around it, 1 elsewhere; None for 1 everywhere.
+        lit: 0 in and around the vignette mask or transparent pixels of the reference, 1 elsewhere;
+            None for 1 everywhere.
     """
 
     views: Crosshair | ViewSet
@@ -52,19 +52,19 @@ class CalibratedViews(NamedTuple):
 
     @property
     def arms(self) -> Crosshair:
-        """The views of a light field."""
+        """The two arms of a light field."""
         if not isinstance(self.views, Crosshair):
             raise TypeError("`views` must be a crosshair to have arms, got photographs.")
         return self.views
 
 
 class PreparedViews(NamedTuple):
-    """Views made ready for being measured in.
+    """Views prepared for the measurement.
 
     Attributes:
-        splines: of the crosshair, or of photographs, low-passed as the noise asks.
-        params: of the measurement in views of this noise.
-        every: all views of a light field, where they are asked for.
+        splines: splines of the crosshair, or of photographs, low-passed according to the noise.
+        params: parameters of the measurement in views of this noise.
+        every: all views of a light field if labels are measured in them, else None.
     """
 
     splines: CrosshairSplines | ViewSplines
@@ -72,29 +72,29 @@ class PreparedViews(NamedTuple):
     every: ViewSplines | None = None
 
     def look(self, disparity: Float[Array, "y x"]) -> Look:
-        """Reads the views around a map."""
+        """Accumulates the normal equations around a map."""
         return self.splines.look(disparity, self.params)
 
 
 def hypothesis_count(span: float, steps: int) -> int:
-    """Disparities to try: neighbours differ by half a pixel in the outermost view.
+    """Number of hypotheses, half a pixel apart in the outermost view.
 
     Args:
         span: width of the range, px per view step.
-        steps: from the centre view to the outermost one.
+        steps: from the center view to the outermost one.
 
     Returns:
-        Their number, at least 2.
+        The number, at least 2.
     """
     return max(math.ceil(2 * steps * span) + 1, 2)
 
 
 def occluder_radius(span: float, steps: int, shape: tuple[int, int]) -> int:
-    """How far away an occluder can be that is over a pixel in some view, px.
+    """Largest distance, px, of an occluder that hides a pixel in some view.
 
     Args:
         span: width of the range, px per view step.
-        steps: from the centre view to the outermost one.
+        steps: from the center view to the outermost one.
         shape: of the views, px.
 
     Returns:
@@ -114,16 +114,16 @@ def prepare(
 ) -> CalibratedViews:
     """Measures exposure, gains and noise, and finds the first map.
 
-    Gains and vignettes are measured twice: roughly, and again along the first map, when it is known
-    what shows the same. If there are vignettes, the map is searched, and both are measured, again.
+    Gains and vignettes are measured twice: roughly, and again along the first map. If there are
+    vignettes, the map is searched again, and both are measured once more.
 
     Args:
         views: `GridViews` of a light field, or `PosedViews`.
-        disparities: what to try, px per view step, increasing, evenly spaced.
-        params: of the hypotheses.
-        window: half the width of their windows, px.
-        brightness: how exposure, gains and noise are found; None for the defaults.
-        known: exposure and noise, which are not measured then.
+        disparities: hypotheses, px per view step, increasing, evenly spaced.
+        params: parameters of the hypotheses.
+        window: half the width of the hypotheses' windows, px.
+        brightness: parameters of exposure, gains and noise; None for the defaults.
+        known: exposure and noise, if they are not to be measured.
 
     Returns:
         The scene. Differentiable in views and parameters at the hypotheses chosen.
@@ -158,14 +158,14 @@ def prepare(
     if known is not None:
         first = searched(scene.views, scene.lab, noise, params)
         return scene._replace(first=first, lit=views.lit(brightness))
-    # A loop, so that the search is traced once; without vignettes it is left out the second time.
+    # A loop, so that the search is traced once; without vignettes the second search is skipped.
     start = exposure, jnp.zeros_like(scene.guide[0])
     (exposure, first), _ = lax.scan(recomputed(again), start, jnp.asarray([True, False]))
     return _evened(scene, views, exposure)._replace(first=first, lit=views.lit(brightness))
 
 
 def _evened(scene: CalibratedViews, views: Uncalibrated, exposure: Exposure) -> CalibratedViews:
-    """The scene after another exposure, the reference's vignette taken out of its guide."""
+    """The scene with another exposure; its guide is without the reference's vignette."""
     factor = exposure.factors(views.reference, scene.guide.shape[1:]) / exposure.scale
     guide = scene.guide * factor[None]
     lab = jnp.moveaxis(srgb_to_lab(jnp.moveaxis(guide, 0, -1)), -1, 0)
@@ -175,12 +175,12 @@ def _evened(scene: CalibratedViews, views: Uncalibrated, exposure: Exposure) -> 
 def prepare_views(
     scene: CalibratedViews, params: Measurement, *, every: LightField | None = None
 ) -> PreparedViews:
-    """Low-passes the views as far as their noise asks, and says what that does to measurements.
+    """Low-passes the views according to their noise and adapts the measurement to it.
 
     Args:
         scene: see `prepare`.
         params: of the measurement in views without noise.
-        every: the light field, if all of its views are to be measured in.
+        every: the light field, to measure in all of its views.
 
     Returns:
         Views and parameters for `labels`. Differentiable.
@@ -194,11 +194,11 @@ def prepare_views(
 
 
 def measuring_in(noise: Noise, scale: Float[Array, ""], params: Measurement) -> Measuring:
-    """What a measurement takes for granted in views of some noise.
+    """Parameters of a measurement in views of a given noise.
 
     Args:
-        noise: of the views, before their low-pass.
-        scale: what they were brightened by.
+        noise: noise of the views before their low-pass.
+        scale: factor by which the views were brightened.
         params: of the measurement in views without noise.
 
     Returns:
@@ -207,12 +207,12 @@ def measuring_in(noise: Noise, scale: Float[Array, ""], params: Measurement) -> 
     plain, clear = cast(Measuring(), scale.dtype), 1 - noise.alpha
     kept, grain = passed(noise, blur_of(noise))
     changed: dict[str, Any] = {
-        # Drift cannot be told from noise, nor surfaces by their colours.
+        # Noise looks like drift and hides the colors of surfaces.
         "stiffness": plain.stiffness / clear**2,
         "same_colour": params.same_colour / clear,
         "noise": jnp.maximum(jnp.sqrt(kept) * noise.deviation, plain.noise),
         "rounding": scale * noise.rounding,
-        # What noise is left in the mean gradients of all views is less than the residual says.
+        # The mean gradients of all views have less noise than the residual.
         "gradient_noise": plain.gradient_noise * grain * (1 - 0.6 * noise.alpha**4),
     }
     return Measuring(**(vars(params) | changed))
@@ -230,13 +230,13 @@ def recentred(
 
     Args:
         light_field: the views as they came.
-        view: index `(v, u)` of what becomes the centre view, traced.
-        exposure: of the light field.
-        noise: of its views, exposure taken out.
-        params: how noise is taken out of the guide; None for the defaults.
+        view: index `(v, u)` of the new center view, traced.
+        exposure: exposure of the light field.
+        noise: noise of its views after exposure.
+        params: parameters of the denoising of the guide; None for the defaults.
 
     Returns:
-        The scene, without a first map; steps are those from the view. Differentiable.
+        The scene, without a first map; steps are relative to `view`. Differentiable.
 
     Example:
         >>> field = LightField(jnp.zeros((3, 5, 8, 8, 3)))
@@ -250,7 +250,7 @@ def recentred(
 
     def arm(views: Array, factors: Array, there: Array, own: Array, steps: Array) -> Arm:
         count = views.shape[0]
-        # An arm has its centre in the middle; the order of the other views does not matter.
+        # The reference is in the middle of an arm; the order of the other views does not matter.
         order = (jnp.arange(count, dtype=jnp.int32) - count // 2 + own) % count
         planes = jnp.moveaxis((views * factors[..., None])[order], -1, 1)
         return Arm(planes, (steps[order] - steps[own]).astype(views.dtype), there[order])
@@ -266,7 +266,7 @@ def recentred(
 def _guided(
     views: Crosshair | ViewSet, exposure: Exposure, noise: Noise, params: NoiseModel | None
 ) -> CalibratedViews:
-    """A scene without a first map, whose guide is the reference view without its noise."""
+    """A scene without a first map, guided by the denoised reference view."""
     guide = denoised(views.centre, noise, params=params)
     lab = jnp.moveaxis(srgb_to_lab(jnp.moveaxis(guide, 0, -1)), -1, 0)
     return CalibratedViews(views, exposure, noise, guide, lab, None)
@@ -278,15 +278,15 @@ def first_labels(
     """Measures every pixel around the first map of a light field.
 
     Args:
-        scene: with a first map.
+        scene: a scene with a first map.
         prepared: its views.
 
     Returns:
-        Labels, shared between neighbours, and the weights of the views, see
+        Labels, averaged over neighbors, and the weights of the views, see
         `CrosshairSplines.look_with_weights`. Differentiable.
 
     Raises:
-        ValueError: the scene has no first map, or is none of a light field.
+        ValueError: the scene has no first map, or is not that of a light field.
     """
     first, lab, params = scene.first, scene.lab, prepared.params
     if first is None:

@@ -1,4 +1,4 @@
-"""Windows that follow an image: sums over neighbours, largest values, contrast."""
+"""Windows that follow an image: sums over neighbors, largest values, contrast."""
 
 from dataclasses import dataclass
 from functools import partial
@@ -22,11 +22,11 @@ def weighted_sum(
     spacing: int = 1,
     mode: str = "edge",
 ) -> Float[Array, "n y x"]:
-    """Sums over a window with weights of one's own at every pixel.
+    """Sums over a window with separate weights at every pixel.
 
     Args:
-        images: planes that share their weights, `[n, y, x]`.
-        weights: of the offsets of a square window, row by row.
+        images: planes with common weights, `[n, y, x]`.
+        weights: weights of the offsets of a square window, row by row.
         spacing: px between the pixels of the window.
         mode: beyond the border: `"edge"` repeats the border, `"constant"` is zero.
 
@@ -34,13 +34,13 @@ def weighted_sum(
         The sums. Differentiable.
     """
     # Unrolled, this is one fused pass over the images, three times as fast on a CPU as a scan over
-    # the offsets, as long as nothing before or after it is drawn into the loop.
+    # the offsets, as long as no other operation is fused into the loop.
     return fenced(partial(_summed, _Window(spacing, mode)), images, weights)
 
 
 @dataclass(frozen=True)
 class _Window:
-    """Where the pixels of a window lie."""
+    """Offsets of the pixels of a window."""
 
     spacing: int
     mode: str
@@ -51,7 +51,7 @@ class _Window:
 
     def start(self, offset: Array | int, count: int) -> tuple[Any, ...]:
         size = self.size(count)
-        # The first one is of the type of the others, as slices ask.
+        # Slices need all indices of one type.
         return 0 * offset, offset // size * self.spacing, offset % size * self.spacing
 
     @staticmethod
@@ -72,7 +72,7 @@ def _summed(window: _Window, images: Array, weights: Array) -> Array:
 
 @_summed.defjvp
 def _summed_jvp(window: _Window, primals: Any, tangents: Any) -> tuple[Array, Array]:
-    """Transposes are loops: unrolled, too, they would make up most of any gradient's program."""
+    """Transposes are loops: unrolled, they would be most of any gradient's program."""
     (images, weights), (images_dot, weights_dot) = primals, tangents
     count, shape = weights.shape[0], images.shape
 
@@ -81,7 +81,7 @@ def _summed_jvp(window: _Window, primals: Any, tangents: Any) -> tuple[Array, Ar
         size, (height, width) = window.size(count), shape[1:]
         reach = (size - 1) * window.spacing
         sides = ((0, 0), (0, 0), (reach, reach))
-        # Padded once: a pad for every offset would not be vectorised.
+        # Padded once, because a pad for every offset is not vectorized.
         rows = jnp.pad(weights, sides).reshape(size, size, height, width + 2 * reach)
         out = jnp.pad(out, sides)
 
@@ -111,7 +111,7 @@ def _summed_jvp(window: _Window, primals: Any, tangents: Any) -> tuple[Array, Ar
             return jnp.stack([products(strip, x * window.spacing) for x in range(size)])
 
         def products(strip: Array, x: int) -> Array:
-            # By hand: XLA on CPU does not vectorise a sum over a leading axis.
+            # By hand: XLA on CPU does not vectorize a sum over a leading axis.
             total = strip[0, :, x : x + width] * out[0]
             for a, b in zip(strip[1:], out[1:], strict=True):
                 total = total + a[:, x : x + width] * b
@@ -128,13 +128,13 @@ def _summed_jvp(window: _Window, primals: Any, tangents: Any) -> tuple[Array, Ar
 def colour_weights(
     lab: Float[Array, "c y x"], scale: Float[Array, ""], *, reach: int, spacing: int = 1
 ) -> Float[Array, "o y x"]:
-    """Weights of the neighbours by the likeness of their colours.
+    """Weights of the neighbors by the similarity of their colors.
 
     Args:
         lab: CIELAB, `[c, y, x]`.
-        scale: difference of colour at which a neighbour counts 1/e.
+        scale: difference of color at which the weight of a neighbor is 1/e.
         reach: pixels of the window to either side.
-        spacing: px between them.
+        spacing: distance between these pixels, px.
 
     Returns:
         Weights that sum to 1 at every pixel. Differentiable.
@@ -142,7 +142,7 @@ def colour_weights(
     size, margin = 2 * reach + 1, reach * spacing
     padded = jnp.pad(lab, ((0, 0), (margin, margin), (margin, margin)), mode="edge")
 
-    # Reverse mode keeps the weights, not the half dozen of arrays of their size before them.
+    # Reverse mode stores the weights, not the half dozen intermediates of their size.
     @jax.checkpoint
     def weight(offset: Array) -> Array:
         start = (0, offset // size * spacing, offset % size * spacing)
@@ -152,7 +152,7 @@ def colour_weights(
             square = square + (other - own) ** 2
         return jnp.exp(-root(square) / scale)
 
-    # Made once, unlike the sums over them, hence the loop, which compiles faster.
+    # A loop, which compiles faster; unlike the sums, the weights are computed once.
     weights = lax.map(weight, jnp.arange(size * size))
     total, _ = lax.scan(lambda t, w: (t + w, None), jnp.zeros_like(lab[0]), weights)
     return weights / total[None]
@@ -162,12 +162,12 @@ def contrast(lab: Float[Array, "c y x"], *, radius: int) -> Float[Array, "y x"]:
     """The largest gradient nearby, of an image without its finest detail.
 
     Args:
-        lab: CIELAB, `[c, y, x]`; blurred by about 1 px first, so that single pixels of noise are
-            no outline.
-        radius: how far to look along either axis, px.
+        lab: CIELAB, `[c, y, x]`; blurred by about 1 px first, so that single noisy pixels are not
+            outlines.
+        radius: half the width of the window along either axis, px.
 
     Returns:
-        CIELAB per px, `[y, x]`. Differentiable, at the place chosen.
+        CIELAB per px, `[y, x]`. Differentiable at the maximum chosen.
     """
     smooth = lab
     for _ in range(2):

@@ -79,7 +79,7 @@ def plot_consistency(
 
     Returns:
         The figure: a box plot over views per method (box: quartiles, whiskers: 1.5 times the box,
-        line: median) and, on one colour scale, its angular distribution.
+        line: median) and, on one color scale, its angular distribution.
 
     Raises:
         ValueError: if the number of names is not that of the scores.

@@ -29,10 +29,10 @@ _ABSENT = to_rgb("#dddddd")
 def plot_views(
     light_field: LightField, *, gap: int = 4, pixels: int = 1600, width: float = WIDTH
 ) -> Figure:
-    """Draws all views as a mosaic, the centre view framed.
+    """Draws all views as a mosaic, the center view framed.
 
     Args:
-        light_field: What to draw; missing views are grey.
+        light_field: What to draw; missing views are gray.
         gap: Space between views, px of the mosaic.
         pixels: Views are shrunk so that the mosaic is no wider than about this.
         width: Width of the figure, inches.
@@ -86,14 +86,14 @@ def plot_epi(
     limits: tuple[float, float] | None = None,
     width: float = WIDTH,
 ) -> Figure:
-    """Draws an epipolar-plane image below the stretch of the centre view that it is cut from.
+    """Draws an epipolar-plane image below the stretch of the center view that it is cut from.
 
     Args:
         light_field: The views.
         row: Image row of a horizontal EPI, px; the middle one if neither row nor column is given.
         column: Image column of a vertical EPI, px.
         span: First and last pixel along the EPI; all of it by default.
-        positions: Where lines cross the centre view, `[m]`, px along the EPI.
+        positions: Where lines cross the center view, `[m]`, px along the EPI.
         disparities: Their disparities, `[m]`, px per view step.
         valid: Which of them to draw, `[m]`; all by default.
         limits: Colour range of the lines, px per view step.
@@ -178,7 +178,7 @@ def plot_edges(
     name: str = "",
     width: float = WIDTH / 2,
 ) -> Figure:
-    """Draws edge points over a dimmed image, coloured by their disparity.
+    """Draws edge points over a dimmed image, colored by their disparity.
 
     Args:
         image: sRGB in [0, 1], `[y, x, c]`.

@@ -30,7 +30,7 @@ _SIGNED_LABEL = "error (px per view step)"
 def disparity_limits(
     maps: Sequence[Float[Numbers, "_ _"]], *, percent: float = 0.5
 ) -> tuple[float, float]:
-    """A colour range that all maps of a scene can share.
+    """A color range that all maps of a scene can share.
 
     Args:
         maps: Disparity maps, `[y, x]` each, any unit: the ground truth alone, or, without one,
@@ -57,14 +57,14 @@ def plot_disparity(
     label: str = DISPARITY,
     width: float = WIDTH,
 ) -> Figure:
-    """Draws disparity maps side by side, with one colour map, range and bar.
+    """Draws disparity maps side by side, with one color map, range and bar.
 
     Args:
         maps: One map or several of one scene, `[y, x]` each, px per view step.
         names: A title per map.
         limits: Colour range, px per view step; by default `disparity_limits` of all maps. Pass the
             same to every figure of a scene.
-        label: Of the colour bar.
+        label: Of the color bar.
         width: Width of the figure, inches.
 
     Returns:
@@ -109,7 +109,7 @@ def plot_error(
             logarithmic scale from 0.001 to 1 px.
         limit: Error at the ends of the signed scale, px per view step; larger ones are clipped.
         name: Title.
-        label: Of the colour bar; None for the error, absolute on the logarithmic scale.
+        label: Of the color bar; None for the error, absolute on the logarithmic scale.
         width: Width of the figure, inches.
 
     Returns:
@@ -152,7 +152,7 @@ def plot_comparison(
         truth: Ground truth, `[y, x]`, px per view step; NaN where unknown.
         names: A title per method.
         captions: A line below each error map, for example its scores.
-        image: The centre view, sRGB in [0, 1], drawn below the truth.
+        image: The center view, sRGB in [0, 1], drawn below the truth.
         limits: Colour range of disparity; by default that of the truth.
         width: Width of the figure, inches.
 

@@ -1,4 +1,4 @@
-"""What all figures share: sizes, colour maps, colour bars."""
+"""What all figures share: sizes, color maps, color bars."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -37,7 +37,7 @@ _RC: dict[Any, Any] = {
     "image.interpolation": "nearest",
 }
 
-# Okabe and Ito: told apart by colour-blind readers and in grey.
+# Okabe and Ito: told apart by color-blind readers and in gray.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 
 
@@ -55,7 +55,7 @@ def new_figure(width: float, height: float) -> Figure:
 
 
 def colour_map(name: str) -> Colormap:
-    """A colour map that shows missing values as a tint that it does not contain itself."""
+    """A color map that shows missing values as a tint that it does not contain itself."""
     return mpl.colormaps[name].with_extremes(bad="#ff66cc")
 
 
@@ -71,14 +71,14 @@ def show(axes: Axes, image: Numbers, title: str = "", **options) -> ScalarMappab
 def colour_bar(
     figure: Figure, shown: ScalarMappable, axes: Axes | Sequence[Axes], label: str, **options
 ) -> None:
-    """A slim colour bar with a label that has the unit."""
+    """A slim color bar with a label that has the unit."""
     bar = figure.colorbar(shown, ax=axes, fraction=0.05, pad=0.015, aspect=28, **options)
     bar.set_label(label)
     bar.outline.set_linewidth(0.4)  # pyright: ignore[reportCallIssue]
 
 
 def limits_norm(limits: tuple[float, float]) -> Normalize:
-    """A linear colour scale."""
+    """A linear color scale."""
     return Normalize(*limits)
 
 

@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 from ._style import WIDTH, Numbers, colour_bar, colour_map, new_figure, show, style
 from ._views import around_the_grid
 
-# Neighbouring labels get colours far apart on the circle of hues.
+# Neighboring labels get colors far apart on the circle of hues.
 _GOLDEN = 0.618033988749895
 
 
@@ -25,7 +25,7 @@ def superpixel_picture(
         labels: of its pixels, 0 for none.
         colours: of each label, row k that of label k + 1: drawn instead of the view; where there is
             no label, the view stays.
-        outline: colour of the pixels to the right of and below a boundary; None for no outlines.
+        outline: color of the pixels to the right of and below a boundary; None for no outlines.
 
     Returns:
         The picture, 8 bit.
@@ -45,13 +45,13 @@ def superpixel_picture(
 
 
 def label_colours(count: int) -> Float[np.ndarray, "k 3"]:
-    """Bright colours to tell labels apart, the same in every picture.
+    """Bright colors to tell labels apart, the same in every picture.
 
     Args:
         count: of labels.
 
     Returns:
-        sRGB in [0, 1]; row k is the colour of label k + 1.
+        sRGB in [0, 1]; row k is the color of label k + 1.
     """
     number = np.arange(count)
     hue = (number * _GOLDEN) % 1
@@ -68,7 +68,7 @@ def plot_superpixels(
     colours: Float[Numbers, "k 3"] | None = None,
     width: float = 2 * WIDTH,
 ) -> Figure:
-    """Draws superpixels in the centre view and the four corner views.
+    """Draws superpixels in the center view and the four corner views.
 
     Args:
         views: sRGB in [0, 1].
@@ -77,7 +77,7 @@ def plot_superpixels(
         width: of the figure, inches.
 
     Returns:
-        The figure; of a single row or column of views, the centre and the two ends.
+        The figure; of a single row or column of views, the center and the two ends.
     """
     rows, columns, height, across = labels.shape
     corners = [(0, 0), (0, columns - 1), (rows - 1, 0), (rows - 1, columns - 1)]
@@ -113,7 +113,7 @@ def superpixel_frames(
 
 
 def plot_labels_per_pixel(counts: Float[Numbers, "y x"], *, width: float = WIDTH / 2) -> Figure:
-    """Draws how many labels each pixel of the centre view has: Fig. 5.9.
+    """Draws how many labels each pixel of the center view has: Fig. 5.9.
 
     Args:
         counts: from `metrics.superpixels.labels_per_pixel`.

@@ -19,7 +19,7 @@ def plot_view_maps(
 
     Args:
         maps: One per view, `[v, u, y, x]`.
-        limits: Lowest and highest value of the colours; by default those of the maps.
+        limits: Lowest and highest value of the colors; by default those of the maps.
         name: Title.
         pixels: Maps are thinned out so that the sheet is no wider than about this.
 
@@ -46,7 +46,7 @@ def view_frames(
 
     Args:
         maps: One per view, `[v, u, y, x]`.
-        limits: Lowest and highest value of the colours; by default those of the maps.
+        limits: Lowest and highest value of the colors; by default those of the maps.
 
     Returns:
         Frames of an animation; of a single row or column, there and back.

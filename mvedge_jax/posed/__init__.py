@@ -1,7 +1,7 @@
-"""Depth from a few posed photographs, by the light field's own measurement.
+"""Depth from a few posed photographs, by the measurement of light fields.
 
-Rooms: `sparse` (the thesis' own method: points, diffused and optimised), `objective` (its loss),
-`cloud` (surfaces as points), `scores` (errors in depth).
+Subpackages: `sparse` (the thesis' own method: points, diffused and optimized), `objective` (its
+loss), `cloud` (surfaces as points), `scores` (errors in depth).
 """
 
 from mvedge_jax._export import register

@@ -22,14 +22,14 @@ from ._reference import STEPS, Reference
 
 # Hypotheses per px of movement in the farthest photograph.
 _PER_PX = 4.0
-# Hypotheses come in multiples of this: photographs of about the same range share a program.
+# The number of hypotheses is a multiple of this, so that similar ranges share a program.
 _ROUND = 16
-# More of them at once would take gigabytes.
+# More hypotheses would take gigabytes.
 _MOST = 768
 
 
 def _matching() -> Matching:
-    """Few photographs, far apart: less is known of a pixel, and more must come along the paths."""
+    """Few, distant photographs give less evidence per pixel, so paths are stiffer."""
     return Matching(truncation=as_number(16.0), slant=as_number(0.4), jump=as_number(2.0))
 
 
@@ -39,7 +39,7 @@ def _measurement() -> Measurement:
 
 
 def _refine() -> Refine:
-    """Labels of few photographs are known to some hundredths of a pixel, not to thousandths."""
+    """Labels of few photographs have errors of hundredths of a pixel, not thousandths."""
     return Refine(precision=as_number(0.02))
 
 
@@ -53,14 +53,14 @@ class StereoDepth(eqx.Module):
     Attributes:
         hypotheses: disparities tried per pixel.
         window: half the width of the windows in which hypotheses are compared, px.
-        brightness: how gains and noise are found.
-        matching: costs of the hypotheses that the first map starts from.
-        measurement: of every pixel; occluders are found wherever they are, its `radius` is not
-            read.
+        brightness: parameters of gains and noise.
+        matching: costs of the hypotheses of the first map.
+        measurement: measurement of every pixel; occluders at any distance are found, `radius` is
+            not read.
         dense: weights of the measured labels.
-        smoothness: between neighboring pixels.
-        solver: of the diffusions.
-        refine: when to sharpen and solve again; its `outline` is not read.
+        smoothness: weights of the edges between neighboring pixels.
+        solver: solver of the diffusions.
+        refine: schedule of diffusion and sharpening; `outline` is not read.
     """
 
     hypotheses: int = eqx.field(static=True)
@@ -81,8 +81,8 @@ class StereoDepth(eqx.Module):
         """Chooses the number of hypotheses on the host.
 
         Args:
-            reference: its range of disparities, and that the farthest photograph is four steps
-                away, say how many hypotheses are a quarter of a pixel apart there.
+            reference: hypotheses over its range of disparities are a quarter of a pixel apart in
+                the farthest photograph, which is four view steps away.
             choices: numbers and static fields to set, by path.
 
         Returns:
@@ -90,8 +90,7 @@ class StereoDepth(eqx.Module):
 
         Raises:
             TypeError: the reference is traced.
-            ValueError: a choice is out of range, or the range of depths asks for too many
-                hypotheses.
+            ValueError: a choice is out of range, or the range of depths needs too many hypotheses.
         """
         untraced("reference", reference.disparity_range)
         low, high = np.asarray(reference.disparity_range, np.float64)

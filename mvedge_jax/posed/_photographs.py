@@ -1,4 +1,4 @@
-"""Photographs with known cameras, and how the pixels of one of them move into the others."""
+"""Photographs with known cameras, and the projections of one's pixels into the others."""
 
 from typing import Any
 
@@ -13,9 +13,9 @@ from mvedge_jax._params import accepts_numpy
 from mvedge_jax._product import product
 from mvedge_jax.photometry.views import PlaneParallax
 
-# Rotations may be off by this much: files hold six digits.
+# Allowed error of rotations; files hold six digits.
 _RIGID = 1e-3
-# How much of the largest baseline may be lost to rounding.
+# Allowed rounding error as a share of the largest baseline.
 _ROUNDED = 1e-2
 
 
@@ -26,18 +26,18 @@ class Photographs(eqx.Module):
 
     Attributes:
         images: sRGB in [0, 1], without lens distortion.
-        poses: camera to world; x right, y down, z forward; lengths in a unit of the user's.
-        intrinsics: `[[fx, 0, cx], [0, fy, cy], [0, 0, 1]]` px, centres of pixels at integers.
+        poses: camera to world; x right, y down, z forward; lengths in any unit.
+        intrinsics: `[[fx, 0, cx], [0, fy, cy], [0, 0, 1]]` px, centers of pixels at integers.
         points: sparse points in the world, if known.
         observed: which photographs saw which of the points, if known.
-        depth: true distance along the optical axis of the pixels' centres, 0 where unknown; never
+        depth: true distance along the optical axis at the pixels' centers, 0 where unknown; never
             read by the method.
-        mask: pixels that show something of the scene; None for all. The others, which are those
-            of a transparent background, take no part and get no depth.
+        mask: opaque pixels; None for all. Pixels of a transparent background are ignored and get
+            no depth.
         names: one per photograph.
-        name: of the scene, for tables and figures.
-        origin: what was subtracted from the places of cameras and points, in float64, and is added
-            again by `mvedge_jax.datasets.exchange`: 0 unless they are given in a map's coordinates.
+        name: name of the scene, for tables and figures.
+        origin: offset that was subtracted from cameras and points, in float64, and that
+            `mvedge_jax.datasets.exchange` adds again: 0 except for geographic coordinates.
 
     Raises:
         ValueError: on wrong shapes, fewer than two photographs, values that are not finite or lie
@@ -161,7 +161,7 @@ class Photographs(eqx.Module):
 
     @property
     def centres(self) -> Float[Array, "n 3"]:
-        """Where the cameras are, in the world."""
+        """Positions of the cameras in the world."""
         return self.poses[:, :3, 3]
 
     def index(self, name: str) -> int:
@@ -185,17 +185,18 @@ class Photographs(eqx.Module):
         return found[0]
 
     def without_truth(self) -> "Photographs":
-        """The same photographs with nothing to cheat with."""
+        """Copy without ground truth."""
         return eqx.tree_at(lambda p: p.depth, self, None, is_leaf=lambda leaf: leaf is None)
 
     def point_depths(self, index: int) -> Float[np.ndarray, " k"]:
         """Distances along a photograph's axis of the points that it saw, on the host.
 
         Args:
-            index: of the photograph.
+            index: index of the photograph.
 
         Returns:
-            Of those in front of the camera and inside of the frame; empty without points.
+            Distances of the points in front of the camera and inside of the frame; empty without
+            points.
         """
         if self.points is None:
             return np.zeros(0)
@@ -218,7 +219,7 @@ def projections(
     reference: Int[Array, ""] | int,
     scale: Float[Array, ""],
 ) -> PlaneParallax:
-    r"""Where photographs show the pixels of one of them.
+    r"""Positions of one photograph's pixels in all photographs.
 
     $\lambda q = K R K_r^{-1} p + d\,K t / s$, with $R$ and $t$ the motion from the reference
     camera to the other and $d = s / z$ the disparity; $\lambda$ is the depth there over that here.
@@ -226,7 +227,7 @@ def projections(
     Args:
         poses: camera to world.
         intrinsics: px.
-        reference: index of the photograph whose pixels are meant.
+        reference: index of the photograph whose pixels are projected.
         scale: disparity times depth, px times the poses' unit.
 
     Returns:
@@ -253,6 +254,6 @@ def projections(
         return PlaneParallax(homography, product(matrix, shift) / scale)
 
     found = jax.vmap(of)(poses, intrinsics)
-    # Rounding must not move the reference's own border out of its frame.
+    # Exact identity, so that rounding does not move the reference's border out of its frame.
     identity = found.homography.at[reference].set(jnp.eye(3, dtype=poses.dtype))
     return PlaneParallax(identity, found.epipole.at[reference].set(0))

@@ -1,4 +1,4 @@
-"""What a depth map of photographs says against itself, in sentences for people."""
+"""Problems of a depth map of photographs, as sentences."""
 
 from typing import Any
 
@@ -16,7 +16,7 @@ _VAGUE = 0.07
 
 
 def depth_problems(depth: Any, error: Any, labeled: Any) -> tuple[str, ...]:
-    """What the labels and the stated error say against a depth map, on the host.
+    """Problems of a depth map, by its labels and its stated error, on the host.
 
     Args:
         depth: in any unit, `[y, x]`.
@@ -24,7 +24,7 @@ def depth_problems(depth: Any, error: Any, labeled: Any) -> tuple[str, ...]:
         labeled: share of the pixels with an accepted label.
 
     Returns:
-        Sentences for people, none if there is nothing to say, or if no depth or no error is finite.
+        One sentence per problem; none if no depth or no error is finite.
 
     Example:
         >>> depth_problems(np.full((2, 2), 2.0), np.full((2, 2), 0.3), 0.9)

@@ -1,4 +1,4 @@
-"""The photograph whose depth is asked for."""
+"""The photograph whose depth is estimated."""
 
 import math
 from functools import partial
@@ -15,27 +15,27 @@ from mvedge_jax.photometry.views import ViewSet
 
 from ._photographs import Photographs, projections
 
-# The farthest photograph is this many view steps away, as in a light field of 9x9 views: the
-# parameters' px per view step then mean the same.
+# View steps to the farthest photograph, as in a light field of 9x9 views, so that parameters in px
+# per view step mean the same.
 STEPS = 4.0
-# How far from a pixel a color between pixels is mostly made of, px.
+# Radius of the pixels that mostly determine an interpolated color, px.
 _INTERPOLATED = 2
-# Depths below this share of the distance to the farthest camera are no photograph's.
+# Least depth as a share of the distance to the farthest camera.
 _LEAST = 1e-6
 # Without points or a range, no surface is nearer than this many times the largest baseline.
 _NEAREST = 8.0
-# How far beyond the points' range surfaces are looked for: share of the range of inverse depths.
+# Margin of the points' range, as a share of the range of inverse depths.
 _MARGIN = 0.15
 
 
 class Reference(eqx.Module):
-    """The photograph whose depth is asked for, and what its disparities are counted in.
+    """The photograph whose depth is estimated, and the unit of its disparities.
 
     Attributes:
         index: of the photograph.
         baseline: the disparity of a pixel is its focal length, px, times this over its depth; in
             the unit of the poses.
-        disparity_range: lowest and highest disparity to look for.
+        disparity_range: lowest and highest disparity to search.
     """
 
     index: Int[Array, ""]
@@ -46,7 +46,7 @@ class Reference(eqx.Module):
         """Disparity times depth.
 
         Args:
-            photographs: whose focal length is meant.
+            photographs: photographs with the focal length of the reference.
 
         Returns:
             px times the unit of the poses. Differentiable.
@@ -55,15 +55,15 @@ class Reference(eqx.Module):
         return jnp.sqrt(matrix[0, 0] * matrix[1, 1]) * self.baseline.astype(matrix.dtype)
 
     def order(self, photographs: Photographs) -> Int[Array, " n"]:
-        """Indices of the photographs, this one's first."""
+        """Indices of the photographs, the reference first."""
         count = photographs.images.shape[0]
         return (jnp.arange(count, dtype=jnp.int32) + self.index) % count
 
     def views(self, photographs: Photographs) -> ViewSet:
         """The photographs in this order.
 
-        Those from the reference's own place, which know nothing about depth, are not to be read;
-        shown is a pixel where all is opaque that colors beside it are interpolated from.
+        Photographs from the reference's position have no information about depth and are not read.
+        A pixel is `shown` if all pixels that its interpolated colors depend on are opaque.
 
         Args:
             photographs: two or more.
@@ -88,14 +88,14 @@ def reference_of(
     *,
     depth_range: tuple[float, float] | None = None,
 ) -> Reference:
-    """Chooses what a photograph's disparities are counted in, on the host.
+    """Chooses the unit of a photograph's disparities, on the host.
 
     Args:
         photographs: two or more.
         index: of the photograph, or its name.
-        depth_range: nearest and farthest depth to look for, in the unit of the poses; without, that
-            of the sparse points with a margin, and without points from eight times the largest
-            baseline to infinity.
+        depth_range: nearest and farthest depth to search, in the unit of the poses. The default is
+            that of the sparse points with a margin or, without points, from eight times the
+            largest baseline to infinity.
 
     Returns:
         A baseline of a fourth of the distance to the farthest camera, and the range.
@@ -140,7 +140,7 @@ def _inverse_range(
     depth_range: tuple[float, float] | None,
     farthest: float,
 ) -> tuple[float, float]:
-    """Inverse depths of what is nearest and farthest."""
+    """Inverse depths of the nearest and the farthest surface."""
     if depth_range is not None:
         near, far = depth_range
         if not 0 < near < far:

@@ -22,20 +22,20 @@ from ._photographs import Photographs
 from ._problems import depth_problems
 from ._reference import Reference
 
-# The least disparity that depth is made of, as a share of the range's upper end.
+# Least disparity that is converted to depth, as a share of the range's upper end.
 _FARTHEST = 1e-6
 
 
 class StereoStats(NamedTuple):
-    """How it went.
+    """Statistics of `stereo`.
 
     Attributes:
-        iterations: of every diffusion of the map.
+        iterations: solver iterations of every diffusion of the map.
         converged: whether every diffusion reached its tolerance.
-        noise: of the photographs, in their units after they were brightened.
-        gain: brightness of each photograph relative to the reference, which was taken out; in the
+        noise: noise of the photographs, in their units after brightening.
+        gain: brightness of each photograph relative to the reference, which was removed; in the
             order of `Photographs`.
-        searched: lowest and highest disparity that was tried, px per baseline.
+        searched: lowest and highest disparity searched, px per baseline.
         labeled: share of the pixels with an accepted label, see `Refine.accepted`, in the last
             solve. The other pixels are diffused from these.
     """
@@ -60,7 +60,7 @@ class StereoResult(NamedTuple):
         error: its standard error, in the same unit; infinite where there is no label at all.
         disparity: px per baseline, larger is nearer, `[y, x]`; see `Reference`; NaN as depth is.
         disparity_error: its standard error, px.
-        first: the disparities that the measurement started from.
+        first: initial disparities of the measurement.
         stats: counts.
         mask: pixels that are not transparent; None for all.
     """
@@ -74,7 +74,7 @@ class StereoResult(NamedTuple):
     mask: Bool[Array, "y x"] | None = None
 
     def problems(self) -> tuple[str, ...]:
-        """What the statistics say against the depth, one sentence each; on the host."""
+        """Problems of the depth by its statistics, one sentence each; on the host."""
         stats, asked = self.stats, slice(None) if self.mask is None else np.asarray(self.mask)
         maps = (self.disparity, self.disparity_error, self.depth, self.error)
         disparity, disparity_error, depth, error = (np.asarray(one)[asked] for one in maps)
@@ -85,17 +85,16 @@ class StereoResult(NamedTuple):
 def stereo(photographs: Photographs, reference: Reference, model: StereoDepth) -> StereoResult:
     """Estimates the depth of every pixel of one of a few posed photographs.
 
-    As `EdgeDepth` without edge points, and with another way for a pixel to move into a view, a
-    homography and an epipole:
+    As `EdgeDepth` without edge points, with a homography and an epipole in place of a shift:
 
-    1. Gains and vignettes of the photographs are measured and taken out, noise is measured.
+    1. Gains and vignettes of the photographs are measured and removed; noise is measured.
     2. Hypotheses: per pixel, the disparity at which the better half of the photographs agrees best,
        along paths through the image.
     3. Every pixel is measured in the photographs that show it, repeatedly, and the labels are
-       diffused, with smoothness that ends where a colour step and a depth step meet.
-    4. A weighted median moves blurred depth steps onto colour steps.
+       diffused, with smoothness that is cut where a color step and a depth step coincide.
+    4. A weighted median moves blurred depth steps onto color steps.
 
-    The sparse points only say, by `reference_of`, what range of depths there is.
+    The sparse points only give the range of depths, by `reference_of`.
 
     Args:
         photographs: two or more, without lens distortion; true depth is not read.
@@ -121,8 +120,8 @@ def stereo(photographs: Photographs, reference: Reference, model: StereoDepth) -
         >>> round(float(jnp.median(result.depth)), 1)
         1.0
     """
-    # Names are static, and the number of points is a shape: neither is read, and each would ask
-    # for a program of its own.
+    # Names are static, and the number of points is a shape: neither is read, but each would
+    # compile another program.
     read = photographs.images, photographs.poses, photographs.intrinsics, photographs.mask
     return _stereo(read, reference, model)
 
@@ -168,9 +167,9 @@ def _stereo(
 def _in_depth(
     disparity: Array, error: Array, photographs: Photographs, reference: Reference
 ) -> tuple[Array, Array, Array, Array]:
-    """Depth, its standard error, disparity, its standard error; none where it is transparent."""
+    """Depth, its standard error, disparity, its standard error; NaN where transparent."""
     scale = reference.scale(photographs)
-    # No disparity is beyond infinity.
+    # Disparities are not below that of infinity.
     least = _FARTHEST * jnp.max(jnp.abs(reference.disparity_range))
     depth = scale / jnp.maximum(disparity, least.astype(disparity.dtype))
     maps = depth, error * depth**2 / scale, disparity, error
@@ -204,7 +203,7 @@ class PosedSweep(NamedTuple):
 
 @lean_jit
 def posed_sweep(photographs: Photographs, reference: Reference, model: StereoDepth) -> PosedSweep:
-    """A plane sweep through posed photographs: every pixel by itself, the baseline to beat.
+    """A plane sweep through posed photographs: a baseline without regularization.
 
     Args:
         photographs: two or more.

@@ -15,12 +15,12 @@ from ._photographs import Photographs
 
 
 class Surface(NamedTuple):
-    """What a depth map shows, in space.
+    """The surface of a depth map, in space.
 
     Attributes:
         points: in the world, `[y, x, 3]`.
         normals: unit vectors towards the camera, `[y, x, 3]`.
-        whole: pixels whose neighbours belong to the same surface, so that they have a normal.
+        whole: pixels whose neighbors are on the same surface, so that they have a normal.
     """
 
     points: Float[Array, "y x 3"]
@@ -95,16 +95,16 @@ def _neighbours(values: Array, axis: int) -> tuple[Array, Array]:
 def camera_of_view(
     camera: Camera, away: Float[Array, "2"], shape: tuple[int, int]
 ) -> tuple[Float[Array, "4 4"], Float[Array, "3 3"]]:
-    """Pose and intrinsics of a view of a light field; the centre view's camera is the world.
+    """Pose and intrinsics of a view of a light field; the center view's camera is the world.
 
     Args:
         camera: of the light field.
-        away: columns and rows of views from the centre to the view: the opposite of
+        away: columns and rows of views from the center to the view: the opposite of
             `LightField.steps`.
         shape: height and width of the views, px.
 
     Returns:
-        Camera to world, metres, and intrinsics, px: the sensor's shift, by which one distance has
+        Camera to world, meters, and intrinsics, px. The sensor's shift, which gives one distance
         the disparity 0, moves the principal point.
     """
     dtype = away.dtype
@@ -124,8 +124,8 @@ def photographs_of(light_field: LightField) -> Photographs:
         light_field: with a known camera.
 
     Returns:
-        The views that are there, row by row, named as in the HCI benchmark; the world is the centre
-        view's camera, metres. True depth comes along where it is known of all views.
+        The views that are there, row by row, named as in the HCI benchmark; the world is the center
+        view's camera, meters. True depth comes along where it is known of all views.
 
     Raises:
         ValueError: the light field does not know its camera.

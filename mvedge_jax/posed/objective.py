@@ -1,4 +1,4 @@
-"""How well a map of one photograph explains the others: the thesis' loss, for posed photographs."""
+"""The thesis' photometric loss of a map, for posed photographs."""
 
 import equinox as eqx
 import jax
@@ -15,7 +15,7 @@ from mvedge_jax.photometry.views import ViewSet
 
 
 class PosedReprojection(eqx.Module):
-    """How badly a model's map explains the photographs: an objective for `optimise`.
+    """Photometric error of the photographs, warped by a model's map: an objective for `optimise`.
 
     Attributes:
         views: the reference first.
@@ -50,12 +50,11 @@ def posed_loss(
 
     Args:
         disparity: of the first photograph, px per baseline.
-        views: the reference first; all of them count.
+        views: all views, the reference first.
         weights: of the terms.
 
     Returns:
-        The loss. What a photograph shows, by `Parallax.seen`, is a selection; differentiable
-        in all arguments.
+        The loss. Visibility, by `Parallax.seen`, is a selection; differentiable in all arguments.
 
     Source: Thesis 7.1.4, Eq. 7.15-7.16, with the homographies of posed photographs.
     """

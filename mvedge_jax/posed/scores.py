@@ -33,8 +33,8 @@ def depth_errors(depth: Float[Array, "y x"], truth: Float[Array, "y x"]) -> Dept
     """Compares a depth map with the truth.
 
     Args:
-        depth: in the unit of the truth; what is not finite or not positive counts as wrong, and in
-            the squares as off by the median depth.
+        depth: in the unit of the truth. Pixels that are not finite or not positive count as wrong,
+            in the squares with an error of the median depth.
         truth: not finite or 0 where unknown.
 
     Returns:
@@ -76,7 +76,7 @@ def scale_to(
     Args:
         depth: in any unit.
         truth: not finite or 0 where unknown.
-        key: draws the pixels, of those that both maps know.
+        key: random key of the choice of pixels, among those known in both maps.
 
     Returns:
         The factor, by least squares. Differentiable in both maps.

@@ -1,4 +1,4 @@
-"""Depth of a photograph from sparse points, diffused and optimised as in the thesis (7.2.2)."""
+"""Depth of a photograph from sparse points, diffused and optimized as in the thesis (7.2.2)."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -28,15 +28,15 @@ from ._photographs import Photographs
 from ._reference import Reference
 from .objective import PosedReprojection
 
-# Slopes below this share of the steepest one are no edges.
+# Slopes below this share of the steepest one are not edges.
 _FAINT = 0.05
 
 
 class SeenPoints(NamedTuple):
-    """Sparse points as a photograph shows them.
+    """Sparse points projected into a photograph.
 
     Attributes:
-        xy: where, px, `[m, 2]`.
+        xy: positions, px, `[m, 2]`.
         disparity: px per baseline, see `Reference`.
         valid: whether the photograph shows them; the others lie at the origin.
     """
@@ -54,8 +54,8 @@ def seen_points(photographs: Photographs, reference: Reference) -> SeenPoints:
         reference: see `reference_of`.
 
     Returns:
-        As many as there are points; of those that the photograph saw, if that is known, those in
-        front of its camera and within its frame are valid. Differentiable in points, poses and
+        All points. Valid are those in front of the camera and within its frame; if observations
+        are known, only those that the photograph observed. Differentiable in points, poses and
         intrinsics.
 
     Raises:
@@ -90,21 +90,21 @@ def seen_points(photographs: Photographs, reference: Reference) -> SeenPoints:
 
 
 def _weights() -> LossWeights:
-    """Those of the thesis for multi-view stereo."""
+    """The thesis' weights for multi-view stereo."""
     return LossWeights(smoothness=as_number(0.0075), dissimilarity=as_number(0.05))
 
 
 class SparseStereoDepth(eqx.Module):
-    """How `sparse_stereo` renders and optimizes its points.
+    """Parameters of `sparse_stereo`.
 
     Attributes:
-        renderer: how points become a map.
+        renderer: renders points to a map.
         weights: of the terms of the loss (7.16).
         rates: learning rates.
         smoothing: iterations of the smoothness alone, before points are added.
-        extra: points that are added at the image's edges, per point.
-        iterations: per parameter and pass.
-        passes: over all parameters in turns.
+        extra: points added at the image's edges, per sparse point.
+        iterations: number of iterations per parameter and pass.
+        passes: number of passes over all parameters in turns.
     """
 
     renderer: Renderer = eqx.field(default_factory=Renderer)
@@ -125,7 +125,7 @@ class SparseStereo(NamedTuple):
     Attributes:
         depth: distance along the optical axis, in the unit of the poses, `[y, x]`.
         disparity: px per baseline, `[y, x]`.
-        diffused: disparity of the points, diffused without optimisation.
+        diffused: disparity of the points, diffused without optimization.
         model: points and smoothness with the lowest loss.
         loss: per iteration after points were added.
     """
@@ -145,18 +145,18 @@ def sparse_stereo(
     progress: Callable[[Progress], None] | None = None,
     key: PRNGKeyArray,
 ) -> SparseStereo:
-    """The thesis' multi-view stereo: points, diffused, and optimised to explain the photographs.
+    """The thesis' multi-view stereo: points, diffused and optimized to explain the photographs.
 
-    The points are diffused, the smoothness is optimised alone, the map is sampled at edges of the
-    image, and with these points added all parameters are optimised in turns. Runs on the host, in
-    compiled pieces.
+    First the points are diffused and the smoothness is optimized alone. Then the map is sampled at
+    image edges, and with these points added all parameters are optimized in turns. Runs on the
+    host, in compiled pieces.
 
     Args:
         photographs: two or more, with sparse points.
         reference: see `reference_of`.
         method: see `SparseStereoDepth`.
-        progress: called now and then with how far the optimisation in turns is.
-        key: draws the edge pixels at which points are added.
+        progress: called with the progress of the optimization in turns.
+        key: random key of the edge pixels at which points are added.
 
     Returns:
         Depth and model. Not differentiable: each iteration is a step along the gradient of
@@ -180,7 +180,7 @@ def sparse_stereo(
     routine = Routine(rates, jnp.zeros(method.smoothing, bool))
     smooth, _ = optimise(begin(model, first, key=key), routine, goal)
     between = render(smooth.best, goal.renderer, start=smooth.disparity).disparity
-    # As many places for every photograph, so that one program serves all.
+    # Equally many slots for every photograph, so that one program serves all.
     count = method.extra * seen.valid.size
     most = method.extra * jnp.sum(seen.valid)
     model = _with_edges(smooth.best, image, between, most, count=count, key=key)
@@ -230,9 +230,9 @@ def _with_edges(
     count: int,
     key: PRNGKeyArray,
 ) -> DepthModel:
-    """The model with points that say what the map says at random edge pixels of the image.
+    """The model with points sampled from the map at random edge pixels of the image.
 
-    At most `most` of them, in `count` places, or as many as there are pixels.
+    At most `most` points are added, in `count` slots, or as many as there are pixels.
     """
     edge = _edges(image).reshape(-1)
     count = min(count, edge.size)
@@ -249,7 +249,7 @@ def _with_edges(
 
 
 def _edges(image: Float[Array, "y x c"]) -> Bool[Array, "y x"]:
-    """Pixels at which the slope of the grey image is largest along its direction."""
+    """Pixels at which the slope of the gray image is largest along its direction."""
     gray = jnp.pad(srgb_to_gray(image), 1, mode="edge")
     across, down = gray[1:-1, 2:] - gray[1:-1, :-2], gray[2:, 1:-1] - gray[:-2, 1:-1]
     slope = across**2 + down**2

@@ -1,4 +1,4 @@
-"""Smoothness between neighbouring pixels: where the diffusion of labels may not pass (Thesis 6.1).
+"""Smoothness between neighboring pixels: edge weights of the diffusion (Thesis 6.1).
 
 A smoothness is any callable `(guide, disparity, depth_edge) -> (tx, ty)`: see `Smoothness`.
 """

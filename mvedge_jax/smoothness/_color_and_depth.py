@@ -16,9 +16,9 @@ class ColorAndDepth(eqx.Module):
         depth: step of disparity at which the smoothness begins to fall.
         color_power: how fast the smoothness falls with the step of color.
         depth_power: how fast the smoothness falls with the step of disparity.
-        blur: standard deviation of the Gaussian that the map passes before its steps count.
-        floor: least smoothness, so that every pixel keeps a tie to its neighbors.
-        reach: of that Gaussian, px.
+        blur: standard deviation of the Gaussian that blurs the map before its steps are taken.
+        floor: least smoothness, so that no pixel is cut off from its neighbors.
+        reach: radius of that Gaussian, px.
     """
 
     color: Float[Array, ""] = number(0.3, "CIELAB")
@@ -38,7 +38,7 @@ class ColorAndDepth(eqx.Module):
         disparity: Float[Array, "y x"],
         depth_edge: Float[Array, "y x"],
     ) -> tuple[Float[Array, "y x-1"], Float[Array, "y-1 x"]]:
-        """See `Smoothness`; depth edges are those of the map itself."""
+        """See `Smoothness`; the steps of the map replace `depth_edge`."""
         del depth_edge
         smooth = gaussian(disparity, self.blur.astype(disparity.dtype), self.reach)
         return edge_smoothness(guide, smooth, self)
@@ -53,19 +53,19 @@ def edge_smoothness(
     $$ t = \max\left(\frac{1}{1 + (|\Delta Lab| / c)^a (|\Delta D| / s)^b},\; t_0\right) $$
 
     The thesis takes one number per pixel from the gradients of the image and of the two
-    directional passes. The *product* of both steps is what finds occlusion edges: texture has
-    no depth step, and a slanted surface no color step. Differences per edge instead of a
-    Sobel filter per pixel keep structures that are two pixels wide.
+    directional passes. The *product* of both steps finds occlusion edges: texture has no depth
+    step, and a slanted surface no color step. Differences per edge instead of a Sobel filter per
+    pixel keep structures that are two pixels wide.
 
     Args:
-        lab: centre view in CIELAB, L in 0..100, `[c, y, x]`.
+        lab: center view in CIELAB, L in 0..100, `[c, y, x]`.
         disparity: a map from an earlier pass, px per view step, `[y, x]`.
         params: c, s, a and b, and `floor`, t0.
 
     Returns:
         `tx` `[y, x - 1]` and `ty` `[y - 1, x]`, in (0, 1]. Differentiable.
 
-    Source: Thesis 4.3 and 6.1, in another form, which did better on the benchmark's scenes.
+    Source: Thesis 4.3 and 6.1, in another form with lower errors on the benchmark's scenes.
     """
     params = cast(params, disparity.dtype)
 

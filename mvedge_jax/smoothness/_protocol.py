@@ -1,4 +1,4 @@
-"""What the chain asks of a smoothness."""
+"""The protocol of a smoothness."""
 
 from typing import Protocol, runtime_checkable
 
@@ -7,7 +7,7 @@ from jaxtyping import Array, Float
 
 @runtime_checkable
 class Smoothness(Protocol):
-    """Edge weights between neighbouring pixels, in units of the part that calls it.
+    """Edge weights between neighboring pixels, relative to the caller's `stiffness`.
 
     An implementation is a pytree (an `equinox.Module`): its arrays are traced and differentiated.
     It may assume finite inputs of one floating dtype, and must return finite weights of that dtype
@@ -31,7 +31,7 @@ class Smoothness(Protocol):
         """Weights of the edges to the right and downwards.
 
         Args:
-            guide: centre view in CIELAB, L in 0..100, denoised.
+            guide: center view in CIELAB, L in 0..100, denoised.
             disparity: the map of the previous diffusion, px per view step.
             depth_edge: depth-edge confidence (Thesis 4.3), px per px; 0 where sides are not
                 estimated.

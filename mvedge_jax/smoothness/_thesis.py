@@ -11,11 +11,11 @@ from mvedge_jax.diffusion import Pairing, edge_weights
 
 
 class PerPixel(eqx.Module):
-    """A smoothness of one number per pixel, from which each edge takes its own.
+    """A smoothness with one number per pixel; each edge combines those of its two pixels.
 
     Attributes:
         floor: least smoothness.
-        pairing: how two pixels' smoothness makes an edge's, see `edge_weights`.
+        pairing: how an edge combines the smoothness of two pixels, see `edge_weights`.
     """
 
     floor: Float[Array, ""] = number(1e-4)
@@ -43,8 +43,8 @@ class ThesisSmoothness(PerPixel):
     r"""Smoothness that is inverse to the depth-edge confidence, $s / (s + \lambda_s)$.
 
     Attributes:
-        depth_edge: $s$, the confidence at which the smoothness is one half; the thesis does not
-            say. Maps hardly depend on it below 1e-3.
+        depth_edge: $s$, the confidence at which the smoothness is one half; not given in the
+            thesis. Maps hardly depend on it below 1e-3.
         floor: see `PerPixel`.
         pairing: see `PerPixel`.
 
@@ -57,7 +57,7 @@ class ThesisSmoothness(PerPixel):
     def per_pixel(
         self, guide: Float[Array, "c y x"], depth_edge: Float[Array, "y x"]
     ) -> Float[Array, "y x"]:
-        """See `PerPixel`; the colors are not read."""
+        """See `PerPixel`; colors are ignored."""
         del guide
         return self.depth_edge / (self.depth_edge + depth_edge)
 
@@ -78,7 +78,7 @@ class ImageGradient(PerPixel):
     def per_pixel(
         self, guide: Float[Array, "c y x"], depth_edge: Float[Array, "y x"]
     ) -> Float[Array, "y x"]:
-        """See `PerPixel`; the lightness alone is read."""
+        """See `PerPixel`; only lightness is read."""
         del depth_edge
         return jnp.exp(-image_roughness(guide[0], self.gain))
 
@@ -91,7 +91,7 @@ def image_roughness(lightness: Float[Array, "y x"], gain: Float[Array, ""]) -> F
         gain: per unit of L* per pixel.
 
     Returns:
-        At least 0. Differentiable, where the image is flat, too.
+        At least 0. Differentiable, also where the image is flat.
     """
     padded = jnp.pad(lightness, 1, mode="edge")
     gx = (padded[1:-1, 2:] - padded[1:-1, :-2]) / 2

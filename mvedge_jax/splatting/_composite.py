@@ -23,7 +23,7 @@ class Physics(NamedTuple):
 
     inverse_label: Float[Array, ""]  # 1 / 2σ_S²
     inverse_weight: Float[Array, ""]  # 1 / 2σ_λ²
-    thickness: Float[Array, ""]  # τ = ρ σ_Z √(2π), optical thickness through the centre
+    thickness: Float[Array, ""]  # τ = ρ σ_Z √(2π), optical thickness through the center
 
 
 class Rays(NamedTuple):
@@ -40,7 +40,7 @@ class Lists(NamedTuple):
     points: Int[Array, "m"]  # concatenated lists of rows of the point table
     start: Int[Array, "g l"]
     length: Int[Array, "g l"]
-    origin: Float[Array, "g l 2"]  # centre of each tile
+    origin: Float[Array, "g l 2"]  # center of each tile
 
 
 def _offsets(tile: int, dtype: jnp.dtype) -> Float[Array, "p 2"]:
@@ -151,7 +151,7 @@ def _push(raster: SplatRaster, at: _At, moving: tuple[Array, Physics]) -> Rays:
 
 
 def _about(sums: Array, relative: Array) -> tuple[Array, Array, Array]:
-    """Σ q (dx, dy), Σ q r² and Σ q about points from those about a tile's centre."""
+    """Σ q (dx, dy), Σ q r² and Σ q about points from those about a tile's center."""
     first = sums[:, 1:3] - relative * sums[:, :1]
     second = (
         sums[:, 3]
@@ -167,7 +167,7 @@ def _pull(raster: SplatRaster, at: _At, cotangent: Rays) -> tuple[Array, Physics
     offsets = _offsets(raster.tile, table.dtype)
     groups, lanes = lists.start.shape
     pixels = offsets.shape[0]
-    # Sums over pixels of q, q dx, q dy and q r² follow from four moments about the tile centre.
+    # Sums over pixels of q, q dx, q dy and q r² follow from four moments about the tile center.
     moments = jnp.concatenate(
         [jnp.ones_like(offsets[:, :1]), offsets, jnp.sum(offsets**2, axis=1, keepdims=True)], axis=1
     )

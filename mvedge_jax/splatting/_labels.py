@@ -1,4 +1,4 @@
-"""Splatted labels: for the points of the chain and for the free points of a model."""
+"""Splatted labels, for the points of the chain and for those of a model."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -11,7 +11,7 @@ from ._splat import Splat, splat
 
 
 def _narrow(scale: int = 1) -> SplatWidths:
-    """Wider points hide the pixels beside them, so that no other point can speak there."""
+    """Narrow widths: wider points hide the pixels beside them from other points."""
     label, weight = jnp.asarray(0.35 * scale), jnp.asarray(0.45 * scale)
     return SplatWidths(sigma_label=label, sigma_weight=weight)
 
@@ -21,7 +21,7 @@ def _fine(scale: int = 1) -> SplatRaster:
 
 
 class SplatLabels(eqx.Module):
-    """Points onto a raster: super-Gaussian weights, labels composited front to back.
+    """Splats points onto a raster: super-Gaussian weights, labels composited front to back.
 
     Attributes:
         widths: widths and density of a point, in pixels of the raster; by default narrow ones, see
@@ -29,7 +29,7 @@ class SplatLabels(eqx.Module):
         raster: static choices of the splat.
 
     Raises:
-        ValueError: the points are wider than `raster.radius` lets them be.
+        ValueError: the points are too wide for `raster.radius`.
 
     Source: Thesis 7.1.2-7.1.3.
     """
@@ -45,9 +45,8 @@ class SplatLabels(eqx.Module):
         """Narrow points on a raster of any scale.
 
         Labels are 0.35 image pixels wide and weights 0.45, whatever the raster. Such points end
-        within two pixels (the opacity that is cut off is below 2e-6, which only differences in
-        float64 see), so that tiles are small and have few of each other's points: a step of an
-        optimization takes a third of the time that it takes with tiles for the thesis' widths.
+        within two pixels (the opacity beyond is below 2e-6), so tiles are small and share few
+        points: an optimization step takes a third of the time with the thesis' widths.
 
         Args:
             scale: raster pixels per image pixel and axis, 1 or 2; 1 takes a quarter of the time.

@@ -1,4 +1,4 @@
-"""How much of a ray one point absorbs, and how much it lets through."""
+"""Absorption and transmittance of one point along a ray."""
 
 from math import erf, exp, sqrt
 
@@ -30,8 +30,8 @@ def absorption(
 ) -> tuple[Float[Array, "..."], Float[Array, "..."], Float[Array, "..."], float]:
     r"""Absorption and transmittance of one point of optical thickness `o = τ G`.
 
-    In closed form $a = 1 - e^{-o}$: absorptions along a ray and what is left of it sum to
-    one exactly. The quadrature samples the ray as the thesis does (7.13) and agrees within 2e-3.
+    In closed form $a = 1 - e^{-o}$: absorptions along a ray and its final transmittance sum to one
+    exactly. The quadrature samples the ray as the thesis does (7.13) and agrees within 2e-3.
 
     Args:
         thickness: o >= 0.
@@ -62,8 +62,8 @@ def super_gaussian(
 ) -> Float[Array, "..."]:
     r"""Data weight of a point: $\exp(-(r^2 / 2\sigma^2)^p)$.
 
-    The exponent sits inside the exponential; the printed form is an ordinary Gaussian of width
-    σ/√p, under which points between pixels fade.
+    The power is inside the exponential. The printed form is a Gaussian of width σ/√p, with which
+    points between pixels fade.
 
     Args:
         squared_distance: r², px².

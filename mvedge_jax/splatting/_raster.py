@@ -1,4 +1,4 @@
-"""Widths of a splatted point, and the raster that it is splatted to."""
+"""Widths of splatted points, and the raster they are splatted onto."""
 
 import math
 from dataclasses import dataclass
@@ -12,8 +12,8 @@ from jaxtyping import Array, Float
 
 from mvedge_jax._params import number
 
-# Of input checks alone, no value depends on it: optical thickness, or share of the weight, that may
-# be left where a point is cut off; the thesis' widths leave 4e-4.
+# Only for input checks: largest optical thickness, or share of the weight, at the radius where a
+# point is cut off. The thesis' widths have 4e-4.
 MOST_LOST = 1e-3
 
 
@@ -22,10 +22,10 @@ class SplatWidths(eqx.Module):
 
     Attributes:
         sigma_label: σ_S, width of the Gaussian that carries the label and the opacity.
-        sigma_weight: σ_λ, width of the super-Gaussian that carries the data weight. Chosen so
-            that the pixel nearest to any point, at most √½ away, keeps most of the weight.
-        density: ρ, extinction per unit length at the centre of a point. The thesis does not
-            print it; 6.2 makes the thesis' 8-sample quadrature integrate to one.
+        sigma_weight: σ_λ, width of the super-Gaussian that carries the data weight. The pixel
+            nearest to a point, at most √½ away, keeps most of the weight.
+        density: ρ, extinction per unit length at the center of a point. The thesis does not give
+            it; 6.2 makes the thesis' 8-sample quadrature integrate to one.
         sigma_depth: σ_Z, width of a point along the ray. Only ρ σ_Z matters.
 
     Source:
@@ -48,7 +48,7 @@ class SplatRaster:
         order: p, order of the super-Gaussian (thesis: 2).
         absorption: `"closed"` form, or the thesis' 8-sample `"quadrature"`.
         radius: raster pixels around a point inside which it is evaluated. At 6 px the opacity
-            that is cut off is below 4e-4; the thesis' window cuts at an opacity of 0.66.
+            beyond is below 4e-4; the thesis' window ends at an opacity of 0.66.
         tile: side of the square tiles, each with its own depth-sorted list of points.
         lanes: tiles that are composited together, as one vector.
         capacity: most points per tile, nearest first, or None for no limit. Points beyond it are
@@ -83,12 +83,12 @@ class SplatRaster:
             raise ValueError(f"capacity must be None or at least 1, got {self.capacity}.")
 
     def check(self, widths: SplatWidths) -> None:
-        """Refuses widths too large for `radius`, and what is not positive; not where traced.
+        """Refuses widths that are too large for `radius` or not positive.
 
-        Where widths are traced, `Splat.cut_off` has the number.
+        Traced widths are not checked; `Splat.cut_off` has the number.
 
         Args:
-            widths: of the points; of several settings, each is checked.
+            widths: widths of the points; of a batch, each is checked.
 
         Raises:
             ValueError: naming the value, and for widths the radius.
@@ -117,10 +117,10 @@ class SplatRaster:
                 )
 
     def cut_off(self, widths: SplatWidths) -> Float[Array, ""]:
-        """How much a point still counts at `radius`, where it is cut off.
+        """What a cut at `radius` removes of a point.
 
         Args:
-            widths: of the points, traced or not.
+            widths: widths of the points, traced or not.
 
         Returns:
             The larger of the optical thickness and the share of the data weight there. `check`

@@ -1,4 +1,4 @@
-"""The slow, obvious splat: every point at every pixel."""
+"""The reference splat, slow and simple: every point at every pixel."""
 
 import jax
 import jax.numpy as jnp

@@ -18,16 +18,16 @@ class Splat(eqx.Module):
     """Splatted maps on the raster.
 
     Attributes:
-        label_sum: Σ Z a T, the unnormalised label map of the thesis. It fades towards zero
-            where points do not cover a pixel.
+        label_sum: Σ Z a T, the unnormalized label map of the thesis. It fades towards zero in
+            uncovered pixels.
         weight: Σ λ T, the data weight.
-        transmittance: what is left of each ray behind all points; `1 - transmittance` is the
-            coverage by which the label map is normalised.
-        overflow: entries of tiles' lists that were left out for want of capacity.
-        longest: points in the fullest tile.
-        cut_off: how much a point still counts at `SplatRaster.radius`, where it is cut off: the
-            larger of its optical thickness and its share of the data weight. Above 1e-3 the maps
-            miss visible parts of points. `splat` raises there unless the widths are traced.
+        transmittance: transmittance of each ray behind all points; `1 - transmittance` is the
+            coverage by which the label map is normalized.
+        overflow: entries of tiles' lists beyond the capacity, which were left out.
+        longest: number of points in the fullest tile.
+        cut_off: the larger of a point's optical thickness and its share of the data weight at
+            `SplatRaster.radius`, where it is cut off. Above 1e-3 the maps miss visible parts of
+            points, and `splat` raises unless the widths are traced.
     """
 
     label_sum: Float[Array, "y x"]
@@ -38,7 +38,7 @@ class Splat(eqx.Module):
     cut_off: Float[Array, ""]
 
     def problems(self) -> tuple[str, ...]:
-        """What is missing in the maps, one sentence each; on the host."""
+        """Problems of the maps, one sentence each; on the host."""
         found, lost, overflow = [], float(self.cut_off), int(self.overflow)
         if not lost <= MOST_LOST:
             found.append(
@@ -57,10 +57,9 @@ class Splat(eqx.Module):
         """Label map divided by the coverage: a weighted mean of labels, free of fading.
 
         At a point's own pixel both maps agree to `exp(-τ)`. They differ on the skirt of a point:
-        with sub-pixel positions and the thesis' widths the unnormalised label is 0.1 % low at
-        1.4 px, 1 % at 2 px and 9 % at 2.5 px, where a little data weight of the order of 1e-2
-        to 1e-7 is left. Normalisation costs nothing and removes the dependence on where zero
-        disparity lies.
+        with sub-pixel positions and the thesis' widths the unnormalized label is 0.1 % low at
+        1.4 px, 1 % at 2 px and 9 % at 2.5 px, where a data weight of 1e-2 to 1e-7 remains.
+        Normalization costs nothing and removes the dependence on the origin of disparity.
         """
         return normalise(self.label_sum, self.transmittance)
 
@@ -68,14 +67,14 @@ class Splat(eqx.Module):
 def normalise(
     label_sum: Float[Array, "y x"], transmittance: Float[Array, "y x"]
 ) -> Float[Array, "y x"]:
-    """Divides by the coverage where there is any; zero elsewhere, with zero gradient.
+    """Divides by the coverage; zero with zero gradient where there is none.
 
     Args:
         label_sum: Σ Z a T.
-        transmittance: what is left behind all points.
+        transmittance: transmittance behind all points.
 
     Returns:
-        The normalised label map.
+        The normalized label map.
     """
     coverage = 1 - transmittance
     covered = coverage > 1e-6
@@ -102,24 +101,23 @@ def splat(
     with $G = e^{-r^2/2\sigma_S^2}$, $\lambda = e^{-(r^2/2\sigma_\lambda^2)^p}$.
 
     Args:
-        xy: positions in *raster* pixels, pixel centres at integers.
+        xy: positions in *raster* pixels, pixel centers at integers.
         label: disparity or depth.
         weight: data weight w >= 0.
-        valid: points that take part. Points with a number that is not finite never do.
+        valid: points that take part. Points with a number that is not finite are left out.
         widths: widths and density.
         shape: height and width of the raster.
         raster: static choices; `raster.scale` is not used here.
-        opacity: factor of each point's density, > 0; 1 by default, as in the thesis. A point in
-            front hides those behind it whatever its weight; with an opacity that falls with the
-            weight, an optimisation can see through a wrong one.
+        opacity: factor of each point's density, > 0; 1 by default, as in the thesis. A point hides
+            those behind it whatever its weight, unless its opacity falls with the weight.
 
     Returns:
         The maps. Differentiable with respect to `xy`, `label`, `weight`, `opacity` and `widths`;
         the depth order is piecewise constant.
 
     Raises:
-        ValueError: widths are not positive, or too large for `raster.radius`. Where `widths` are
-            traced nothing is raised; `Splat.cut_off` and `Splat.problems` tell.
+        ValueError: widths are not positive, or too large for `raster.radius`. Traced `widths`
+            raise nothing; see `Splat.cut_off` and `Splat.problems`.
 
     Source:
         Thesis 7.1.2-7.1.3, Eq. 7.3-7.14, in the corrected closed form.

@@ -1,4 +1,4 @@
-"""Which points every tile of the raster sees, nearest first."""
+"""The points of every tile of the raster, nearest first."""
 
 from typing import NamedTuple
 
@@ -11,10 +11,10 @@ from ._raster import SplatRaster
 
 
 class Tiling(NamedTuple):
-    """Lists of points per tile, and how to put the tiles back together."""
+    """Lists of points per tile, and the order of the tiles."""
 
     lists: Lists
-    place: Int[Array, "t"]  # group position of every tile, row by row
+    place: Int[Array, "t"]  # position of every tile in the groups, row by row
     overflow: Int[Array, ""]  # entries beyond the capacity
     longest: Int[Array, ""]  # points in the fullest tile
 
@@ -49,7 +49,7 @@ def make_tiles(
     rows, columns = -(-shape[0] // tile), -(-shape[1] // tile)
     tiles = rows * columns
     span = -(-2 * radius // tile) + 1
-    # Pixel k covers [k - ½, k + ½]; only pixel centres matter, so tile j covers [j t, j t + t - 1].
+    # Pixel k covers [k - ½, k + ½]; only pixel centers matter, so tile j covers [j t, j t + t - 1].
     safe = jnp.where(usable[:, None], xy, -4.0 * (radius + tile))
     limit = float(tile * (max(rows, columns) + span + 2))
     safe = jnp.clip(safe, -limit, limit)

@@ -24,26 +24,26 @@ class SuperpixelClustering(eqx.Module):
     """How superpixels are clustered: the numbers and capacities of `superpixels`.
 
     Attributes:
-        capacity: of superpixels.
-        margin: how far surfaces that the centre view does not show may lie beyond its frame, px.
-        size: side of a superpixel in the centre view, px: the views' area over its square is the
-            number of superpixels that is aimed at. A scene with many surfaces that are smaller
-            than that has more.
-        color: difference of color, CIELAB, that counts as much as a distance of `size`.
-        depth: difference from the plane of a superpixel that counts as much, px per view step.
-        limit: most that either difference counts, in units of `size`, squared.
-        contour: what a contour costs per px of its length, in the same units.
+        capacity: slots for superpixels.
+        margin: margin around the center view's frame for surfaces that other views show, px.
+        size: side of a superpixel in the center view, px. The target number of superpixels is the
+            area of the view over `size` squared; a scene with many smaller surfaces has more.
+        color: difference of color, CIELAB, equivalent to a distance of `size`.
+        depth: difference from the plane of a superpixel equivalent to a distance of `size`, px per
+            view step.
+        limit: upper bound of either difference, in units of `size`, squared.
+        contour: penalty of a contour per px of its length, in the same units.
         step: differences of disparity between neighbors beyond this are steps between two
             surfaces, px per view step.
-        smallest: pieces with less than this share of the aimed area join a neighbor on the same
+        smallest: pieces with less than this share of the target area join a neighbor on the same
             surface.
-        speck: surfaces with fewer pixels than this join whatever is around them.
-        fragment: pieces with fewer pixels than this, apart from the rest of their superpixel in
-            a view, join what is around them.
-        slope: of a plane that is expected, px per view step and px.
-        temperature: of soft assignments, in the same units as `limit`.
-        rounds: of clustering.
-        attempts: at the wanted number of superpixels.
+        speck: surfaces with fewer pixels than this join any neighbor.
+        fragment: pieces with fewer pixels than this, separate from the rest of their superpixel in
+            a view, join a neighbor.
+        slope: expected slope of a plane, px per view step and px.
+        temperature: temperature of soft assignments, in the units of `limit`.
+        rounds: number of clustering rounds.
+        attempts: number of attempts to meet the target number of superpixels.
     """
 
     capacity: int = eqx.field(static=True)
@@ -113,14 +113,14 @@ class SuperpixelClustering(eqx.Module):
 def grid_of(
     size: Float[Array, ""], shape: tuple[int, int], capacity: int
 ) -> tuple[Float[Array, ""], Float[Array, ""]]:
-    """How many rows and columns of square cells of about a size cover an image, as numbers.
+    """Numbers of rows and columns of square cells of about a size that cover an image.
 
     At most `capacity` cells, and at least one.
     """
     height, width = shape
     size = jnp.maximum(size, jnp.sqrt(jnp.asarray(height * width / capacity, size.dtype)))
     rows = jnp.maximum(jnp.round(height / size), 1)
-    # Not of the width alone: rows and columns that are rounded alike leave wide gaps of number.
+    # Not by the width alone: equal rounding of rows and columns would skip many numbers of cells.
     columns = jnp.maximum(jnp.round(height * width / (size**2 * rows)), 1)
     fit = rows * columns <= capacity
     return jnp.where(fit, rows, jnp.maximum(rows - 1, 1)), jnp.where(
@@ -128,12 +128,12 @@ def grid_of(
     )
 
 
-# What distances are divided by.
+# Divisors of distances.
 _UNITS = ("size", "color", "depth", "slope", "temperature")
 
 
 def validate(light_field: Any, depths: Any, model: Any) -> tuple[Any, ...]:
-    """The arguments of `superpixels` and `soft_superpixels`, or what is wrong with them."""
+    """Validates the arguments of `superpixels` and `soft_superpixels`."""
     order = "the order is (light_field, depths, model)"
     expect("light_field", light_field, LightField, order)
     expect("depths", depths, ViewDepths, "`depth_of_views` makes them, and " + order)

@@ -1,4 +1,4 @@
-"""Clusters of the centre view's pixels: a place, a colour and a slanted plane each."""
+"""Clusters of the center view's pixels, each with a position, a color and a slanted plane."""
 
 from typing import NamedTuple
 
@@ -13,18 +13,18 @@ from ._clustering import SuperpixelClustering, grid_of
 
 # A cluster reaches into its own cell of the grid and the eight around it.
 _CELLS = tuple((dy, dx) for dy in (-1, 0, 1) for dx in (-1, 0, 1))
-# One of each pair of opposite neighbours.
+# One of each pair of opposite neighbors.
 _HALF = ((0, 1), (1, 0), (1, 1), (1, -1))
 
 
 class Surface(NamedTuple):
-    """What is known of the centre view's pixels.
+    """Features of the center view's pixels.
 
     Attributes:
-        xy: their places, px.
-        lab: their colours.
+        xy: positions, px.
+        lab: colors, CIELAB.
         disparity: px per view step.
-        links: whether a pixel is on one surface with its neighbour to the right, below, below to
+        links: whether a pixel is on one surface with its neighbor to the right, below, below to
             the right, below to the left; False at the frame.
     """
 
@@ -35,11 +35,11 @@ class Surface(NamedTuple):
 
 
 class Grid(NamedTuple):
-    """Square cells over the centre view.
+    """Square cells over the center view.
 
     Attributes:
-        rows: how many.
-        columns: how many.
+        rows: number of rows.
+        columns: number of columns.
         home: row and column of the cell of each pixel.
         size: side of a cell, px.
     """
@@ -51,12 +51,12 @@ class Grid(NamedTuple):
 
 
 class Clusters(NamedTuple):
-    """Padded.
+    """A padded set of clusters.
 
     Attributes:
-        xy: mean place, px.
-        lab: mean colour.
-        plane: disparity there and its change per px along x and y.
+        xy: mean position, px.
+        lab: mean color, CIELAB.
+        plane: disparity at `xy` and its change per px along x and y.
     """
 
     xy: Float[Array, "k 2"]
@@ -67,7 +67,7 @@ class Clusters(NamedTuple):
 def surface_of(
     lab: Float[Array, "y x 3"], disparity: Float[Array, "y x"], step: Float[Array, ""]
 ) -> Surface:
-    """Puts together what is known of the pixels of the centre view."""
+    """Collects the features of the center view's pixels."""
     rows, columns = jnp.indices(disparity.shape)
     xy = jnp.stack([columns, rows], axis=-1).astype(disparity.dtype)
     links = jnp.stack([_linked(disparity, step, *offset) for offset in _HALF])
@@ -83,13 +83,13 @@ def shifted(image: Array, dy: int, dx: int, fill) -> Array:
 
 
 def _linked(disparity: Array, step: Array, dy: int, dx: int) -> Array:
-    """Whether neighbours are on one surface: a jump is no step where a slope goes on."""
+    """Whether neighbors are on one surface; a continued slope is not a step."""
     first, last = disparity, shifted(disparity, dy, dx, jnp.nan)
     jump = jnp.abs(last - first)
     before = jnp.abs(first - shifted(disparity, -dy, -dx, jnp.nan))
     after = jnp.abs(shifted(disparity, 2 * dy, 2 * dx, jnp.nan) - last)
     slope = jnp.minimum(before, after)
-    # At the frame, where a side is missing, nothing is allowed for.
+    # At the frame, where a side is missing, no slope is assumed.
     return jump <= step + jnp.where(jnp.isfinite(slope), 1.5 * slope, 0)
 
 
@@ -122,14 +122,14 @@ def seeded(surface: Surface, grid: Grid, capacity: int) -> Clusters:
 
 
 def cell_of(grid: Grid, offset: Int[Array, "2"]) -> tuple[Int[Array, "y x"], Bool[Array, "y x"]]:
-    """The cell beside the own one of each pixel, and whether there is one."""
+    """The cell at an offset from each pixel's own, and whether it exists."""
     row, column = grid.home[0] + offset[0], grid.home[1] + offset[1]
     inside = (row >= 0) & (row < grid.rows) & (column >= 0) & (column < grid.columns)
     return jnp.where(inside, row * grid.columns + column, 0), inside
 
 
 def cell_offsets() -> Int[Array, "9 2"]:
-    """From the own cell to those whose clusters a pixel may join."""
+    """Offsets from a pixel's cell to those whose clusters it may join."""
     return jnp.asarray(np.array(_CELLS), jnp.int32)
 
 
@@ -138,7 +138,7 @@ def distance(
     model: SuperpixelClustering,
 ) -> Float[Array, "y x"]:  # fmt: skip
     """Squared distance of each pixel to a cluster, in units of the size."""
-    # Column by column: gathering a row for every pixel takes twice as long.
+    # Column by column, because gathering a row for every pixel takes twice as long.
     x, y = (surface.xy[..., k] - clusters.xy[:, k][which] for k in range(2))
     level, slope_x, slope_y = (clusters.plane[:, k][which] for k in range(3))
     predicted = level + (slope_x * x + slope_y * y)
@@ -162,12 +162,12 @@ def updated(
     which: Int[Array, "y x"],
     model: SuperpixelClustering,
 ) -> Float[Array, "k 15"]:
-    """Sums over the pixels of each cluster, from which `means` makes the next ones."""
+    """Sums over the pixels of each cluster, the input of `means`."""
     away = surface.xy - clusters.xy[which]
     plane = clusters.plane[which]
     residual = surface.disparity - plane[..., 0]
     off = residual - jnp.sum(plane[..., 1:] * away, axis=-1)
-    # Pixels of another surface have next to no say about the plane.
+    # Pixels of another surface have nearly no weight in the plane.
     sure = weights * _bounded((off / model.depth) ** 2, model.limit)[1]
     x, y = away[..., 0], away[..., 1]
     first = weights[..., None] * jnp.concatenate(
@@ -190,13 +190,13 @@ def means(clusters: Clusters, sums: Float[Array, "k 15"], model: SuperpixelClust
     n, x, y, xx, xy, yy, d, xd, yd = (sums[:, 6 + k] for k in range(9))
     fitted = n > 1e-6
     n = jnp.where(fitted, n, 1)
-    # Slopes are held back as far as the pixels do not tell.
+    # A prior holds slopes at 0 unless the pixels determine them.
     prior = (model.depth / model.slope) ** 2
     cxx, cyy = xx - x * x / n + prior, yy - y * y / n + prior
     cxy, cxd, cyd = xy - x * y / n, xd - x * d / n, yd - y * d / n
     determinant = cxx * cyy - cxy * cxy
     a, b = (cyy * cxd - cxy * cyd) / determinant, (cxx * cyd - cxy * cxd) / determinant
-    # At the cluster's new place.
+    # At the new position of the cluster.
     level = clusters.plane[:, 0] + (d - a * x - b * y) / n + a * shift[:, 0] + b * shift[:, 1]
     rise = clusters.plane[:, 0] + jnp.sum(clusters.plane[:, 1:] * shift, axis=1)
     kept = jnp.concatenate([rise[:, None], clusters.plane[:, 1:]], axis=1)
@@ -217,7 +217,7 @@ def clustered(
     *,
     capacity: int,
 ) -> tuple[Int[Array, "y x"], Clusters]:
-    """Clusters pixels by place, colour and plane, with short contours.
+    """Clusters pixels by position, color and plane, with short contours.
 
     Returns:
         The cluster of every pixel, and the clusters.
@@ -225,7 +225,7 @@ def clustered(
     offsets = cell_offsets()
     height, width = surface.disparity.shape
     odd = (jnp.indices((height, width)).sum(0) % 2).astype(bool)
-    # Half of the pixels at a time: neighbours that change at once swap for ever.
+    # Half of the pixels at a time: neighbors that change at once would swap forever.
     halves = jnp.stack([odd, ~odd])
 
     def one(_, state: tuple[Array, Clusters]) -> tuple[Array, Clusters]:
@@ -242,7 +242,7 @@ def clustered(
             around = fenced(_around, labels, surface.links, model.contour)
             return jnp.where(now, _best(costs, names, around), labels), None
 
-        # A scan: unrolled, the first half would be found anew for each neighbour in the second.
+        # A scan: unrolled, the first half would be recomputed for each neighbor in the second.
         labels, _ = lax.scan(change, labels, halves)
         sums = updated(surface, clusters, jnp.ones_like(surface.disparity), labels, model)
         return labels, means(clusters, sums, model)
@@ -268,10 +268,10 @@ def _best(costs: Array, names: Array, around: tuple[Array, Array]) -> Array:
 
 
 def _around(labels: Array, links: Array, contour: Array) -> tuple[Array, Array]:
-    """What a contour towards each of eight neighbours costs, and their labels."""
+    """Penalty of a contour towards each of eight neighbors, and their labels."""
     weights, others = [], []
     for (dy, dx), link in zip(_HALF, links, strict=True):
-        # Lengths of contours along all directions are about right with these shares.
+        # With these shares, contours have about the right length in all directions.
         share = contour * (0.4 if dy and dx else 0.6)
         for sign in (1, -1):
             here = link if sign == 1 else shifted(link, -dy, -dx, False)

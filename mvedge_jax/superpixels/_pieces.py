@@ -1,4 +1,4 @@
-"""Connected pieces of one surface, the small ones joined to what they belong to."""
+"""Connected pieces of one surface; small ones join a neighbor."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -12,16 +12,16 @@ from mvedge_jax.image import components
 from ._clustering import SuperpixelClustering
 from ._clusters import Surface, shifted
 
-# How often small pieces may join others, which may be small in turn.
+# Largest number of rounds in which small pieces join others, which may be small, too.
 _JOINS = 6
 
 
 class Pieces(NamedTuple):
-    """Connected pieces of the centre view.
+    """Connected pieces of the center view.
 
     Attributes:
-        sums: of ones, colours and disparities over the pixels of each piece.
-        root: of every pixel, the number of its piece, which is below the number of pixels.
+        sums: sums of ones, colors and disparities over the pixels of each piece.
+        root: number of every pixel's piece, below the number of pixels.
     """
 
     sums: Float[Array, "n 5"]
@@ -31,16 +31,16 @@ class Pieces(NamedTuple):
 def joined(
     surface: Surface, labels: Int[Array, "y x"], size: Float[Array, ""], model: SuperpixelClustering
 ) -> Pieces:
-    """Cuts labels into connected pieces of one surface, and joins small pieces to neighbours.
+    """Splits labels into connected pieces of one surface, and joins small pieces to neighbors.
 
     Args:
         surface: the pixels.
-        labels: of clusters.
+        labels: labels of clusters.
         size: px; pieces with less than `model.smallest` of its square are small.
         model: of superpixels.
 
     Returns:
-        Pieces, each connected; those of different surfaces are apart unless one is a speck.
+        Connected pieces; those of different surfaces are separate unless one is a speck.
     """
     right, down = surface.links[0], surface.links[1]
     root = components(
@@ -66,9 +66,9 @@ def joined(
 def fewer(
     pieces: Pieces, surface: Surface, wanted: Float[Array, ""], most: Float[Array, ""]
 ) -> Pieces:
-    """Joins the smallest pieces to neighbours on their surface until so many are left.
+    """Joins the smallest pieces to neighbors on their surface until the target number is met.
 
-    Pieces of `most` pixels and more stay, however many are wanted.
+    Pieces of `most` pixels and more stay, whatever the target.
     """
     right, down = surface.links[0], surface.links[1]
 
@@ -81,7 +81,7 @@ def fewer(
             for end in (root, other):
                 beside = beside.at[jnp.where(apart, end.ravel(), area.size)].set(True, mode="drop")
         excess = jnp.sum(area > 0, dtype=jnp.int32) - jnp.round(wanted).astype(jnp.int32)
-        # By rank, not by area: of many pieces of one area only as many join as are too many.
+        # By rank, not by area, so that of many equal pieces only the excess joins.
         order = jnp.argsort(jnp.where(beside, area, jnp.inf))
         first = jnp.arange(area.size, dtype=jnp.int32) < excess
         chosen = jnp.zeros(area.size, bool).at[order].set(first, unique_indices=True)
@@ -91,7 +91,7 @@ def fewer(
 
 
 def _repeated(join: Callable[[Pieces], tuple[Pieces, Array]], pieces: Pieces) -> Pieces:
-    """Joins until nothing does any more, `_JOINS` times at most."""
+    """Joins until no piece is left to join, at most `_JOINS` times."""
 
     def again(state: tuple[Array, Pieces, Array]) -> tuple[Array, Pieces, Array]:
         return state[0] + 1, *join(state[1])
@@ -109,7 +109,7 @@ def _join(
     down: Bool[Array, "y x"],
     chosen: Bool[Array, " n"],
 ) -> tuple[Pieces, Array]:
-    """Joins each chosen piece to the most similar larger neighbour; whether there was one."""
+    """Joins each chosen piece to the most similar larger neighbor; returns whether any joined."""
     sums, root = pieces
     count, area = sums.shape[0], sums[:, 0]
     mean = sums[:, 1:] / jnp.maximum(area, 1)[:, None]
@@ -120,7 +120,7 @@ def _join(
         one, two = jnp.where(apart, root, 0).ravel(), jnp.where(apart, other, 0).ravel()
         pairs += [(one, two, apart.ravel()), (two, one, apart.ravel())]
     small, large, apart = (jnp.concatenate(parts) for parts in zip(*pairs, strict=True))
-    # Into larger ones only, equals by their number: no circles.
+    # Only into larger pieces (equal ones by their number), which excludes cycles.
     grows = (area[large] > area[small]) | ((area[large] == area[small]) & (large < small))
     allowed = apart & chosen[small] & grows
     cost = jnp.where(allowed, jnp.sum((mean[small] - mean[large]) ** 2, axis=1), jnp.inf)

@@ -1,4 +1,4 @@
-"""Superpixels that pixels belong to by shares: with gradients (superpixel sampling networks)."""
+"""Soft superpixels with gradients (superpixel sampling networks)."""
 
 from typing import NamedTuple
 
@@ -33,15 +33,15 @@ from ._superpixels import check_depths
 
 
 class SoftSuperpixels(NamedTuple):
-    """What share of each pixel of the centre view belongs to which superpixel.
+    """Shares of each pixel of the center view in superpixels.
 
     Attributes:
-        shares: of the superpixels of the nine cells around a pixel; they sum to 1.
-        names: which superpixels these are, from 0 on; 0 with a share of 0 beyond the frame.
-        xy: mean place of each superpixel, px; of those in use.
-        lab: mean colour, CIE Lab.
+        shares: shares of the superpixels of the nine cells around a pixel; they sum to 1.
+        names: indices of these superpixels, from 0 on; 0 with a share of 0 beyond the frame.
+        xy: mean position of each superpixel in use, px.
+        lab: mean color, CIELAB.
         plane: disparity at `xy`, px per view step, and its change per px along x and y.
-        number: of superpixels; rows from there on are not in use.
+        number: number of superpixels; later rows are not in use.
     """
 
     shares: Float[Array, "9 y x"]
@@ -58,7 +58,7 @@ def soft_superpixels(
     depths: ViewDepths,
     model: SuperpixelClustering,
 ) -> SoftSuperpixels:
-    r"""Assigns pixels of the centre view to the clusters of `superpixels` by shares.
+    r"""Assigns pixels of the center view to the clusters of `superpixels` by shares.
 
     A pixel p belongs to cluster k of the nine cells around it with the share
     $\exp(-D_k(p) / T) / \sum_j \exp(-D_j(p) / T)$, D the distance that `superpixels` measures and T
@@ -66,14 +66,14 @@ def soft_superpixels(
     contours, no connected pieces and no search for a number: cells have `model.size`.
 
     Args:
-        light_field: the centre view is read.
-        depths: the centre view's disparity is read.
+        light_field: the center view is read.
+        depths: the center view's disparity is read.
         model: see `SuperpixelClustering`; `margin` and `attempts` are not read. Gradients reach
             `color`, `depth`, `limit`, `slope` and `temperature`.
 
     Returns:
-        Shares, clusters. Differentiable in the views, the disparity and the model; which cells
-        there are is not. Reverse mode keeps the clusters of every round only.
+        Shares, clusters. Differentiable in the views, the disparity and the model, except for the
+        grid of cells. Reverse mode only stores the clusters of every round.
 
     Raises:
         ValueError: if the depths are not those of the views' grid and size; outside `jit`, a
@@ -132,15 +132,15 @@ def _shares(
 def through_superpixels(
     soft: SoftSuperpixels, image: Float[Array, "y x c"]
 ) -> Float[Array, "y x c"]:
-    """An image through the bottleneck of superpixels: their means, and back to pixels.
+    """Averages an image over soft superpixels and maps the means back to pixels.
 
     Args:
-        soft: of the centre view.
-        image: of its size, anything that has a mean.
+        soft: soft superpixels of the center view.
+        image: values of the center view's size.
 
     Returns:
-        The image, each pixel the mean of its superpixels' means. Differentiable in both: the
-        difference from the image is a loss that teaches superpixels what to keep together.
+        The image, each pixel the mean of its superpixels' means. Differentiable in both; its
+        difference from the image is a loss for learning superpixels.
 
     Example:
         >>> shares, names = jnp.full((9, 1, 2), 1 / 9), jnp.zeros((9, 1, 2), int)

@@ -20,13 +20,13 @@ from ._pieces import Pieces, fewer, joined, numbered
 from ._tables import tables_of
 from ._views import canvas_of, continued, labelled
 
-# How many more pieces than wanted are aimed at, relatively: the smallest then join others.
+# Relative excess of pieces over the target; the smallest then join others.
 _MORE = 0.03
-# Rounds of attempts that only look for the number; how near to that aim, relatively, a full one
-# follows; and how many more than wanted are good enough.
+# Rounds of an attempt that only estimates the number; relative distance from the target at which a
+# full attempt follows; accepted relative excess.
 _SHORT, _NEAR, _ENOUGH = 3, 0.04, 0.08
-# Logarithms of how much smaller and larger than asked for cells may become; and the share of the
-# area asked for that pieces may have which join others to make the number right.
+# Log limits of the factor of the cell size; and the largest area, as a share of the target area,
+# of pieces that join others to meet the number.
 _SMALLER, _LARGER, _SHARE = 1.0, 0.4, 0.75
 
 
@@ -34,17 +34,17 @@ class Superpixels(NamedTuple):
     """Superpixels; row k of a table is that of label k + 1.
 
     Attributes:
-        labels: of every pixel of every view, `[v, u, y, x]`, from 1 on; 0 for none.
+        labels: label of every pixel of every view, `[v, u, y, x]`, from 1 on; 0 for none.
         valid: rows of the tables in use.
-        xy: mean place in the centre view, px; of labels that it does not show, where they would be.
+        xy: mean position in the center view, px, also of labels that it does not show.
         plane: disparity at `xy`, px per view step, and its change per px along x and y.
-        colour: mean colour, sRGB.
-        area: pixels of the centre view.
-        parents: the least label among those that are connected without a depth step.
-        neighbours: pairs of labels that touch in the centre view, the smaller one first; 0 where
+        colour: mean color, sRGB.
+        area: number of pixels in the center view.
+        parents: the least label among those connected without a depth step.
+        neighbours: pairs of labels that touch in the center view, the smaller one first; 0 where
             unused.
         linked: pairs that touch without a depth step.
-        number: of superpixels; what exceeds the capacity has no label.
+        number: number of superpixels; those beyond the capacity have no label.
     """
 
     labels: Int[Array, "v u y x"]
@@ -67,16 +67,16 @@ def superpixels(
 ) -> Superpixels:
     """Cuts a light field into small patches of surface, each with one label in every view.
 
-    1. The pixels of the centre view are clustered by place, colour and a slanted plane per cluster,
-       with short contours; cells are enlarged or shrunk until the number of superpixels is right.
-    2. Clusters are cut into connected pieces, and at every depth step. Small pieces join the most
-       similar neighbour on their own surface; thin things stay for themselves.
+    1. The pixels of the center view are clustered by position, color and a slanted plane per
+       cluster, with short contours; the cell size is adapted until the number of superpixels is
+       right.
+    2. Clusters are split into connected pieces and at every depth step. Small pieces join the most
+       similar neighbor on their own surface; thin surfaces keep their own label.
     3. Surfaces that only other views show continue the superpixels of the same surface around
-       them, by disparity; where there are none, they are superpixels of their own.
+       them, by disparity, or become new superpixels.
     4. Every pixel of every view gets the label of the surface that it shows, by its disparity:
-       views agree by construction, and outlines are where the centre view has them. Fragments of a
-       few pixels join what is around them. A superpixel that something hides the middle of is in
-       two pieces in that view.
+       views agree by construction, and outlines are those of the center view. Fragments of a few
+       pixels join a neighbor. A superpixel whose middle is hidden in a view has two pieces there.
 
     Args:
         light_field: the views; ground truth is not read.
@@ -84,8 +84,8 @@ def superpixels(
         model: see `SuperpixelClustering.for_depths`.
 
     Returns:
-        Labels of all views, of missing ones as well, and tables. The same for the same input. Not
-        differentiable: `soft_superpixels` is.
+        Labels of all views, missing ones included, and tables. Deterministic. Not differentiable;
+        `soft_superpixels` is.
 
     Raises:
         ValueError: if the depths are not those of the views' grid and size, or the views are not
@@ -130,7 +130,7 @@ def superpixels(
 
 
 def check_depths(light_field: LightField, depths: ViewDepths) -> None:
-    """Raises a ValueError where depths are not those of a light field."""
+    """Raises a ValueError if depths are not those of a light field."""
     shape = light_field.views.shape[:4]
     if depths.disparity.shape != shape:
         raise ValueError(
@@ -139,16 +139,16 @@ def check_depths(light_field: LightField, depths: ViewDepths) -> None:
 
 
 class _Search(NamedTuple):
-    """For the size of cells, as logarithms, that makes the number of superpixels right.
+    """State of the search for the cell size (in logarithms) that meets the target number.
 
     Attributes:
-        tried: attempts so far.
-        size: of cells at the last attempt.
-        following: at the next one.
-        slope: of the number over the size.
-        off: the number over the one wanted, at the last attempt.
-        best: pieces of the full attempt that came closest.
-        badness: of that one.
+        tried: number of attempts so far.
+        size: cell size of the last attempt.
+        following: cell size of the next attempt.
+        slope: slope of the number over the cell size.
+        off: number of the last attempt over the target.
+        best: pieces of the full attempt nearest to the target.
+        badness: distance of `best` from the target.
     """
 
     tried: Int[Array, ""]
@@ -161,20 +161,20 @@ class _Search(NamedTuple):
 
 
 def _counted(surface: Surface, model: SuperpixelClustering) -> tuple[Array, Array]:
-    """Labels of the centre view, about as many as the size asks for, and their number."""
+    """Labels of the center view, about as many as the target, and their number."""
     shape = surface.disparity.shape[0], surface.disparity.shape[1]
     pixels = jnp.asarray(shape[0] * shape[1], surface.disparity.dtype)
     wanted = pixels / model.size**2
 
     def attempt(state: _Search) -> _Search:
-        # A few rounds tell the number well enough to look for it.
+        # A few rounds estimate the number well enough for the search.
         full = (state.tried == model.attempts - 1) | (jnp.abs(state.off - _MORE) < _NEAR)
         rounds = jnp.where(full, model.rounds, min(_SHORT, model.rounds)).astype(jnp.int32)
         grid = grid_over(shape, jnp.exp(state.following), model.capacity)
         labels, _ = clustered(surface, grid, model, rounds, capacity=model.capacity)
         pieces = joined(surface, labels, model.size, model)
         off = jnp.log(numbered(pieces.root, model.capacity)[1].astype(wanted.dtype) / wanted)
-        # Too many are made fewer afterwards; too few stay.
+        # An excess is reduced afterwards; a deficit stays.
         badness = jnp.where(full, jnp.where(off < 0, -4 * off, off), jnp.inf)
         better = badness < state.badness
         best = jax.tree.map(lambda new, old: jnp.where(better, new, old), pieces, state.best)
@@ -183,7 +183,8 @@ def _counted(surface: Surface, model: SuperpixelClustering) -> tuple[Array, Arra
         measured = (off - state.off) / jnp.where(moved == 0, 1, moved)
         known = (moved != 0) & jnp.isfinite(state.off)
         slope = jnp.where(known, jnp.clip(measured, -2.0, -0.7), state.slope)
-        # A scene of many small surfaces has more superpixels than wanted, not large ones beside.
+        # A scene of many small surfaces has more superpixels than the target, instead of large
+        # ones.
         following = state.following - (off - _MORE) / slope
         following = jnp.clip(following, size - _SMALLER, size + _LARGER)
         least = jnp.minimum(badness, state.badness)

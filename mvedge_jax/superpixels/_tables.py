@@ -1,4 +1,4 @@
-"""What is told about each superpixel: place, plane, colour, what it touches."""
+"""Tables of superpixels: position, plane, color, neighbors."""
 
 from typing import NamedTuple
 
@@ -15,7 +15,7 @@ from ._views import Canvas
 
 
 class Tables(NamedTuple):
-    """One row per label; `Superpixels` says what the columns are."""
+    """One row per label; `Superpixels` documents the columns."""
 
     xy: Float[Array, "k 2"]
     plane: Float[Array, "k 3"]
@@ -36,7 +36,7 @@ def tables_of(
     margin: int,
     capacity: int,
 ) -> Tables:
-    """Tables of what the centre view shows, and of what only others do from the canvas."""
+    """Tables of superpixels in the center view and, from the canvas, of those in other views."""
     vc, uc = light_field.centre
     centre, dtype = labels[vc, uc], surface.disparity.dtype
     area = jnp.zeros(capacity + 1, jnp.int32).at[centre].add(1)[1:]
@@ -80,7 +80,7 @@ def _planes(
     model: SuperpixelClustering,
     capacity: int,
 ) -> tuple[Array, Array]:
-    """Mean places and planes of labels."""
+    """Mean positions and planes of labels."""
     which = jnp.where(labels > 0, labels - 1, 0)
     weights = (labels > 0).astype(disparity.dtype)
     # All pixels of a label are on its surface.
@@ -88,14 +88,14 @@ def _planes(
     start = Clusters(*(jnp.zeros((capacity, n), disparity.dtype) for n in (2, 3, 3)))
     known = Surface(place, lab, disparity, jnp.zeros((4, *labels.shape), bool))
     found = start
-    # Once for the places, as sums about far places round off; then about these.
+    # First the positions; then sums about these, because sums about distant points lose precision.
     for _ in range(2):
         found = means(found, updated(known, found, weights, which, every), every)
     return found.xy, found.plane
 
 
 def _touching(labels: Array, surface: Surface, capacity: int) -> tuple[Array, Array]:
-    """Pairs of labels that touch in the centre view, and whether they do without a step."""
+    """Pairs of labels that touch in the center view, and whether without a depth step."""
     codes = []
     for link, offset in ((surface.links[0], (0, 1)), (surface.links[1], (1, 0))):
         other = shifted(labels, *offset, 0)

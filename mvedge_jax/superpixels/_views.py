@@ -1,4 +1,4 @@
-"""From the centre view into all others: where a surface is labelled once, views agree."""
+"""Labels of all views from those of the center view: each surface is labeled once."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -14,18 +14,18 @@ from ._clusters import shifted
 
 _BESIDE = ((0, 1), (0, -1), (1, 0), (-1, 0))
 _AROUND = tuple((dy, dx) for dy in (-1, 0, 1) for dx in (-1, 0, 1) if dy or dx)
-# Pixels of a view that match nothing take what is around them this often.
+# Rounds in which unmatched pixels of a view take the label of a neighbor.
 _FILLS = 3
 
 
 class Canvas(NamedTuple):
-    """Surfaces in the coordinates of the centre view, with a margin around its frame.
+    """Surfaces in the coordinates of the center view, with a margin around its frame.
 
     Attributes:
-        front: disparity of what the centre view sees, NaN beyond its frame.
-        back: of what only other views see, the nearest of it; NaN where there is nothing.
-        front_labels: 0 for none.
-        back_labels: 0 for none.
+        front: disparity of the surface in the center view, NaN beyond its frame.
+        back: disparity of the nearest surface that only other views show; NaN without one.
+        front_labels: labels of `front`, 0 for none.
+        back_labels: labels of `back`, 0 for none.
     """
 
     front: Float[Array, "h w"]
@@ -41,11 +41,11 @@ def canvas_of(
     *,
     margin: int,
 ) -> Canvas:
-    """Gathers what the views show beyond the centre view's map, not labelled yet.
+    """Collects surfaces that only other views show, without labels.
 
     Args:
         disparities: of all views, px per view step.
-        labels: of the centre view, from 1 on.
+        labels: of the center view, from 1 on.
         step: two surfaces differ by more than this, px per view step.
         margin: around the frame, px.
 
@@ -99,13 +99,13 @@ def continued(
     *,
     capacity: int,
 ) -> tuple[Canvas, Int[Array, ""]]:
-    """Labels what the centre view does not see: as the same surface around it, or anew.
+    """Labels surfaces hidden from the center view, by the same surface around or with new labels.
 
     Args:
-        canvas: with labels of the front.
-        count: of labels so far.
+        canvas: canvas with labels of the front.
+        count: number of labels so far.
         step: two surfaces differ by more than this, px per view step.
-        least: pixels that a surface without any label needs for one of its own.
+        least: least number of pixels of a surface that gets a new label.
         capacity: of labels.
 
     Returns:
@@ -142,12 +142,12 @@ def _of_neighbours(
     known: Sequence[tuple[Float[Array, "y x"], Int[Array, "y x"]]],
     limit: Float[Array, ""],
 ) -> Int[Array, "y x"]:
-    """Label of the neighbour with the most similar disparity; 0 where none is within a limit.
+    """Label of the neighbor with the most similar disparity; 0 if none is within a limit.
 
     Args:
-        disparity: of the pixels that ask, px per view step.
-        known: maps of disparities and their labels; the first among equals decides.
-        limit: of the difference, px per view step.
+        disparity: disparity of the pixels, px per view step.
+        known: maps of disparities and their labels; the first among equals wins.
+        limit: largest difference, px per view step.
     """
     found, gap = jnp.zeros_like(known[0][1]), jnp.full_like(disparity, jnp.inf)
     for depth, labels in known:
@@ -174,11 +174,11 @@ def labelled(
 
     Args:
         disparities: of all views, px per view step.
-        labels: of the centre view, from 1 on.
+        labels: of the center view, from 1 on.
         canvas: with labels.
         step: two surfaces differ by more than this, px per view step.
-        fragment: pieces with fewer pixels than this, apart from the rest of their label, join what
-            is around them, px.
+        fragment: pieces with fewer pixels than this, separate from the rest of their label, join a
+            neighbor, px.
         margin: of the canvas, px.
         capacity: of labels.
     """
@@ -192,7 +192,7 @@ def labelled(
         behind = jnp.abs(back[place] - disparity) <= step
         label = jnp.where(in_front, front_labels[place], jnp.where(behind, back_labels[place], 0))
         label = _filled(label, disparity)
-        # An outline that is wider in this view than in the centre view ends where that one does.
+        # An outline that is wider in this view than in the center view is cut to the latter.
         moved = forward_warp(labels[..., None].astype(disparity.dtype), centre, view)
         wide = moved.hit & ~in_front & (moved.disparity < disparity - step)
         label = jnp.where(wide, moved.image[..., 0].astype(jnp.int32), label)
@@ -204,7 +204,7 @@ def labelled(
 
 
 def _filled(labels: Int[Array, "y x"], disparity: Float[Array, "y x"]) -> Int[Array, "y x"]:
-    """Gives pixels without a label that of the neighbour with the most similar disparity."""
+    """Gives pixels without a label that of the neighbor with the most similar disparity."""
     finite, endless = jnp.isfinite(disparity), jnp.asarray(jnp.inf, disparity.dtype)
 
     def lacking(labels: Array) -> Array:
@@ -222,7 +222,7 @@ def _filled(labels: Int[Array, "y x"], disparity: Float[Array, "y x"]) -> Int[Ar
         return labels.ravel()[holes(disparity, labels > 0).behind]
 
     _, labels = lax.while_loop(going, fill, (jnp.asarray(0, jnp.int32), labels))
-    # Rarely is anything left, and looking behind holes costs more than all the rest.
+    # Rarely needed, and more expensive than all the rest.
     labels = lax.cond(jnp.any(lacking(labels)), from_behind, lambda kept: kept, labels)
     return jnp.where(finite, labels, 0)
 
@@ -233,12 +233,12 @@ def whole(
     fragment: Float[Array, ""],
     count: int,
 ) -> Int[Array, "y x"]:
-    """Gives fragments of labels to the neighbour that is closest in disparity.
+    """Gives fragments of labels to the neighbor that is closest in disparity.
 
     Args:
         labels: of a view.
         disparity: of it, px per view step.
-        fragment: pixels that a piece apart from the largest one of its label needs to stay.
+        fragment: least number of pixels of a piece, except for the largest one of its label.
         count: of labels, 0 included.
     """
     root, area = _small_pieces(labels, fragment)
@@ -246,7 +246,7 @@ def whole(
     most = jnp.zeros(count, jnp.int32).at[name].max(area)[name]
     apart = (area < most) & (area.astype(fragment.dtype) < fragment)
     apart = apart.reshape(labels.shape)
-    # The neighbour that the fragment as a whole is closest to, so that it is not cut again.
+    # The neighbor closest to the fragment as a whole, so that it is not split again.
     gap, options = jnp.full_like(disparity, jnp.inf), []
     for offset in _BESIDE:
         difference = jnp.abs(shifted(disparity, *offset, jnp.nan) - disparity)
@@ -267,8 +267,8 @@ def whole(
 def _small_pieces(labels: Int[Array, "y x"], fragment: Float[Array, ""]) -> tuple[Array, Array]:
     """Connected pieces of fewer pixels than `fragment`: a number for each, and its pixels; flat.
 
-    Numbers spread only as far as such a piece can reach. A number that has not come to its end
-    then belongs to a larger piece, whose pixels count as all of the view's.
+    Numbers spread only as far as the extent of such a piece. A number that is still spreading then
+    belongs to a larger piece, which gets the size of the whole view.
     """
     size, fill = labels.size, labels.size
     links = [(offset, labels == shifted(labels, *offset, -1)) for offset in _BESIDE]

@@ -1,4 +1,4 @@
-"""Sweeps over hyperparameters: settings in batches through one program, asked of Optuna."""
+"""Sweeps over hyperparameters by Optuna, in batches through one program."""
 
 from ._evaluate import evaluate as evaluate
 from ._plot import plot_sweep as plot_sweep

@@ -21,7 +21,7 @@ Objective = str | Callable[[DepthResult, LightField], Float[Array, ""]]
 
 
 def check_objective(objective: Objective) -> None:
-    """Raises where a name is not that of a depth score."""
+    """Raises a ValueError if a name is not that of a depth score."""
     if isinstance(objective, str) and objective not in DepthScores._fields:
         raise ValueError(
             f"`objective` must be one of {DepthScores._fields} or a function, got {objective!r}."
@@ -48,7 +48,7 @@ def _scores(
 ) -> Float[Array, " b"]:
     def one(row: Float[Array, " k"], model: EdgeDepth, light_field: LightField) -> Array:
         varied = model.replace({name: row[i] for i, name in enumerate(names)})
-        # Parts that draw do so alike for every setting.
+        # Random parts use the same key for every setting.
         found = estimate_depth(light_field.without_truth(), varied, key=jax.random.key(0))
         return _score(objective, found, light_field)
 
@@ -81,17 +81,17 @@ def evaluate(
     objective: Objective,
     batch: int,
 ) -> Float[np.ndarray, " b"]:
-    """Scores settings on one scene: what a worker of a sweep does.
+    """Scores settings on one scene: the task of a worker of a sweep.
 
     Args:
-        scene: a light field, or the path of one, which is then kept for the next call.
+        scene: a light field, or the path of one, which is cached for the next call.
         rows: values of the numbers at `names`, one setting a row.
         names: paths of the numbers.
         choices: other numbers and static fields of the model, by path.
         preset: see `EdgeDepth.for_light_field`.
         objective: the name of a field of `DepthScores`, or a jittable function of the result and
             the light field.
-        batch: settings per call of the program; fewer are filled up, so that it is compiled once.
+        batch: settings per call of the program; smaller batches are padded, to compile once.
 
     Returns:
         One score per row; the smaller, the better.

@@ -1,4 +1,4 @@
-"""What a sweep found, as a picture."""
+"""Plot of a finished sweep."""
 
 import math
 
@@ -17,9 +17,9 @@ def plot_sweep(swept: Swept) -> Figure:
         swept: a finished sweep.
 
     Returns:
-        A figure: the score of every setting and the best so far; how much of the differences each
-        number or choice accounts for among the better settings (PED-ANOVA), where there are enough
-        of them to say; and the score over each that took more than one value.
+        A figure with the score of every setting and the best so far; the importance of each number
+        or choice among the better settings (PED-ANOVA), if there are enough settings; and the
+        score over each number or choice with more than one value.
     """
     trials = [t for t in swept.study.get_trials() if t.state == TrialState.COMPLETE]
     number = np.asarray([t.number for t in trials])
@@ -53,7 +53,7 @@ def plot_sweep(swept: Swept) -> Figure:
 
 
 def _importances(study: optuna.Study) -> dict[str, float]:
-    """Shares by PED-ANOVA; empty where there are too few settings for it."""
+    """Importances by PED-ANOVA; empty for too few settings."""
     evaluator = optuna.importance.PedAnovaImportanceEvaluator()
     try:
         return optuna.importance.get_param_importances(study, evaluator=evaluator)

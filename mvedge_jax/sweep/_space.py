@@ -1,4 +1,4 @@
-"""What is varied: numbers and static fields of `EdgeDepth`, by path."""
+"""The search space: numbers and static fields of `EdgeDepth`, by path."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -12,12 +12,12 @@ from mvedge_jax.depth import EdgeDepth
 
 @dataclass(frozen=True)
 class Interval:
-    """Where a number is looked for.
+    """The interval of a number.
 
     Attributes:
         low: the least value.
         high: the largest.
-        log: even in the logarithm, which suits weights and scales; `low` is positive then.
+        log: uniform in the logarithm, for weights and scales; `low` must be positive.
     """
 
     low: float | int
@@ -36,7 +36,7 @@ class Interval:
 
 @dataclass(frozen=True)
 class Space:
-    """What a sweep varies; the paths are those of `describe(model)`.
+    """The search space of a sweep; paths are those of `describe(model)`.
 
     Attributes:
         numbers: traced numbers of the model by path, such as `"smoothness.color"`. Settings that
@@ -69,7 +69,7 @@ class Space:
         return tuple(self.numbers)
 
     def check(self, model: EdgeDepth) -> None:
-        """Refuses what cannot be varied.
+        """Checks that paths and values fit a model.
 
         Args:
             model: of the preset that is swept.
@@ -103,7 +103,7 @@ class Space:
         numbers = {}
         for name, interval in self.numbers.items():
             value = np.asarray(value_at(model, name))
-            # A bound that is the default is so but for the rounding of the latter.
+            # A default on a bound may differ from it by rounding.
             low, high = (value.dtype.type(end) for end in (interval.low, interval.high))
             if not low <= value <= high:
                 return None

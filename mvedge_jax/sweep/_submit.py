@@ -1,4 +1,4 @@
-"""Where the batches of a sweep run, unless the user says where."""
+"""The default executor of a sweep's batches: threads of this process."""
 
 import contextlib
 from collections.abc import Callable, Iterator
@@ -8,7 +8,7 @@ from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 @runtime_checkable
 class Future(Protocol):
-    """What `submit` returns: `concurrent.futures.Future`, or that of Dask."""
+    """The result of `submit`: `concurrent.futures.Future`, or that of Dask."""
 
     def result(self) -> Any:
         """Waits for the value."""
@@ -29,14 +29,14 @@ class _Done(NamedTuple):
 def in_threads(count: int) -> Iterator[Submit]:
     """`submit` of some threads of this process.
 
-    The first call for a scene and its choices runs by itself: it may have to compile, and threads
-    that come to a program together compile it once each.
+    The first call for a scene and its choices runs alone, because threads that reach an uncompiled
+    program together would each compile it.
 
     Args:
-        count: calls at a time.
+        count: number of concurrent calls.
 
     Yields:
-        What takes `evaluate` and its arguments.
+        A function that takes `evaluate` and its arguments.
     """
     seen: set[Any] = set()
     begun: list[Any] = []
@@ -55,5 +55,5 @@ def in_threads(count: int) -> Iterator[Submit]:
     try:
         yield submit
     finally:
-        # After a mistake, or Ctrl-C, what has not begun is not waited for.
+        # After an error or Ctrl-C, pending calls are canceled.
         pool.shutdown(cancel_futures=True)

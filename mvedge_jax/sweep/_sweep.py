@@ -1,4 +1,4 @@
-"""The sweep: Optuna asks, batches of settings are scored, Optuna is told."""
+"""The sweep: settings are drawn by Optuna, scored in batches, and reported to Optuna."""
 
 import contextlib
 import os
@@ -22,7 +22,7 @@ from ._space import Space
 from ._submit import Submit, in_threads
 
 _OWNER, _LOST = "owner", "lost"
-# Of the rows, beside the scenes' and the space's.
+# Columns of the rows besides those of scenes and space.
 _COLUMNS = ("number", "state", "mean")
 
 
@@ -30,12 +30,12 @@ class Swept(NamedTuple):
     """A finished sweep.
 
     Attributes:
-        study: everything that was tried, for Optuna's own tools.
+        study: the Optuna study with all trials.
         choices: the best setting by path, numbers and static fields, `start` included:
             `EdgeDepth.for_light_field(light_field, preset=preset, choices=choices)` is its model.
-        value: its score, the mean over the scenes.
-        rows: one dictionary per setting: number, state, what was varied, the score on each scene
-            and their mean.
+        value: mean score of the best setting over the scenes.
+        rows: one dictionary per setting: number, state, varied values, the score on each scene and
+            their mean.
     """
 
     study: optuna.Study
@@ -62,33 +62,34 @@ def sweep(
     submit: Submit | None = None,
     progress: Callable[[int, float], None] | None = None,
 ) -> Swept:
-    """Looks for the setting of an `EdgeDepth` with the least mean score over scenes.
+    """Searches the setting of an `EdgeDepth` with the least mean score over scenes.
 
-    Settings are asked of Optuna in waves and scored scene after scene. Those that differ in traced
-    numbers alone run in batches through one program, which computes once what no varied number
-    reaches (`batched`); each combination of choices is compiled for itself. Between scenes the
-    pruner may give a setting up. With the same seed, wave and scenes the result is the same
-    whatever `submit` is.
+    Optuna draws settings in waves; they are scored scene after scene. Settings that differ in
+    traced numbers alone run in batches through one program, which computes stages that no varied
+    number reaches once (`batched`); each combination of choices is compiled separately. Between
+    scenes the pruner may stop a setting. The result depends on seed, wave and scenes, not on
+    `submit`.
 
     Args:
-        scenes: light fields, or their paths, which is what workers elsewhere need.
-        space: what is varied.
+        scenes: light fields, or their paths, which remote workers need.
+        space: the search space.
         preset: of the model, see `EdgeDepth.for_light_field`.
-        start: other numbers and static fields, by path; the preset's by default. What `space`
-            varies starts from them where they lie in its intervals.
-        trials: settings to have tried in the end, those in `journal` included.
-        batch: settings per call of the program, a few of them side by side.
-        wave: settings asked at a time. Later ones learn from earlier waves only.
+        start: other numbers and static fields, by path; the preset's by default. Varied settings
+            start from them if they lie in the intervals of `space`.
+        trials: total number of settings, those in `journal` included.
+        batch: number of settings per call of the program.
+        wave: number of settings drawn at a time; they depend on earlier waves only.
         objective: the name of a field of `DepthScores`, or a jittable function of `DepthResult`
             and `LightField`, smaller is better.
-        journal: file to keep the trials in. A sweep that was stopped goes on from it, and several
-            processes, on several machines, may share it.
-        name: of the study in the journal.
-        sampler: of settings; TPE with seed 0 by default.
-        pruner: none by default; `optuna.pruners.MedianPruner` gives up what is worse than half.
-        threads: of this process that run batches, where `submit` is not given. One call keeps
-            little more than a core busy; memory grows with them. What context managers of JAX set
-            (`jax.enable_x64`, say) holds in one thread only: use 1 within them.
+        journal: file of the trials. A stopped sweep resumes from it, and several processes, also
+            on several machines, may share it.
+        name: name of the study in the journal.
+        sampler: sampler of settings; TPE with seed 0 by default.
+        pruner: none by default; `optuna.pruners.MedianPruner` stops settings worse than the
+            median.
+        threads: number of threads that run batches if `submit` is None. One call uses little more
+            than one core; memory grows with the number. Context managers of JAX such as
+            `jax.enable_x64` affect one thread only: use 1 within them.
         submit: runs a function elsewhere, as `concurrent.futures.Executor.submit` and Dask's
             `Client.submit` do; in threads of this process by default.
         progress: called after each wave with the number of settings tried and the best score.
@@ -128,7 +129,7 @@ def sweep(
 
 
 class _Run(NamedTuple):
-    """What every setting of a sweep has in common."""
+    """The common arguments of all settings of a sweep."""
 
     scenes: dict[str, str | Path | LightField]
     space: Space
@@ -158,7 +159,7 @@ def _study(
 
 
 def _adopt(study: optuna.Study, run: _Run) -> None:
-    """Refuses the journal of another sweep, and asks anew what a killed process had asked."""
+    """Refuses the journal of another sweep; enqueues settings of killed processes again."""
     told = {
         "space": repr(_distributions(run.space)),
         "scenes": list(run.scenes),
@@ -184,7 +185,7 @@ def _adopt(study: optuna.Study, run: _Run) -> None:
 
 
 def _lost(study: optuna.Study) -> list[int]:
-    """Settings that a killed process had asked; each was asked anew."""
+    """Unfinished settings of killed processes, which were enqueued again."""
     return study.user_attrs.get(_LOST, [])
 
 
@@ -193,7 +194,7 @@ def _owner() -> str:
 
 
 def _alive(owner: str) -> bool:
-    """Whether the process that asked is still there; one elsewhere is believed to be."""
+    """Whether the owning process is alive; one on another machine is assumed to be."""
     host, _, number = owner.partition(":")
     if not number or host != socket.gethostname():
         return bool(number)
@@ -224,7 +225,7 @@ def _best(study: optuna.Study) -> float:
 
 
 def _names(scenes: Sequence[str | Path | LightField]) -> list[str]:
-    """What scenes are called in rows and journals: what they are, told apart by numbers."""
+    """Names of the scenes in rows and journals, made unique by numbers."""
     names, taken = [], {_OWNER, *_COLUMNS}
     for scene in scenes:
         own = (scene.name if isinstance(scene, LightField) else Path(scene).name) or "scene"
@@ -241,7 +242,7 @@ def _run_wave(
     batch: int,
     submit: Submit,
 ) -> None:
-    """Scores settings scene after scene; the pruner may give some up in between."""
+    """Scores settings scene after scene; the pruner may stop some in between."""
     total, space = {trial.number: 0.0 for trial in trials}, run.space
     for index, (name, scene) in enumerate(run.scenes.items()):
         running = []

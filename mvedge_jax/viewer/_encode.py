@@ -58,7 +58,7 @@ def picture(view: np.ndarray, quality: int) -> str:
 
     Args:
         view: sRGB in [0, 1], `[y, x, 3]`.
-        quality: 1 to 100; 100 keeps the view's 8 bits, less halves the resolution of colour, too.
+        quality: 1 to 100; 100 keeps the view's 8 bits, less halves the resolution of color, too.
 
     Returns:
         The file, in base 64.

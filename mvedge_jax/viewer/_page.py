@@ -16,7 +16,7 @@ from ._encode import packed, packed_labels, picture, text_of
 from ._result import Result
 
 _SCRIPTS = ("data", "shaders", "gl", "field", "space", "controls", "panel", "pointer", "main")
-# The colours of `plotting`: disparity, error, difference.
+# The colors of `plotting`: disparity, error, difference.
 _COLOURS = ("viridis", "inferno", "RdBu_r")
 # Disparities to focus at where nothing is known of the scene, px per view step.
 _GUESS = (-2.0, 2.0)
@@ -27,7 +27,7 @@ def page(light_field: LightField, *results: Result, quality: int = 90) -> str:
 
     Args:
         light_field: the views; ground truth and camera are shown if known.
-        results: maps of its centre view, compared if there are two.
+        results: maps of its center view, compared if there are two.
         quality: of the views, WebP, 1 to 100, which is without loss; maps keep 16 bits.
 
     Returns:

@@ -17,15 +17,15 @@ class Result(NamedTuple):
 
     Attributes:
         name: what to call it.
-        disparity: px per view step, larger is nearer, of the centre view; not finite where unknown.
+        disparity: px per view step, larger is nearer, of the center view; not finite where unknown.
         error: its standard error, px.
-        xy: edge points, `(x, y)` px in the centre view.
+        xy: edge points, `(x, y)` px in the center view.
         points: their disparity and its standard error.
         normals: their normals, unit length.
         surfaces: their surface vectors, px.
-        states: maps of an optimisation, first to last; `disparity` is the last.
-        labels: superpixels of the centre view, 0 for none.
-        hidden: surfaces that the centre view does not show, from `hidden_surfaces`.
+        states: maps of an optimization, first to last; `disparity` is the last.
+        labels: superpixels of the center view, 0 for none.
+        hidden: surfaces that the center view does not show, from `hidden_surfaces`.
         unit: of lengths, where the camera is known.
     """
 
@@ -117,16 +117,16 @@ def hidden_surfaces(
     error: Float[np.ndarray, "v u y x"],
     source: Int[np.ndarray, "v u y x"],
 ) -> Float[np.ndarray, "m 7"]:
-    """Points of surfaces that only other views than the centre view show.
+    """Points of surfaces that only other views than the center view show.
 
     Args:
-        light_field: the views, for their colours.
+        light_field: the views, for their colors.
         disparity: of every view, as in `ViewDepths`, px per view step.
         error: its standard error, px.
         source: what a pixel is known from; 1 is other views only.
 
     Returns:
-        `(x, y)` in the centre view, px, where it would show the point if nothing hid it; disparity;
+        `(x, y)` in the center view, px, where it would show the point if nothing hid it; disparity;
         its standard error; sRGB in [0, 1]. Of points that fall together, to a pixel and a
         twentieth of one in disparity, the most certain one; most certain first.
     """

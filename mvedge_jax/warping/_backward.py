@@ -1,4 +1,4 @@
-"""Backward warping: sample another view where a disparity map says that it sees the same points."""
+"""Backward warping: samples another view at the positions given by a disparity map."""
 
 import jax
 import jax.numpy as jnp
@@ -13,14 +13,14 @@ def backward_warp(
     disparity: Float[Array, "y x"],
     step: Float[Array, "2"],
 ) -> tuple[Float[Array, "y x c"], Bool[Array, "y x"]]:
-    r"""Sample another view at the places where it sees the points of this one.
+    r"""Samples another view at the positions of the points of this one.
 
     A point at $(x, y)$ with disparity $d$ is at $(x + s_x d, y + s_y d)$ in the view that lies
     `step` away, so the warped image is $W(x, y) = I(x + s_x d(x, y),\, y + s_y d(x, y))$,
     interpolated bilinearly. Occlusion is not handled: where a nearer surface hides the point in
-    `image`, the colour of that surface is returned.
+    `image`, the color of that surface is returned.
 
-    Outside of `image` the colour of the nearest border pixel is used, which has no gradient with
+    Outside of `image` the color of the nearest border pixel is used, which has no gradient with
     respect to the disparity, and `inside` is False there.
 
     Args:
@@ -28,11 +28,11 @@ def backward_warp(
         disparity: Disparity of this view, `[y, x]`, px per view step, larger is nearer. A value
             that is not finite is sampled as zero and reported as not inside.
         step: View steps `(s_x, s_y)` from this view to the other: `(u_c - u, v_c - v)` from the
-            centre view to view `(v, u)`, and `(u_a - u_b, v_a - v_b)` from view a to view b.
+            center view to view `(v, u)`, and `(u_a - u_b, v_a - v_b)` from view a to view b.
 
     Returns:
         The warped image, `[y, x, c]`, and `inside`, `[y, x]`: True where the sampled place lies
-        between the centres of pixels of `image`. Differentiable with respect to `image`,
+        between the centers of pixels of `image`. Differentiable with respect to `image`,
         `disparity` and `step`.
 
     Source: Thesis 7.1.4, the warping operator of Eq. 7.15.

@@ -1,4 +1,4 @@
-"""Stencils that are wanted in parts of an image only."""
+"""Stencils evaluated in parts of an image only."""
 
 from collections.abc import Callable
 
@@ -19,18 +19,18 @@ def in_blocks(
     *,
     reach: int,
 ) -> Float[Array, "k y x"]:
-    """Computes a stencil in the blocks of an image in which it is wanted somewhere.
+    """Evaluates a stencil in the blocks of an image that need it.
 
     Args:
         stencil: maps stacks of pieces of the images, `reach` px larger on each side, to its answers
             in them.
-        wanted: where its answer will be read.
-        images: what it reads; beyond their borders they are 0.
-        reach: of the stencil, px.
+        wanted: pixels whose result is read.
+        images: inputs of the stencil; 0 beyond their borders.
+        reach: radius of the stencil, px.
 
     Returns:
-        Its answers; 0 in blocks that were left out. How many are computed is found out at run time:
-        forward mode alone gets through a `stencil` with derivatives.
+        The results; 0 in skipped blocks. The number of blocks is known at run time only, so a
+        `stencil` with derivatives supports forward mode alone.
     """
     height, width = wanted.shape
     rows, columns = -(-height // _SIDE), -(-width // _SIDE)

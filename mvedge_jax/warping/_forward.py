@@ -15,7 +15,7 @@ class ForwardWarp(NamedTuple):
     Attributes:
         image: values of the winning pixels; 0 in holes.
         disparity: disparity of the winning pixels; 0 in holes.
-        hit: where any pixel landed.
+        hit: pixels on which any pixel landed.
     """
 
     image: Float[Array, "y x c"]
@@ -54,14 +54,14 @@ def landing(
 
 @accepts_numpy
 def z_buffer(order: Float[Array, "y x"], index: Int[Array, "y x"]) -> Float[Array, "_"]:
-    """What is nearest of all that lands on each pixel.
+    """The nearest of all pixels that land on each pixel.
 
     Args:
-        order: of every pixel, larger is nearer.
-        index: where each pixel lands, see `landing`.
+        order: order of every pixel, larger is nearer.
+        index: index of the pixel that each lands on, see `landing`.
 
     Returns:
-        Flat, -inf where nothing lands; the last entry is a bin for what leaves the view.
+        Flat, -inf in holes; the last entry collects pixels that leave the view.
     """
     buffer = jnp.full(order.size + 1, -jnp.inf, order.dtype)
     return buffer.at[index.ravel()].max(order.ravel(), mode="promise_in_bounds")
@@ -71,7 +71,7 @@ def z_buffer(order: Float[Array, "y x"], index: Int[Array, "y x"]) -> Float[Arra
 def forward_warp(
     image: Float[Array, "y x c"], disparity: Float[Array, "y x"], step: Float[Array, "2"]
 ) -> ForwardWarp:
-    """Moves every pixel of this view to where another view sees it, nearest pixel in front.
+    """Moves every pixel of this view to its position in another view, nearest pixel in front.
 
     Positions are rounded to pixels; pixels that nothing lands on are holes. Among equal
     disparities the pixel with the smallest index wins.
@@ -79,7 +79,7 @@ def forward_warp(
     Args:
         image: values of this view.
         disparity: px per view step, larger is nearer.
-        step: `(u_c - u, v_c - v)` from the centre view to view `(v, u)`.
+        step: `(u_c - u, v_c - v)` from the center view to view `(v, u)`.
 
     Returns:
         The reprojected image. Differentiable with respect to `image` and, in its `disparity`

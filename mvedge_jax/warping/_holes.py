@@ -1,4 +1,4 @@
-"""Holes of a reprojected map: what lies around them."""
+"""The surroundings of holes in a reprojected map."""
 
 from typing import NamedTuple
 
@@ -10,15 +10,15 @@ from mvedge_jax._params import accepts_numpy
 
 
 class Holes(NamedTuple):
-    """What lies around the holes of a map.
+    """The surroundings of the holes of a map.
 
     Attributes:
         behind: flat index of the farthest of the nearest pixels to the left, to the right, above
             and below; where there are none, as in the corner of a map that moved away from it, that
             of the pixels above and below in the nearest rows that are not empty. The pixel itself
             where there is no hole, 0 where the map is empty.
-        spread: what these four differ by, px, or those of the pixel above or below; 0 where there
-            is no hole.
+        spread: difference of these four, px, or of those of the pixel above or below; 0 outside of
+            holes.
         crack: holes of one pixel between two that differ by at most the tolerance.
     """
 
@@ -34,15 +34,15 @@ def holes(
     *,
     tolerance: Float[Array, ""] | float = 0.1,
 ) -> Holes:
-    """Finds out what lies around the holes of a map: mostly, the surface behind goes on.
+    """Finds the pixels around the holes of a map, in which the surface behind usually continues.
 
     Args:
         disparity: px per view step, larger is nearer; read only where `hit`.
         hit: pixels that have one.
-        tolerance: of differences within one surface, px.
+        tolerance: largest difference within one surface, px.
 
     Returns:
-        Places to take values from. A selection: no gradient passes.
+        Indices of the source pixels. A selection: no gradient passes.
 
     Example:
         >>> import jax.numpy as jnp

@@ -14,24 +14,23 @@ from mvedge_jax.color import factored, solved, srgb_to_linear
 
 from ._blocks import in_blocks
 
-# Pairs of colour channels, in the order of `factored`.
+# Pairs of color channels, in the order of `factored`.
 _PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 
 
 class Outline(eqx.Module):
-    """What is beside a depth step, and how far color is believed there.
+    """Parameters of the choice of a surface by color beside a depth step.
 
-    All of it selects: no gradient passes through an outline.
+    All are thresholds: no gradient passes through an outline.
 
     Attributes:
-        odds: that the map has a pixel beside a step on the right side.
+        odds: prior odds that the map has a pixel beside a step on the right side.
         step: differences of disparity beyond this are steps.
-        steeper: if they are this many times as large as what either surface rises by from pixel to
-            pixel.
-        width: standard deviation of the Gaussian of what tells colors apart.
-        doubt: a pixel beside a step is not sure of its own surface, and counts this much.
+        steeper: least ratio of a step to the slope of either surface per pixel.
+        width: standard deviation of the Gaussian window of the color fit.
+        doubt: weight of pixels beside a step, whose surface is uncertain.
         faint: variance of colors that tells nothing.
-        reach: of what tells colors apart, px.
+        reach: radius of the window of the color fit, px.
     """
 
     odds: Float[Array, ""] = number(8.0, "log odds", threshold=True)
@@ -53,12 +52,12 @@ def outline(
     noise: Float[Array, ""],
     params: Outline,
 ) -> Int[Array, "y x"]:
-    r"""Decides by colour which surface the pixels beside a depth step show.
+    r"""Decides by color which surface the pixels beside a depth step show.
 
-    A pixel is put into one surface, and shows two that meet in it. Light adds up: its colour in
+    A pixel is put into one surface, and shows two that meet in it. Light adds up: its color in
     linear light is that of the front times the share $\alpha$ that the front covers, plus that of
     the back times the rest (by sRGB values, bright surfaces would grow). As in closed-form matting,
-    $\alpha$ is linear in colour nearby. The line is fitted to the pixels around, 1 in front and 0
+    $\alpha$ is linear in color nearby. The line is fitted to the pixels around, 1 in front and 0
     behind, those beside a step counting little, and what it leaves unexplained, a variance $r$,
     says how far to believe it: the log odds that the front holds the pixel's middle are
     $(\alpha - 1/2) / r$.
@@ -71,10 +70,10 @@ def outline(
 
     Returns:
         Flat index of the pixel whose disparity every pixel should have, its own or one of its eight
-        neighbours'. Pixels between two surfaces are given to one of them. A selection: no gradient
+        neighbors'. Pixels between two surfaces are given to one of them. A selection: no gradient
         passes.
 
-    Source: the linear model of colours is that of Levin, Lischinski and Weiss, A Closed-Form
+    Source: the linear model of colors is that of Levin, Lischinski and Weiss, A Closed-Form
         Solution to Natural Image Matting (2008); its use here is ours.
 
     Example:
@@ -140,13 +139,13 @@ def _part(padded: Array, offset: int, axis: int) -> Array:
 
 
 def _share(images: Array, *, params: Outline, faint: Array) -> Array:
-    """The share of a pixel that the front covers, by its colour, and the variance of the fit.
+    """The share of a pixel that the front covers, by its color, and the variance of the fit.
 
     Args:
-        images: disparity, that of the middle between front and back, certainty, linear colours,
+        images: disparity, that of the middle between front and back, certainty, linear colors,
             with a margin of `Outline.reach`, `[b, 6, y, x]`.
         params: see `Outline`.
-        faint: variance of colours that tells nothing.
+        faint: variance of colors that tells nothing.
 
     Returns:
         Both, without the margin, `[b, 2, y, x]`.
@@ -160,7 +159,7 @@ def _share(images: Array, *, params: Outline, faint: Array) -> Array:
     gaussian = jnp.exp(-0.5 * jnp.asarray(distance, images.dtype) / params.width**2)
     gaussian = jnp.where(distance <= reach**2 + 1, gaussian, 0)
 
-    # Sums of 1, colours, products of colours; of the front, and of its colours. Rows are added by
+    # Sums of 1, colors, products of colors; of the front, and of its colors. Rows are added by
     # a loop: written out, they would be a tenth of the instructions of the whole chain.
     def add(sums: list[Array], row: tuple[Array, Array]) -> tuple[list[Array], None]:
         place, factors = row
@@ -168,7 +167,7 @@ def _share(images: Array, *, params: Outline, faint: Array) -> Array:
         for dx in range(2 * reach + 1):
             value, _, known, *colours = unstack(around[..., dx : dx + width])
             weight = factors[dx] * known
-            # From the pixel's own colour, as differences of large sums would be inexact.
+            # From the pixel's own color, as differences of large sums would be inexact.
             colours = [a - b for a, b in zip(colours, own, strict=True)]
             front = jnp.where(value > middle, weight, 0)
             terms = [weight, *(weight * c for c in colours)]

@@ -52,7 +52,7 @@ def warp_planes(
 ) -> Float[Array, "c y x"]:
     """`backward_warp` for channel planes, with the slope kept from the forward pass.
 
-    An optimisation warps the same views hundreds of times; this form costs a third of
+    An optimization warps the same views hundreds of times; this form costs a third of
     differentiating `backward_warp`, and gives the same values. Outside the view the nearest
     border pixel is used, with no slope.
 

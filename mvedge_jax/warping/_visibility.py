@@ -49,7 +49,7 @@ def visible_binned(
     bins: int = 32,
     limit: Float[Array, ""] | float = 5.0,
 ) -> Bool[Array, "y x"]:
-    """Tells which points another view sees, with disparities quantised as the authors do.
+    """Tells which points another view sees, with disparities quantized as the authors do.
 
     A point is hidden if one from a strictly nearer bin lands on the same pixel. Bins spread over
     the range of the map: surfaces within one bin never hide each other.

@@ -1,4 +1,4 @@
-"""Photographs, cameras, points and depth in the forms that other tools read."""
+"""Photographs, cameras, points and depth in the formats of other tools."""
 
 import json
 import os
@@ -14,7 +14,7 @@ from mvedge_jax.posed import Photographs
 from .._images import IMAGE_SUFFIXES
 from ._ply import from_origin, write_ply
 
-# COLMAP and nerfstudio have their pixel centres at .5.
+# COLMAP and nerfstudio have pixel centers at .5.
 _HALF = 0.5
 # OpenGL's camera looks along -z with y up, ours along z with y down.
 _TURN = np.diag([1.0, -1.0, -1.0, 1.0])
@@ -180,7 +180,7 @@ def _in_the_world(photographs: Photographs) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _looked_up(photographs: Photographs, observed: np.ndarray) -> np.ndarray:
-    """Colours of the points in the first photograph that observed them."""
+    """Colors of the points in the first photograph that observed them."""
     points = np.zeros((0, 3)) if photographs.points is None else np.asarray(photographs.points)
     colours = np.full((len(points), 3), 128, np.uint8)
     height, width = photographs.images.shape[1:3]
@@ -204,13 +204,13 @@ def _bytes(image: np.ndarray) -> np.ndarray:
 
 
 def _files(folder: Path, photographs: Photographs) -> list[str]:
-    """What the photographs' images are to be called; checked before anything is written."""
+    """File names of the photographs' images; checked before anything is written."""
     files = [
         name if Path(name).suffix.lower() in IMAGE_SUFFIXES else f"{name}.png"
         for name in photographs.names
     ]
     for name, file in zip(photographs.names, files, strict=True):
-        # Names come from files of others.
+        # Names come from untrusted files.
         if not (folder / file).resolve().is_relative_to(folder.resolve()):
             raise ValueError(f"`photographs` have the name {name!r}, which leads out of {folder}.")
         if files.count(file) > 1:

@@ -1,4 +1,4 @@
-"""Point clouds as PLY files: places, normals, colours and what is known of their errors."""
+"""Point clouds as PLY files: positions, normals, colors and standard errors."""
 
 from pathlib import Path
 
@@ -25,7 +25,7 @@ def write_ply(
 
     Args:
         path: the file.
-        points: places; those of float64 are stored as such, others as float32.
+        points: positions; float64 is stored as such, others as float32.
         colours: sRGB.
         normals: unit vectors.
         error: standard error of each point along the line of sight, in the unit of the places; a
@@ -57,30 +57,30 @@ def write_ply(
 def from_origin(
     points: Float[np.ndarray, "*n 3"], origin: tuple[float, float, float]
 ) -> Float[np.ndarray, "*n 3"]:
-    """Places relative to an origin as places of the world.
+    """Converts positions relative to an origin to world coordinates.
 
     Args:
         points: relative to the origin.
         origin: see `mvedge_jax.posed.Photographs`.
 
     Returns:
-        As they are for an origin of 0; float64 for another one, which float32 would round away.
+        Unchanged for an origin of 0; else float64, because float32 would lose precision.
     """
     return points.astype(np.float64) + origin if any(origin) else points
 
 
 def read_ply(path: Path) -> Float[np.ndarray, "m 3"]:
-    """Reads the places of a point cloud's points.
+    """Reads the positions of a point cloud.
 
     Args:
         path: a PLY file, text or binary, whose first element is `vertex` without lists.
 
     Returns:
-        The places.
+        The positions.
 
     Raises:
         FileNotFoundError: there is no such file.
-        ValueError: it is no PLY file, has no points with x, y and z first, or is truncated.
+        ValueError: the file is not PLY, has no points with x, y and z first, or is truncated.
     """
     if not path.is_file():
         raise FileNotFoundError(f"{path} is missing; expected a PLY file.")

@@ -37,7 +37,7 @@ _MODELS = {
     "RADIAL_FISHEYE": _Model(9, 5, _ONE, (3, 4, None, None), fisheye=True),
 }
 _NUMBERS = {model.number: name for name, model in _MODELS.items()}
-# COLMAP has its pixel centres at .5.
+# COLMAP has pixel centers at .5.
 _HALF = 0.5
 
 
@@ -52,7 +52,7 @@ class _Image:
 @dataclasses.dataclass(frozen=True)
 class _Points:
     xyz: Float[np.ndarray, "m 3"]
-    # Of every point, the numbers of the images that saw it.
+    # For every point, the numbers of the images that observed it.
     tracks: list[np.ndarray]
 
 
@@ -127,7 +127,7 @@ def open_colmap(folder: Path, images: Path | None) -> PosedSource:
             points = found.xyz
             numbers = np.asarray([image.number for image in stored])
             observed = np.stack([np.isin(numbers, track) for track in found.tracks], axis=1)
-            # Points without tracks: who saw them is not known.
+            # Points without tracks: the observing images are unknown.
             observed = observed if observed.any() else None
     return PosedSource(f"COLMAP model ({end[1:]})", tuple(frames), points, observed)
 
@@ -167,7 +167,7 @@ def _unknown(where: str, model: object) -> ValueError:
 
 
 class _Reader:
-    """A binary file, read from its start; every read is checked against what is left."""
+    """A binary file, read from its start; every read is checked against the remaining size."""
 
     def __init__(self, path: Path):
         self.path, self.data, self.place = path, path.read_bytes(), 0
@@ -184,7 +184,7 @@ class _Reader:
         return np.frombuffer(self.data, dtype, count, self.place - count * dtype.itemsize)
 
     def count(self, least: int) -> int:
-        """A number of records of at least so many bytes."""
+        """Reads a number of records, each of at least `least` bytes."""
         (count,) = self.numbers("Q")
         self._need(count * least)
         return count

@@ -13,7 +13,7 @@ from ._posed_source import Frame, Lens, PosedSource, pinhole, rigid
 
 # OpenGL's camera looks along -z with y up, ours along z with y down.
 _TURN = np.diag([1.0, -1.0, -1.0, 1.0])
-# Pixel centres are at .5, as in COLMAP, where these files come from as a rule.
+# Pixel centers are at .5, as in COLMAP, the usual source of these files.
 _HALF = 0.5
 _PERSPECTIVE = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "PERSPECTIVE")
 # In a folder, the first of these is read; the second is that of the synthetic scenes of NeRF.
@@ -35,7 +35,7 @@ def open_nerfstudio(path: Path) -> PosedSource:
         FileNotFoundError: an image or the file of the points is missing.
     """
     try:
-        top = json.loads(path.read_bytes())  # finds out the encoding, byte order marks included
+        top = json.loads(path.read_bytes())  # detects the encoding, byte order marks included
     except (json.JSONDecodeError, UnicodeDecodeError) as fault:
         raise ValueError(f"{path} is not JSON ({fault}); expected nerfstudio's form.") from None
     frames = top.get("frames") if isinstance(top, dict) else None
@@ -46,7 +46,7 @@ def open_nerfstudio(path: Path) -> PosedSource:
     found = [_frame(path, i, frame, {**top, **frame}) for i, frame in enumerate(frames)]
     names = [frame.name for frame in found]
     if len(set(names)) < len(names):
-        # The same name in several folders: the folders tell them apart.
+        # Folders distinguish equal names.
         found = [
             Frame(str(frame["file_path"]), f.image, f.pose, f.lens, f.depth)
             for frame, f in zip(frames, found, strict=True)
@@ -90,7 +90,7 @@ def _frame(path: Path, index: int, own: dict[str, Any], known: dict[str, Any]) -
 
 
 def _image(named: Path) -> Path | None:
-    """The image that a name means, which may lack its ending, or have it in other letters."""
+    """The image of a name, which may lack its ending, or have it in the other case."""
     if named.is_file():
         return named
     for end in IMAGE_SUFFIXES:

@@ -24,23 +24,23 @@ def open_photographs(
     images: str | os.PathLike | None = None,
     intrinsics: Sequence[float] | None = None,
 ) -> PosedSource:
-    """Finds out what a set of posed photographs is, without reading its images.
+    """Recognizes the layout of posed photographs, without reading images.
 
-    Cameras in the coordinates of a map, far from its origin, are moved there: float32 could not
-    tell them apart. `PosedSource.origin` says by how much.
+    Cameras in geographic coordinates are moved to the origin, because float32 would lose their
+    distances. `PosedSource.origin` is the offset.
 
     Args:
         path: a folder with a COLMAP model, a `transforms.json` or `transforms_train.json`, or a
             list of poses, or such a file.
-        images: folder of the photographs, where it is not where the description says.
-        intrinsics: `(fx, fy, cx, cy)`, px, centres of pixels at integers, for lists of poses
+        images: folder of the photographs, if the description names another.
+        intrinsics: `(fx, fy, cx, cy)`, px, centers of pixels at integers, for lists of poses
             without a camera file.
 
     Returns:
         The source.
 
     Raises:
-        FileNotFoundError: `path` does not exist, or something that it names.
+        FileNotFoundError: `path`, or a file that it names, does not exist.
         ValueError: no known layout, or a malformed one.
     """
     place = None if images is None else Path(images)
@@ -86,29 +86,29 @@ def load_photographs(
 ) -> Photographs:
     """Loads posed photographs: a COLMAP model, `transforms.json`, or images and a list of poses.
 
-    Lens distortion is taken out. Depth beside the images is read as ground truth. Transparent
-    pixels are black, and not in the mask. JPEGs are turned as their EXIF orientation asks for,
-    unless only the image as it is stored has the size that its camera is said to have.
+    Lens distortion is removed. Depth beside the images is read as ground truth. Transparent pixels
+    are black and not in the mask. JPEGs are rotated by their EXIF orientation, unless only the
+    stored image has the size of its camera.
 
     Args:
         path: see `open_photographs`.
         images: see there.
         intrinsics: see there.
-        names: of the photographs to load; None for all.
-        around: name of a photograph; with `most`, those are loaded that know most about its depth.
-        most: how many photographs to load at most, `around` itself included.
+        names: names of the photographs to load; None for all.
+        around: name of a photograph; with `most`, the photographs most useful for its depth are
+            loaded.
+        most: largest number of photographs to load, `around` included.
         scale: shrink the photographs by this factor, at most 1.
-        points: where the files hold no sparse points, find some: SIFT features, matched and
-            triangulated with the known poses.
+        points: if the files have no sparse points, triangulate SIFT features with the known poses.
 
     Returns:
         The photographs. Poses and points are in the unit of the files, and relative to
-        `Photographs.origin`, of which a warning tells where it is not 0.
+        `Photographs.origin`; a warning reports an origin other than 0.
 
     Raises:
         FileNotFoundError: a file is missing.
-        ValueError: files are malformed or damaged, photographs differ in size, have another size
-            than their cameras say, or are bent too much.
+        ValueError: files are malformed or damaged, photographs differ in size, differ in size from
+            their cameras, or are too distorted.
 
     Example:
         >>> load_photographs("nowhere")
@@ -159,7 +159,7 @@ def load_photographs(
 
 
 def _doubts(source: PosedSource, path: Path, turned: list[Path]) -> Iterator[str]:
-    """What a user should know of how photographs were read, in sentences."""
+    """Warnings about the reading of photographs, one sentence each."""
     if any(source.origin):
         yield (
             f"{path} has its cameras far from the origin: the mean of their places, "
@@ -183,7 +183,7 @@ def _filled(maps: list[np.ndarray | None], otherwise: np.ndarray) -> np.ndarray 
 
 
 def with_points(photographs: Photographs) -> Photographs:
-    """Photographs with sparse points made on the spot.
+    """Adds sparse points to photographs.
 
     Args:
         photographs: with known poses.
@@ -211,16 +211,16 @@ def with_points(photographs: Photographs) -> Photographs:
 
 
 def nearby(source: PosedSource, around: str, most: int | None) -> list[str]:
-    """The photographs that know most about the depth of one of them.
+    """The photographs most useful for the depth of one of them.
 
     Args:
         source: see `open_photographs`.
         around: name of the photograph, with or without its ending.
-        most: how many, itself included; None for all.
+        most: largest number, `around` included; None for all.
 
     Returns:
-        Names, in the order of the source: those that share most points with it, or, where it is
-        not known to see any, those whose cameras are nearest among the ones that look the same way.
+        Names, in the order of the source: those that share most points with it or, without
+        observations, those with the nearest cameras among those of similar direction.
 
     Raises:
         ValueError: there is no such photograph, or `most` is below 2.
@@ -236,7 +236,7 @@ def nearby(source: PosedSource, around: str, most: int | None) -> list[str]:
         rank = -(source.observed & source.observed[own]).sum(axis=1).astype(float)
     else:
         rank = np.linalg.norm(poses[:, :3, 3] - poses[own, :3, 3], axis=1)
-        # Views that look elsewhere, more than 45 degrees off, come last.
+        # Views more than 45 degrees off come last.
         rank = rank + np.where(poses[:, :3, 2] @ poses[own, :3, 2] < 0.7, 1e6 * rank.max(), 0)
     rank[own] = -np.inf
     return [known[i] for i in sorted(np.argsort(rank, kind="stable")[:most])]

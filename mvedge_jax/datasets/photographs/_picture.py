@@ -1,4 +1,4 @@
-"""A photograph, read: straightened, turned, shrunk, with its depth and its opaque pixels."""
+"""Reads a photograph: undistorted, rotated, shrunk, with its depth and its opaque pixels."""
 
 from pathlib import Path
 from typing import NamedTuple
@@ -15,20 +15,20 @@ from ._posed_source import Frame, Lens, pinhole
 _KEPT, _FILLED, _SHORTEST = 0.3, 0.98, 0.05
 
 
-# A pixel that is made of others is opaque where these are, up to rounding.
+# An interpolated pixel is opaque if its sources are, up to rounding.
 _OPAQUE = 0.99
 
 
 class Picture(NamedTuple):
-    """A photograph as the method wants it.
+    """An undistorted photograph.
 
     Attributes:
         image: sRGB in [0, 1], without distortion; black where it is transparent.
         matrix: intrinsics, px.
         depth: true depth, 0 where unknown; None if there is none.
-        opaque: pixels that are made of opaque ones; None if all are.
-        doubtful: whether it has an EXIF orientation, and nothing tells if its camera was made for
-            the turned image.
+        opaque: pixels interpolated from opaque ones; None for all.
+        doubtful: whether it has an EXIF orientation and it is unknown if its camera is that of the
+            rotated image.
     """
 
     image: Float[np.ndarray, "y x 3"]
@@ -42,7 +42,7 @@ def read_picture(frame: Frame, depth_unit: float, scale: float) -> Picture:
     """Reads a photograph.
 
     Args:
-        frame: what is known of it.
+        frame: its files and camera.
         depth_unit: units of the poses per unit of stored depth.
         scale: shrink it by this factor, at most 1.
 
@@ -51,8 +51,8 @@ def read_picture(frame: Frame, depth_unit: float, scale: float) -> Picture:
 
     Raises:
         FileNotFoundError: a file is missing.
-        ValueError: a file is damaged, of another size than the camera or the photograph, or bent
-            too much.
+        ValueError: a file is damaged, of another size than the camera or the photograph, or too
+            distorted.
     """
     upright, doubtful = _upright(frame)
     stored, opaque = read_cutout(frame.image, upright=upright)
@@ -71,7 +71,7 @@ def read_picture(frame: Frame, depth_unit: float, scale: float) -> Picture:
     )  # fmt: skip
     picture = stored.astype(np.float32) / np.float32(np.iinfo(stored.dtype).max)
     if opaque is not None:
-        # Whatever color a transparent pixel has is nobody's.
+        # The color of a transparent pixel is meaningless.
         picture = picture * opaque[..., None]
     depth = None
     if frame.depth is not None:
@@ -101,7 +101,7 @@ def read_picture(frame: Frame, depth_unit: float, scale: float) -> Picture:
 
 
 def _upright(frame: Frame) -> tuple[bool, bool]:
-    """Whether to turn an image as its EXIF orientation asks for, and whether that is doubtful."""
+    """Whether to rotate an image by its EXIF orientation, and whether that is doubtful."""
     orientation = image_orientation(frame.image) if frame.image.is_file() else 1
     if orientation == 1:
         return False, False
@@ -112,7 +112,7 @@ def _upright(frame: Frame) -> tuple[bool, bool]:
 
 
 def _stored_depth(path: Path) -> np.ndarray:
-    """Depth as files hold it: an image, or an array."""
+    """Depth as stored: an image, or an array."""
     if path.suffix != ".npy":
         return read_raw(path)
     try:
@@ -125,7 +125,7 @@ def _stored_depth(path: Path) -> np.ndarray:
 
 
 def _outlined(x: np.ndarray, y: np.ndarray) -> float:
-    """Area inside of where the border of an image comes from, px."""
+    """Area enclosed by the source positions of an image's border, px."""
 
     def border(a: np.ndarray) -> np.ndarray:
         return np.concatenate([a[0], a[1:, -1], a[-1, -2::-1], a[-2:0:-1, 0]]).astype(np.float64)
@@ -141,7 +141,7 @@ def _straightened(
     lens: Lens,
     where: str,
 ) -> tuple[np.ndarray, np.ndarray | None, np.ndarray | None, np.ndarray]:
-    """A photograph without lens distortion, all of it inside of what was photographed."""
+    """An undistorted photograph, cropped to valid pixels."""
     height, width = picture.shape[:2]
     size, bent = (width, height), np.asarray(lens.distortion)
     still = np.eye(3)

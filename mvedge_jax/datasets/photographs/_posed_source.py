@@ -1,4 +1,4 @@
-"""What every description of posed photographs comes down to: files, cameras, points."""
+"""The common form of all descriptions of posed photographs: files, cameras, points."""
 
 import dataclasses
 from pathlib import Path
@@ -13,10 +13,10 @@ _FAR = 100.0
 
 @dataclasses.dataclass(frozen=True)
 class Lens:
-    """A camera as files describe it, pixel centres at integers.
+    """A camera as described in files, pixel centers at integers.
 
     Attributes:
-        size: `(height, width)`, px; None if the file does not say.
+        size: `(height, width)`, px; None if unknown.
         matrix: intrinsics, px.
         distortion: OpenCV's coefficients; None for none.
         fisheye: whether they are those of OpenCV's fisheye model.
@@ -33,13 +33,13 @@ class Frame:
     """A photograph that is not read yet.
 
     Attributes:
-        name: what to call it.
-        image: its file.
+        name: name of the photograph.
+        image: file of the image.
         pose: camera to world; x right, y down, z forward.
-        lens: its camera.
+        lens: camera of the image.
         depth: file of its true depth, if there is one.
-        upright: whether the camera is that of the image as viewers show it, turned as its EXIF
-            orientation asks for, where its size does not tell.
+        upright: whether the camera is that of the image rotated by its EXIF orientation, if sizes
+            do not decide.
     """
 
     name: str
@@ -55,12 +55,12 @@ class PosedSource:
     """A set of posed photographs on disk, opened but not read.
 
     Attributes:
-        layout: which layout was recognised, for people.
+        layout: the recognized layout, for messages.
         frames: the photographs.
         points: sparse points of the world.
-        observed: which photographs saw which points.
+        observed: which photographs observed which points.
         depth_unit: units of the poses per unit of stored depth.
-        origin: what was subtracted from the places of cameras and points.
+        origin: offset that was subtracted from cameras and points.
     """
 
     layout: str
@@ -75,11 +75,11 @@ def near_origin(source: PosedSource) -> PosedSource:
     """Moves cameras in a map's coordinates (UTM, geocentric) to the origin, in float64.
 
     Args:
-        source: as its files have it.
+        source: the source in the coordinates of its files.
 
     Returns:
-        The same, if its cameras are not much farther from the origin than from each other; or
-        with the mean of their places subtracted from all places.
+        The source, with the mean of its cameras subtracted from all positions if they are much
+        farther from the origin than from each other.
     """
     if not source.frames:
         return source
@@ -105,7 +105,7 @@ def pinhole(
     Args:
         fx: focal length along x, px.
         fy: focal length along y, px.
-        cx: principal point, px, centres at integers.
+        cx: principal point, px, centers at integers.
         cy: likewise.
         where: the file and camera, for the error.
         size: `(height, width)`, if known.

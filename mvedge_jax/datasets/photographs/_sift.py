@@ -1,4 +1,4 @@
-"""Sparse points made on the spot: SIFT features, matched and triangulated with known poses."""
+"""Sparse points: SIFT features, matched and triangulated with known poses."""
 
 import cv2
 import numpy as np
@@ -6,12 +6,12 @@ from jaxtyping import Bool, Float
 
 # A match is kept if the second best is this much farther away (Lowe, 2004).
 _RATIO = 0.75
-# A point is kept if it is seen within this distance of where it should be, px.
+# Largest reprojection error of a point, px.
 _OFF = 1.5
-# Least angle between two lines of sight, radians, that a point is triangulated from.
+# Least angle between two lines of sight of a point, radians.
 _ANGLE = 0.004
 _FEATURES = 4000
-# How far from what is transparent features are, px.
+# Distance of features from transparent pixels, px.
 _OUTLINE = 4
 
 
@@ -27,7 +27,7 @@ def triangulated(
         images: sRGB in [0, 1], without distortion.
         poses: camera to world.
         intrinsics: px.
-        mask: pixels that show something, the only ones that features are looked for in.
+        mask: opaque pixels, to which features are restricted.
 
     Returns:
         Points in the world, and which photographs show them; none where nothing matches.
@@ -67,7 +67,7 @@ def _features(image: np.ndarray, mask: np.ndarray | None = None) -> tuple[np.nda
     )
     allowed = None
     if mask is not None:
-        # The outline of what is cut out is no feature of it.
+        # The outline of a cutout is not a feature.
         allowed = cv2.erode(255 * mask.astype(np.uint8), np.ones((2 * _OUTLINE + 1,) * 2, np.uint8))
     found, descriptors = detector.detectAndCompute(gray, allowed)
     if descriptors is None:
@@ -143,7 +143,7 @@ def _good(
     cameras: list[np.ndarray],
     poses: np.ndarray,
 ) -> bool:
-    """In front of its cameras, where it was seen, and seen from directions that differ."""
+    """Whether points are in front of their cameras, reproject well, and have enough parallax."""
     if not np.isfinite(point).all():
         return False
     for place, view in zip(places, views, strict=True):

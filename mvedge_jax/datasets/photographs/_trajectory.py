@@ -11,10 +11,10 @@ from jaxtyping import Float
 from .._images import IMAGE_SUFFIXES
 from ._posed_source import Frame, Lens, PosedSource, pinhole, rigid, rotation_of
 
-# What a folder's list of poses may be called, and the order in which it is looked for.
+# Names of a folder's list of poses, in order of search.
 _LISTS = ("trajectory.log", "traj.log", "trajectory.txt", "groundtruth.txt", "poses.txt")
 _CAMERAS = ("camera.json", "intrinsics.json", "camera_primesense.json", "camera.txt")
-# Of an image and of a pose that belong together, times differ by no more than this, seconds.
+# Largest difference of the times of an image and its pose, seconds.
 _APART = 0.02
 
 
@@ -36,7 +36,7 @@ def open_trajectory(
     Args:
         path: the list.
         images: folder of the photographs; None for that of the list.
-        intrinsics: `(fx, fy, cx, cy)` in px, centres of pixels at integers; None to read them from
+        intrinsics: `(fx, fy, cx, cy)` in px, centers of pixels at integers; None to read them from
             a camera file beside the list.
 
     Returns:

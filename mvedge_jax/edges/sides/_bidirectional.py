@@ -1,4 +1,4 @@
-"""Bidirectional diffusion: push all labels to one side of their edges, then to the other."""
+"""Bidirectional diffusion: all labels move to one side of their edges, then to the other."""
 
 from collections.abc import Callable
 from typing import Literal, NamedTuple
@@ -20,7 +20,7 @@ from ._profile import profiles, step_response
 
 
 def _coarse() -> AutoSolver:
-    """Far below any step that matters here, at a share of the cost."""
+    """A coarse solver: its error is far below relevant depth steps, at a fraction of the cost."""
     return AutoSolver(tolerance=1e-3)
 
 
@@ -28,14 +28,14 @@ class DirectionalDiffusion(eqx.Module):
     r"""Parameters of the two directional solves.
 
     Attributes:
-        offset: how far labels are pushed along the normal, px.
-        data: weight of a label against a smoothness of 1.
+        offset: distance by which labels move along the normal, px.
+        data: weight of a label relative to a smoothness of 1.
         gradient: image gradient that halves the smoothness, or its square, see `form`; gray levels
             in 0..1.
         floor: least smoothness.
         form: smoothness falls with the `"squared"` gradient $g$, $1 / (1 + |\nabla I|^2 / g)$, or
             is `"inverse"` to it, $g / (|\nabla I| + g)$, as Eq. 4.11 has it.
-        solver: of both systems.
+        solver: solver of both systems.
     """
 
     offset: Float[Array, ""] = number(1.0, "px", threshold=True)
@@ -50,7 +50,7 @@ class DirectionalDiffusion(eqx.Module):
 
 
 class Bidirectional(NamedTuple):
-    """The two passes and what they say.
+    """The two passes, with responses and confidences.
 
     Attributes:
         forward: map with the labels pushed along `+normal`, px per view step, `[y, x]`.
@@ -59,7 +59,7 @@ class Bidirectional(NamedTuple):
             positive speaks for `+normal`.
         confidence: depth-edge confidence of every point, `lambda_e` of (6.3), px, `[n]`.
         edge: depth-edge confidence of every pixel (Section 4.3), px per px, `[y, x]`.
-        iterations: of both solves.
+        iterations: solver iterations of both passes.
     """
 
     forward: Float[Array, "y x"]
@@ -81,19 +81,19 @@ def bidirectional(
 ) -> Bidirectional:
     r"""Diffuses the labels from either side of their edges and compares the depth profiles.
 
-    Where a label lies on the right side of an occlusion edge, its neighbours agree with it and a
-    clean step remains at the edge; on the wrong side, it fights the labels of the other surface.
+    On the right side of an occlusion edge, a label agrees with its neighbors and a clean step
+    remains at the edge; on the wrong side, it contradicts the labels of the other surface.
 
     Args:
         points: positions, disparities, unit normals.
-        gray: centre view in [0, 1], `[y, x]`.
+        gray: center view in [0, 1], `[y, x]`.
         params: see `DirectionalDiffusion`.
-        respond: answer to the depth profiles at -3..3 px along the normals, of which the larger one
-            tells the side.
+        respond: response to the depth profiles at -3..3 px along the normals; the larger one gives
+            the side.
         confide: the same for the confidence (Eq. 6.3), px.
 
     Returns:
-        Both maps, responses, confidences. Differentiable at the rasterisation chosen.
+        Both maps, responses, confidences. Differentiable at the rasterization chosen.
 
     Source: Thesis 4.2.2, Eq. 4.8-4.11; 4.3; Eq. 6.3 (as corrected).
     """
@@ -109,7 +109,7 @@ def bidirectional(
         )
         return found.value, found.stats.iterations
 
-    # One after the other by a loop, not twice in the program: the solver compiles slowly.
+    # A loop, so that the program contains the solver once: it compiles slowly.
     both = jnp.stack([points.xy + shift, points.xy - shift])
     (forward, backward), iterations = lax.map(solve, both)
 
@@ -134,8 +134,8 @@ def depth_edge_confidence(
     Texture edges are flat in both passes, occlusion edges steep in at least one.
 
     Args:
-        forward: map with labels pushed along the normals, `[y, x]`.
-        backward: map with labels pushed against them.
+        forward: map with labels moved along the normals, `[y, x]`.
+        backward: map with labels moved against the normals, `[y, x]`.
 
     Returns:
         Confidence that a pixel lies on a depth edge, `[y, x]`. Differentiable.

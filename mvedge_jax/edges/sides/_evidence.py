@@ -1,4 +1,4 @@
-"""Which side of an edge looks like the surface that the label was measured on."""
+"""Evidence for the side of an edge that shows the surface of the label."""
 
 import jax
 import jax.numpy as jnp
@@ -31,8 +31,8 @@ def neighbour_evidence(
         cap: where differences of disparity stop counting, px.
 
     Returns:
-        Backward mean minus forward mean, px, `[n]`; 0 without neighbours on both sides.
-        Differentiable at the rasterisation chosen.
+        Backward mean minus forward mean, px, `[n]`; 0 without neighbors on both sides.
+        Differentiable at the rasterization chosen.
 
     Source: not in the thesis; measured to choose as well as two solves.
     """

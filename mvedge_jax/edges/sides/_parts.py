@@ -1,4 +1,4 @@
-"""The sides part: on which surface each label belongs, and where depth edges are."""
+"""The part `sides`: the surface that each label belongs to, and depth edges."""
 
 from collections.abc import Callable
 from typing import NamedTuple, Protocol, runtime_checkable
@@ -22,15 +22,15 @@ from ._surface import SideVote, SurfaceVectors, choose, surface_vectors
 
 
 class Sides(NamedTuple):
-    """On which side of its edge each label belongs.
+    """The side of its edge that each label belongs to.
 
     Attributes:
-        surface: the choice per point.
+        surface: the choice of each point.
         confidence: depth-edge confidence of every point, `[n]`: `lambda_e` of (6.3), px, or how
             much like a step its profile is, see `ThesisSides.stretched`.
         edge: depth-edge confidence of every pixel (Thesis 4.3), px per px, `[y, x]`.
         initial: a map of the labels, px per view step, `[y, x]`.
-        iterations: of the diffusions, `[k]`.
+        iterations: solver iterations of the diffusions, `[k]`.
     """
 
     surface: SurfaceVectors
@@ -44,8 +44,8 @@ class Sides(NamedTuple):
 class SideChoice(Protocol):
     """Chooses the side of every edge point; called inside `jit`.
 
-    Points that are not valid get no offset and no preference. Which side is the likelier one is a
-    selection; scores and probabilities are differentiable.
+    Points that are not valid get no offset and no preference. The choice of the more likely side
+    is a selection; scores and probabilities are differentiable.
     """
 
     def __call__(self, points: EdgePoints, evidence: Evidence) -> Sides:
@@ -53,7 +53,7 @@ class SideChoice(Protocol):
 
         Args:
             points: the edge points.
-            evidence: what the views say; `measured` may be None.
+            evidence: calibrated views and measurement; `measured` may be None.
 
         Returns:
             See `Sides`.
@@ -62,16 +62,16 @@ class SideChoice(Protocol):
 
 
 class MapSides(eqx.Module):
-    """Sides by neighboring labels and by the measured map, which knows both surfaces.
+    """Sides by neighboring labels and by the measured map.
 
     Attributes:
-        vote: how the evidence is weighed; its `response` is not read.
+        vote: weights of the evidence; `response` is not read.
     """
 
     vote: SideVote = eqx.field(default_factory=SideVote)
 
     def __call__(self, points: EdgePoints, evidence: Evidence) -> Sides:
-        """See `SideChoice`; the depth-edge confidence of a point is what the map tells of it."""
+        """See `SideChoice`; the map gives the depth-edge confidence of a point."""
         if evidence.measured is None:
             raise ValueError("`MapSides` need a `measurement` in the chain, got None.")
         first = evidence.measured.disparity
@@ -87,7 +87,7 @@ class BidirectionalSides(eqx.Module):
 
     Attributes:
         diffusion: of the labels from either side of their edges (4.2.2).
-        vote: how the evidence is weighed.
+        vote: weights of the evidence.
     """
 
     diffusion: DirectionalDiffusion = eqx.field(default_factory=DirectionalDiffusion)
@@ -102,16 +102,16 @@ class BidirectionalSides(eqx.Module):
 
 
 class ThesisSides(eqx.Module):
-    """Sides by the step response of two directional diffusions, and nothing else.
+    """Sides by the step response of two directional diffusions alone.
 
-    Profiles are stretched to [-1, 1] before the step filter, which tells the side.
+    Profiles are stretched to [-1, 1] before the step filter.
 
     Attributes:
         diffusion: of the labels from either side of their edges.
         vote: its `offset` and `temperature` are read.
-        stretched: the depth-edge confidence of a point, too, is the answer to stretched profiles:
-            at most 4, how much like a step, whatever its height. Otherwise it is that of the
-            profiles as they are, px, as Eq. 6.3 has it.
+        stretched: whether the depth-edge confidence of a point also is the response to stretched
+            profiles, at most 4, whatever the height of the step. Otherwise it is that to the
+            profiles themselves, px, as in Eq. 6.3.
 
     Source: Thesis 4.2.2, 6.1.
     """
@@ -122,9 +122,9 @@ class ThesisSides(eqx.Module):
 
     @staticmethod
     def printed() -> "ThesisSides":
-        """As the thesis has them: Eq. 4.11, labels of 1e6 against 1 / (gradient + 1e-4); Eq. 6.3.
+        """The thesis' form: Eq. 4.11, label weights of 1e6, 1 / (gradient + 1e-4); Eq. 6.3.
 
-        The thesis leaves its epsilon open; 1e-4 is the authors'.
+        The thesis does not give epsilon; 1e-4 is the value of the authors' program.
         """
         diffusion = DirectionalDiffusion(
             data=as_number(1e6 * 1e-4), gradient=as_number(1e-4), floor=as_number(1e-6),
@@ -140,12 +140,12 @@ class ThesisSides(eqx.Module):
 
 
 class ReprojectionSides(eqx.Module):
-    """Sides by the directional map that reprojects better: the rival of bidirectional diffusion.
+    """Sides by the directional map that reprojects better: the baseline of Tab. 6.2.
 
     Attributes:
         diffusion: of the labels from either side of their edges.
         vote: its `offset` and `temperature` are read.
-        radius: how far occluders are looked for, px.
+        radius: largest distance of occluders, px.
 
     Source: Thesis 6.2.4, Tab. 6.2.
     """

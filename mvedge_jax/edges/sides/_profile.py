@@ -1,4 +1,4 @@
-"""Depth profiles across edges, and how much they look like a step."""
+"""Depth profiles across edges, and the response of a step filter to them."""
 
 import jax
 import jax.numpy as jnp
@@ -29,15 +29,15 @@ def step_response(
     *,
     taps: tuple[float, ...] = (-1.0, -1.5, -2.0, 2.0, 1.5, 1.0),
 ) -> Float[Array, " n"]:
-    r"""Answer of a step filter to depth profiles, always ≥ 0.
+    r"""Response of a step filter to depth profiles, always ≥ 0.
 
-    The thesis' filter $[-1, -1, 1, 1]$ has an even length, so its centre lies between two
-    samples. Of the two positions around the point, the one on the side of the larger jump counts.
+    The thesis' filter $[-1, -1, 1, 1]$ has an even length, so its center lies between two samples.
+    Of the two positions around the point, that on the side of the larger jump is used.
 
     Args:
         profile: samples at -3..3 px along the normal, any unit.
-        taps: an even number of them, at most 6, that sum to 0; scaled to answer a step of 1
-            with 2. By default the samples next to the edge count more.
+        taps: an even number of taps, at most 6, that sum to 0; scaled to respond to a step of 1
+            with 2. The default weights the samples next to the edge more.
 
     Returns:
         Twice the height of a clean step. Differentiable where the larger jump does not change.
@@ -69,7 +69,7 @@ def thesis_step(profile: Float[Array, "7 n"]) -> Float[Array, " n"]:
 
 
 def thesis_response(profile: Float[Array, "7 n"]) -> Float[Array, " n"]:
-    """Answer of the thesis' step filter to depth profiles stretched to [-1, 1].
+    """Response of the thesis' step filter to depth profiles stretched to [-1, 1].
 
     Args:
         profile: samples at -3..3 px along the normal, any unit.

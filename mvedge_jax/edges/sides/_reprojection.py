@@ -1,4 +1,4 @@
-"""The rival of bidirectional diffusion: choose the side whose map reprojects better."""
+"""The baseline of bidirectional diffusion: the side whose map reprojects better."""
 
 import jax.numpy as jnp
 from jax import lax
@@ -22,16 +22,16 @@ def reprojection_score(
 ) -> Float[Array, " n"]:
     """Reprojection error of the backward map minus that of the forward map at every point.
 
-    All crosshair views are warped to the centre by either map, occlusions left out; the error of a
-    pixel is its mean absolute colour difference over the views that see it.
+    All crosshair views are warped to the center by either map, occlusions left out; the error of a
+    pixel is its mean absolute color difference over the views that show it.
 
     Args:
-        points: where to compare.
-        forward: map with the labels pushed along the normals, `[y, x]`.
-        backward: map with the labels pushed against them.
+        points: positions to compare at.
+        forward: map with the labels moved along the normals, `[y, x]`.
+        backward: map with the labels moved against the normals, `[y, x]`.
         horizontal: the horizontal arm.
         vertical: the vertical arm, transposed.
-        radius: how far occluders are looked for, px.
+        radius: largest distance of occluders, px.
 
     Returns:
         Positive where the forward map reprojects better, `[n]`.

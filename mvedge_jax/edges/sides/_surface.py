@@ -1,4 +1,4 @@
-"""Surface vectors: on which side of its edge each label belongs."""
+"""Surface vectors: the side of its edge that each label belongs to."""
 
 from typing import NamedTuple
 
@@ -17,7 +17,7 @@ from ._evidence import map_evidence, neighbour_evidence
 
 
 class SideVote(eqx.Module):
-    """How evidence for either side is weighed.
+    """Weights of the evidence for either side.
 
     Attributes:
         offset: length of a surface vector, px.
@@ -25,8 +25,8 @@ class SideVote(eqx.Module):
         neighbors: weight of the evidence from neighboring labels.
         dense: weight of the evidence from a dense map, where there is one.
         radius: standard deviation of the neighborhood of a label, px.
-        cap: where differences of disparity stop counting, px.
-        temperature: of the probabilities, px of evidence.
+        cap: differences of disparity saturate here, px.
+        temperature: temperature of the probabilities, px of evidence.
     """
 
     offset: Float[Array, ""] = number(1.0, "px")
@@ -43,9 +43,9 @@ class SurfaceVectors(NamedTuple):
 
     Attributes:
         score: positive speaks for `+normal`, px of evidence, `[n]`.
-        forward: probability of `+normal`, `[n]`, one half where nothing speaks for either side.
-        offset: surface vectors in px, `(x, y)`, `[n, 2]`; of the likelier side.
-        length: of a surface vector, px.
+        forward: probability of `+normal`, `[n]`, one half without evidence.
+        offset: surface vectors in px, `(x, y)`, `[n, 2]`, towards the more likely side.
+        length: length of a surface vector, px.
     """
 
     score: Float[Array, " n"]
@@ -64,19 +64,19 @@ def surface_vectors(
     shape: tuple[int, int],
     reach: int = 6,
 ) -> SurfaceVectors:
-    """Combines what is known about both sides of every edge and smooths it along the edge.
+    """Combines the evidence for both sides of every edge and smooths it along the edge.
 
     Args:
         points: positions, disparities, unit normals.
-        response: of the bidirectional diffusion, px, `[n]`, or None.
-        disparity: a dense map that already knows the surfaces, or None.
+        response: response of the bidirectional diffusion, px, `[n]`, or None.
+        disparity: a dense map, or None.
         params: see `SideVote`.
-        shape: rows and columns of the centre view.
-        reach: how far the score is averaged along the edge to either side, px.
+        shape: rows and columns of the center view.
+        reach: distance over which the score is averaged along the edge to either side, px.
 
     Returns:
-        Scores, probabilities, vectors. The first two are differentiable; which side is the
-        likelier one is a selection.
+        Scores, probabilities, vectors. The first two are differentiable; the choice of the more
+        likely side is a selection.
 
     Source: Thesis 4.2.2.
     """
@@ -86,7 +86,7 @@ def surface_vectors(
         points, raster, radius=params.radius, cap=params.cap
     )
     if response is not None:
-        # Saturated like the other evidence: the response grows without bound with the step.
+        # Saturated like the other evidence, because the response is proportional to the step.
         bounded = params.cap * jnp.tanh(response / params.cap)
         score = score + params.response * bounded
     if disparity is not None:
@@ -100,13 +100,13 @@ def choose(points: EdgePoints, score: Float[Array, " n"], params: SideVote) -> S
     """Turns scores into surface vectors.
 
     Args:
-        points: whose normals the vectors follow.
+        points: the vectors are along their normals.
         score: positive speaks for the side that `+normal` points to, `[n]`.
         params: offset and temperature, see `SideVote`.
 
     Returns:
-        The vectors, probabilities a logistic of the score; of points that are not valid, no offset
-        and no preference.
+        The vectors; probabilities are a logistic function of the score. Invalid points have offset
+        0 and probability one half.
     """
     params = cast(params, points.disparity.dtype)
     forward = jnp.where(points.valid, jax.nn.sigmoid(score / params.temperature), 0.5)
@@ -122,18 +122,18 @@ def along_edge(
     shape: tuple[int, int],
     reach: int,
 ) -> Float[Array, " n"]:
-    """Averages a score over the points along the edge, signs taken from the normals.
+    """Averages a score over the points along the edge, with signs by the normals.
 
     Args:
         points: positions and normals.
         score: positive speaks for `+normal`.
-        shape: rows and columns of the centre view.
+        shape: rows and columns of the center view.
         reach: to either side along the tangent, px; 0 returns the score.
 
     Returns:
-        The averaged score, `[n]`. Differentiable in `score` at the rasterisation chosen.
+        The averaged score, `[n]`. Differentiable in `score` at the rasterization chosen.
 
-    Source: Thesis 4.2.2 (regularisation), the authors' walk along the edge as a mean.
+    Source: Thesis 4.2.2 (regularization); a mean in place of the authors' walk along the edge.
     """
     if reach == 0:
         return score
@@ -157,7 +157,7 @@ def along_edge(
     offsets = jnp.concatenate(
         [jnp.arange(-reach, 0, dtype=score.dtype), jnp.arange(1, reach + 1, dtype=score.dtype)]
     )
-    # A point is its own neighbour with a weight that a lone point keeps.
+    # A point is its own neighbor, so that a lone point keeps its score.
     start = (score, jnp.ones_like(score))
     (total, weight), _ = lax.scan(add, start, offsets)
     return jnp.where(points.valid, total / weight, 0)

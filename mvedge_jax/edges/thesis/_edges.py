@@ -21,31 +21,31 @@ from ._lines import ArmLines, LineSearch, arm_lines
 
 
 class ThesisEdges(eqx.Module):
-    """Edges by the thesis' own steps (4.1); what it leaves open is taken from the authors' program.
+    """Edges by the thesis' own steps (4.1); open details follow the authors' program.
 
-    Filters answer in every EPI of both arms (4.1.1), lines are fitted to the answers, strongest
-    first (4.1.2), at two scales (4.1.4), moved at random while their entropy falls, tested against
-    the gradient of the EPI (4.1.5) and by a vote of their surroundings (4.1.3); what is left is
-    averaged with neighbors of like place, disparity and color. Nothing but the spacing of the
-    filters is known of the error of a point. Defaults are the thesis'; what the authors' program
-    does otherwise are options.
+    Lines are fitted to the filter responses in every EPI of both arms, strongest first (4.1.1,
+    4.1.2), at two scales (4.1.4). They move at random while their entropy falls, and are tested
+    against the gradient of the EPI (4.1.5) and by a vote of their surroundings (4.1.3). The
+    remaining points are averaged with neighbors of similar position, disparity and color. The
+    stated error of a point is that of the filters' spacing. Defaults are the thesis'; differences
+    of the authors' program are options.
 
     Attributes:
         reach: largest disparity of the filters in magnitude, px per view step.
         capacity: slots for points.
         filters: number of filters, see `epi.exponential_disparities`.
         joint: average with neighbors in space, disparity and color (Eq. 4.6).
-        lines: how lines are found and tested.
+        lines: search and tests of lines.
         banks: filters of the horizontal and of the vertical arm; None for oriented Prewitt filters.
             Give them (`prewitt`) to learn them; disparities have a derivative in their taps with
             `lines.interpolate`.
         half_confidence: strength at which the confidence is one half.
-        space_sigma: reach of the joint filter in space; the authors' is 5 px.
-        disparity_sigma: reach of the joint filter in disparity.
-        color_sigma: reach of the joint filter in color, in the units of `color`.
-        color: space of the joint filter's colors: `"lab"`, L* in 0..100, or the authors' `"srgb"`.
-        hidden: keep points that the centre view does not show (Eq. 4.4), for other views.
-        fewest_views: in which a point must be seen.
+        space_sigma: standard deviation of the joint filter in space; the authors' is 5 px.
+        disparity_sigma: standard deviation of the joint filter in disparity.
+        color_sigma: standard deviation of the joint filter in color, in the units of `color`.
+        color: color space of the joint filter: `"lab"`, L* in 0..100, or the authors' `"srgb"`.
+        hidden: keep points that the center view does not show (Eq. 4.4), for other views.
+        fewest_views: least number of views that must show a point.
     """
 
     reach: float = eqx.field(static=True)
@@ -70,11 +70,11 @@ class ThesisEdges(eqx.Module):
     def prewitt(
         self, views: tuple[int, ...], dtype: DTypeLike = jnp.float32
     ) -> tuple[FilterBank, FilterBank]:
-        """Oriented Prewitt filters, denser around disparity 0: where learning them starts.
+        """Oriented Prewitt filters, denser around disparity 0: the start for learning filters.
 
         Args:
-            views: rows and columns of the grid of views, perhaps with more after them.
-            dtype: of the filters.
+            views: a shape that begins with the rows and columns of the grid of views.
+            dtype: dtype of the filters.
 
         Returns:
             The bank of the horizontal arm and that of the vertical one.
@@ -94,8 +94,8 @@ class ThesisEdges(eqx.Module):
         """See `EdgeDetector`.
 
         Args:
-            evidence: the calibrated views are read, no measurement.
-            key: draws the proposals of the entropy search; only that needs one.
+            evidence: only the calibrated views are read.
+            key: random key of the entropy search.
 
         Returns:
             The points of the horizontal arm, then those of the vertical one, and statistics:
@@ -103,7 +103,7 @@ class ThesisEdges(eqx.Module):
             chosen; disparities in the taps only with `lines.interpolate`.
 
         Raises:
-            ValueError: the entropy search is asked for without a key.
+            ValueError: the entropy search has no key.
         """
         if self.lines.entropy and key is None:
             raise ValueError(
@@ -163,7 +163,7 @@ def _of_both(across: ArmLines, down: ArmLines, part: ThesisEdges) -> list[Array]
         epi = jnp.arange(own.keep.shape[0], dtype=own.lines.position.dtype)[:, None]
         epi, along = jnp.broadcast_to(epi, own.keep.shape), own.lines.position
         xy = jnp.stack([along, epi] if own is across else [epi, along], -1)
-        # The authors hide a point from the other arm where the centre view does not show it.
+        # The authors hide a point from the other arm where the center view does not show it.
         shown = own.visible[..., own.visible.shape[-1] // 2, None]
         others = jnp.broadcast_to(shown, (*own.keep.shape, other.visible.shape[-1]))
         order = [others, own.visible] if own is across else [own.visible, others]

@@ -37,10 +37,10 @@ def entropy_search(
     samples: int = 15,
     key: PRNGKeyArray,
 ) -> EpiLines:
-    """Moves both ends of each line at random as long as the entropy along it falls.
+    """Moves both ends of each line at random while the entropy along it falls.
 
-    Kept as the thesis' named method. The entropy of 15 samples in 256 bins is a plateau: the
-    variance of colours, which `measured_edges` minimises, is several times as precise.
+    The entropy of 15 samples in 256 bins is piecewise constant; the variance of colors, which the
+    dense measurement minimizes, is several times as precise.
 
     Args:
         epi: lightness of one EPI.
@@ -72,7 +72,7 @@ def entropy_search(
         top, bottom = reach * jax.random.uniform(
             draw, (2, position.shape[0]), epi.dtype, minval=-1, maxval=1
         )
-        # The ends move; the centre is their mean and the slope their difference.
+        # The ends move; the position is their mean and the slope their difference.
         moved = position + (top + bottom) / 2
         tilted = disparity + (top - bottom) / (views - 1)
         value = cost(moved, tilted)

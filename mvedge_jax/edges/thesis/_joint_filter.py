@@ -24,14 +24,15 @@ def joint_filter(
     """Averages the disparities of points that are near in space, disparity and color.
 
     `f(p) = sum_q N(|p - q|) N(d_p - d_q) N(|c_p - c_q|) d_q / W` over the other points of a square
-    window, on nearest pixels, of which each has one point; a point without neighbors keeps its
+    window. Points are on their nearest pixels, one per pixel; a point without neighbors keeps its
     value.
 
     Args:
         xy: positions, px.
         disparity: px per view step.
         valid: which slots hold a point; others keep their value.
-        color: of the centre view; CIELAB in the thesis, sRGB in [0, 1] in the authors' program.
+        color: colors of the center view; CIELAB in the thesis, sRGB in [0, 1] in the authors'
+            program.
         space_sigma: px; 10 in the thesis; the program has 10 on an image of twice the size.
         disparity_sigma: px per view step; 0.1 in the thesis.
         color_sigma: in the units of `color`; 0.5 in the thesis.

@@ -11,7 +11,7 @@ def spatial_vote(
     present: Bool[Array, "y x"],
     tolerance: Float[Array, ""],
 ) -> Float[Array, "y x"]:
-    """Confidence times the share of the neighbourhood with the same disparity.
+    """Confidence times the share of the neighborhood with the same disparity.
 
     `c_i |A(l_i)| / (p q)`, where A counts the lines, `l_i` among them, within a window of a
     fifteenth of the image whose disparity is equal within a tolerance; confidences are divided by

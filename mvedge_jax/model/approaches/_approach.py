@@ -1,4 +1,4 @@
-"""What a way of asking the views has to do for `optimize_edges`."""
+"""The interface of the objectives of `optimize_edges`."""
 
 import abc
 from typing import NamedTuple
@@ -22,14 +22,14 @@ from ._evidence import Correction
 
 
 class Prepared(NamedTuple):
-    """An optimisation that is ready to run.
+    """A prepared optimization.
 
     Attributes:
-        start: the model to start from, and the map from which its first solve starts.
-        first: the map as it was given.
-        base: that map as it is to become better, polished for instance.
-        objective: what to minimise, from `start.model` on.
-        correction: what the views say, if they were asked beforehand.
+        start: the initial model, and the initial map of its first solve.
+        first: the given map.
+        base: the map that the optimization corrects, such as the polished first map.
+        objective: the loss to minimize from `start.model`.
+        correction: the correction that the views support, if it was measured.
     """
 
     start: Start
@@ -40,12 +40,12 @@ class Prepared(NamedTuple):
 
 
 class Approach(eqx.Module):
-    """How the views are asked, as parameters of `optimize_edges`; abstract.
+    """An objective of `optimize_edges` with its parameters; abstract.
 
     Attributes:
         rates: learning rates that suit the objective.
-        iterations: how many, by default.
-        features: what images are compared by in the verdict.
+        iterations: default number of iterations.
+        features: image features compared in the verdict.
     """
 
     rates: eqx.AbstractVar[Rates]
@@ -54,17 +54,17 @@ class Approach(eqx.Module):
 
     @abc.abstractmethod
     def prepare(self, light_field: LightField, start: Start, renderer: Renderer) -> Prepared:
-        """Model and objective to optimise."""
+        """Model and objective to optimize."""
 
     @abc.abstractmethod
     def finish(
         self, light_field: LightField, prepared: Prepared, state: State
     ) -> tuple[Float[Array, "y x"], Verdict]:
-        """The map that the optimised model makes of the first one, and what the views say of it."""
+        """The final map from the optimized model and the first map, and its validation."""
 
 
 def crosshair_halves(light_field: LightField) -> tuple[Views, Views]:
-    """Every second view on either arm, to train with, and the others, to judge by."""
+    """Every second view on either arm, for training, and the others, for validation."""
     views = gather_views(light_field)
     count = views.steps.shape[0]
     return views.take(jnp.arange(0, count, 2)), views.take(jnp.arange(1, count, 2))
@@ -76,7 +76,7 @@ def explained(
     after: Float[Array, "y x"],
     features: Features,
 ) -> Float[Array, "2"]:
-    """Reprojection error (7.15) of two maps in the views that judge."""
+    """Reprojection error (7.15) of two maps in the validation views."""
     _, held_out = crosshair_halves(light_field)
     run = lean_jit(self_supervised_loss)
     return jnp.stack(

@@ -1,4 +1,4 @@
-"""The evidence of all views, linearised and confirmed by halves: the default objective."""
+"""The evidence of all views, linearized and confirmed by halves: the default objective."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -24,23 +24,23 @@ from ._relocate import StepRelocation, relocate_steps
 
 
 class ByEvidence(Approach):
-    """Asks all views at once what they hold against a map, and believes what two halves agree on.
+    """Minimizes the linearized photometric error of all views that two halves of them confirm.
 
-    The loss is the photometric error of *all* views, linearised around the map with the colour
-    drift eliminated, as far as views that were not asked confirm it
-    (`agreed_correction`): a quadratic in the rendered map, minimised over Z, xy, R and Q. The
-    plain reprojection error (7.15) cannot take its place: on *cotton* the true map explains the
-    views worse than that of `EdgeDepth`, since gloss and blurred edges have their say in it.
+    The loss is the photometric error of *all* views, linearized around the map with the color
+    drift eliminated, as far as held-out views confirm it (`agreed_correction`): a quadratic form
+    in the rendered map, minimized over Z, xy, R and Q. The plain reprojection error (7.15) is
+    biased by gloss and blurred edges: on *cotton* the true map explains the views worse than that
+    of `EdgeDepth`.
 
     Attributes:
-        fit: of the model to the first map, in which a tenth more points are added.
-        evidence: of what the views say.
-        polish: of the map, before and after.
-        relocate: of the first map's depth steps, if the points' positions are in doubt; those of
-            `EdgeDepth` are not.
+        fit: fit of the model to the first map, which adds a tenth of the points.
+        evidence: parameters of the measured correction.
+        polish: polishing of the map, before and after.
+        relocate: relocation of the first map's depth steps, for points with inaccurate positions;
+            those of `EdgeDepth` do not need it.
         rates: learning rates.
-        iterations: with which it has converged, at these rates.
-        features: what images are compared by in the verdict, which decides nothing here.
+        iterations: number of iterations until convergence at these rates.
+        features: image features compared in the verdict, which does not affect the result.
 
     Example:
         >>> ByEvidence(relocate=StepRelocation()).features
@@ -56,16 +56,16 @@ class ByEvidence(Approach):
     features: Features = eqx.field(default_factory=Colours)
 
     def prepare(self, light_field: LightField, start: Start, renderer: Renderer) -> Prepared:
-        """Fits the model to the first map, polished, and asks the views what is wrong with that.
+        """Fits the model to the polished first map and measures the correction by the views.
 
         Args:
-            light_field: all its views are asked.
+            light_field: all of its views are read.
             start: see `Start`.
             renderer: of the model.
 
         Returns:
-            Model and objective. The map of the start is what the fitted model renders; it differs
-            from `base` by what the model cannot reproduce, which is not for the views to correct.
+            Model and objective. The map of the start is the rendering of the fitted model. Its
+            difference from `base`, which the model cannot reproduce, is not corrected.
         """
         views = gather_views(light_field, choice=all_views(light_field))
         given = first = start.disparity
@@ -88,15 +88,15 @@ class ByEvidence(Approach):
     def finish(
         self, light_field: LightField, prepared: Prepared, state: State
     ) -> tuple[Float[Array, "y x"], Verdict]:
-        """The refined map: the first one, changed as the model changed, and polished.
+        """The refined map: the first one plus the change of the model, polished.
 
-        A pixel's change is clipped to where it is nearer to the views' correction than no change
-        is: beside depth edges, which a model of points reproduces worst, nothing gets worse.
+        A pixel's change is clipped so that it is nearer to the measured correction than no change.
+        This prevents errors beside depth edges, which a model of points reproduces worst.
 
         Args:
-            light_field: whose views say how well the result explains them.
+            light_field: its views validate the result.
             prepared: from `prepare`.
-            state: of the optimisation.
+            state: of the optimization.
 
         Returns:
             The map, px per view step, and the verdict, which always keeps it.

@@ -1,4 +1,4 @@
-"""The thesis' objective: the reprojection error (7.15), and views that were not used as judges."""
+"""The thesis' objective: the reprojection error (7.15), validated by held-out views."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -22,26 +22,26 @@ from ._polish import Bending, polish
 
 
 class ByReprojection(Approach):
-    """Minimises the reprojection error of every second view of the crosshair.
+    """Minimizes the reprojection error of every second view of the crosshair.
 
-    The other half of it judges: unless the optimisation lowers their error by `margin`, it is
+    The other half validates: unless the optimization lowers their error by `margin`, its result is
     dropped. On cotton the true map explains the views 0.7 % worse than that of `EdgeDepth`, and
-    every optimisation that lowered the error by less than a tenth made the map worse: gloss,
-    blurred image edges and bilinear interpolation have a say of that size.
+    every optimization that lowered the error by less than a tenth made the map worse: gloss,
+    blurred image edges and bilinear interpolation cause a bias of that size.
 
     Attributes:
-        fit: of the model to the first map, in which a tenth more points are added; None if the
-            model of the start renders that map already.
-        polish: of the map, afterwards.
-        weights: of the terms of (7.16); that of SSIM counts with `similarity` only.
-        features: what images are compared by.
+        fit: fit of the model to the first map, which adds a tenth of the points; None if the
+            initial model renders that map already.
+        polish: polishing of the final map.
+        weights: weights of the terms of (7.16); that of SSIM is used with `similarity` only.
+        features: image features to compare.
         prior: weight of the labels' standard errors, see `Trust`.
         label: largest change of a label, px per view step.
         margin: share by which the held-out error must fall, or the first map is polished instead;
             minus infinity keeps every result.
         rates: learning rates.
-        iterations: how many, by default.
-        subset: views drawn anew for every iteration, or None for all.
+        iterations: default number of iterations.
+        subset: number of views drawn in every iteration, or None for all.
         similarity: compute the SSIM term, which costs as much as the rest of the loss.
 
     Raises:
@@ -99,18 +99,18 @@ class ByReprojection(Approach):
     def finish(
         self, light_field: LightField, prepared: Prepared, state: State
     ) -> tuple[Float[Array, "y x"], Verdict]:
-        """The first map, changed as the model changed if the judges want it, and polished.
+        """The first map plus, if the held-out views confirm it, the change of the model; polished.
 
         Args:
             light_field: its crosshair of views is read.
             prepared: from `prepare`.
-            state: of the optimisation.
+            state: of the optimization.
 
         Returns:
             The map, px per view step, and the verdict on the change before it was polished.
         """
         before, goal = prepared.first, prepared.objective
-        # The model's own error in rendering the first map does not enter.
+        # The model's error in rendering the first map cancels.
         changed, same = (
             compiled_render(model, goal.renderer, start=guess).disparity
             for model, guess in ((state.best, state.disparity), (prepared.start.model, before))

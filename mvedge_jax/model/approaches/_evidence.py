@@ -1,4 +1,4 @@
-"""What the views say about a map: a correction per pixel, and how far the views agree on it."""
+"""A correction of a map by the views, with their agreement."""
 
 from dataclasses import replace
 from functools import partial
@@ -19,21 +19,20 @@ from mvedge_jax.photometry.measuring import Measuring, ViewSplines, labels
 from mvedge_jax.photometry.views import GridShift, ViewSet
 from mvedge_jax.smoothness import ColorAndDepth, edge_smoothness
 
-# Gaussians over regions are cut here, px.
+# Radius of Gaussians over regions, px.
 _REGION_REACH = 12
 
 
 class ViewAgreement(eqx.Module):
-    """What two halves of the views have to agree on, and how corrections are diffused.
+    """Parameters of the agreement of two halves of the views, and of the diffused correction.
 
     Attributes:
-        measuring: of the measurement in the views.
-        depth_step: pixels beside which the map jumps by more than this, px, measure nothing: their
-            colours are mixtures.
-        largest: standard deviation of corrections before anything is measured, px; also their
-            limit.
-        error: of the map's labels, px; evidence that is better than this does not count more.
-        smoothness: of the correction, against the evidence.
+        measuring: parameters of the measurement in the views.
+        depth_step: pixels beside a larger jump of the map, px, are not measured, because their
+            colors are mixtures.
+        largest: prior standard deviation of corrections, px; also their limit.
+        error: error of the map's labels, px; the weight of evidence is bounded by it.
+        smoothness: smoothness of the correction relative to the evidence.
         region: radius of the regions over which both halves of the views have to agree, px.
         edges: where the correction may jump.
     """
@@ -52,8 +51,8 @@ class Correction(NamedTuple):
 
     Attributes:
         change: to add to the map, px per view step, smooth within surfaces.
-        weight: how well it is known, in [0, 1].
-        share: how much of what one half of the views proposes the other half confirms, in [0, 1].
+        weight: weight of the correction, in [0, 1].
+        share: share of one half's correction that the other half of the views confirms, in [0, 1].
     """
 
     change: Float[Array, "y x"]
@@ -71,25 +70,25 @@ def agreed_correction(
     passes: int = 2,
     margin: int = 5,
 ) -> Correction:
-    r"""Corrects a map as far as views confirm that were not asked.
+    r"""Corrects a map as far as held-out views confirm it.
 
     The views are split like a chessboard. Each half proposes a correction u, diffused within
-    surfaces; the share of it that is taken is the one that explains the other half's own
-    measurement m best in a region around,
-    $\alpha = \sum w\,m\,u / \sum w\,u^2$, within [0, 1]. Noise is confirmed by nobody, and
-    goes: no threshold has to be chosen. The result is the mean of both halves.
+    surfaces. The accepted share of u is the one that explains the other half's measurement m best
+    in the region around,
+    $\alpha = \sum w\,m\,u / \sum w\,u^2$, within [0, 1]. Noise is not confirmed and vanishes,
+    without a threshold. The result is the mean of both halves.
 
     Args:
-        views: all that there are. A half without views proposes and confirms nothing.
+        views: all available views. A half without views proposes and confirms nothing.
         disparity: the map, px per view step, finite.
         params: see `ViewAgreement`.
-        radius: how far occluders are looked for, px.
-        passes: over the neighbours whose measurements are shared, see `labels`.
-        margin: how far depth steps spoil measurements, px: windows and neighbours that share theirs
-            reach across.
+        radius: largest distance of occluders, px.
+        passes: passes over the neighborhood, see `labels`.
+        margin: distance from a depth step within which pixels are not measured, px, because their
+            windows reach across it.
 
     Returns:
-        The correction and how far it was confirmed.
+        The correction and its confirmed share.
     """
     params = cast(params, disparity.dtype)
     lab = jnp.moveaxis(srgb_to_lab(jnp.moveaxis(views.centre, 0, -1)), -1, 0)
@@ -98,7 +97,7 @@ def agreed_correction(
     clear = _unbent(disparity, params.depth_step, margin)
     steps = jnp.pad(views.steps, ((1, 0), (0, 0))).astype(views.centre.dtype)
     splines = _splines(views, GridShift(steps))
-    # A view's step is odd or even; the centre view belongs to both halves.
+    # A view's step is odd or even; the center view belongs to both halves.
     odd = jnp.mod(jnp.round(jnp.sum(steps, axis=1)), 2) == 1
     centre = jnp.all(steps == 0, axis=1)
     measuring = replace(params.measuring, radius=radius)
@@ -107,7 +106,7 @@ def agreed_correction(
         part = splines._replace(available=splines.available & (half | centre))
         found = part.look(disparity, measuring)
         measured = labels(found, lab, disparity, measuring, passes=passes)
-        # A pixel that measured nothing says nothing, not that there is no change.
+        # A pixel without a measurement has weight 0, instead of a change of 0.
         known = jnp.where(clear, 1 / measured.variance, 0)
         told = known / (known + 1 / params.largest**2)
         change = params.largest * jnp.tanh(told * (measured.disparity - disparity) / params.largest)
@@ -128,7 +127,7 @@ def agreed_correction(
 
 
 def _splines(views: Views, shifts: GridShift) -> ViewSplines:
-    """All views with the centre one first."""
+    """All views with the center one first."""
     images = jnp.concatenate([views.centre[None], views.others])
     there = jnp.pad(views.available, (1, 0), constant_values=True)
     return ViewSplines.of(ViewSet(images, shifts, there))
@@ -144,7 +143,7 @@ def _unbent(disparity: Array, step: Array, margin: int) -> Bool[Array, "y x"]:
 
 
 def _shrink(mask: Bool[Array, "y x"], times: int) -> Bool[Array, "y x"]:
-    """Takes the outermost pixels off; the image's border is none."""
+    """Erodes a mask; the image's border is not eroded."""
     for _ in range(times):
         p = jnp.pad(mask, 1, constant_values=True)
         mask = mask & p[:-2, 1:-1] & p[2:, 1:-1] & p[1:-1, :-2] & p[1:-1, 2:]

@@ -1,4 +1,4 @@
-"""A robust second-order prior: remove what looks like noise from a map, and nothing else."""
+"""A robust second-order prior that removes noise from a map."""
 
 from typing import Any
 
@@ -13,15 +13,16 @@ from mvedge_jax._params import cast, number
 
 
 class Bending(eqx.Module):
-    """What counts as noise, and how strongly it is removed.
+    """Parameters of polishing: scale of the noise and weight of the prior.
 
     Attributes:
         error: scale of the errors of the map, px; larger changes cost little more.
         bend: second difference above which a bend costs in proportion rather than by its square.
-        weight: of the prior against the map.
-        step: a difference that exceeds one beside it by more separates surfaces, px: no bend is
-            counted across it, so that depth edges stay as they are.
-        jump: beside steps larger than this, px, nothing is polished: those pixels are mixtures.
+        weight: weight of the prior relative to the map.
+        step: a difference that exceeds the one beside it by more than this separates surfaces, px;
+            no bend is counted across it, so depth edges stay.
+        jump: pixels beside steps larger than this, px, are not polished, because they are
+            mixtures.
         rate: first learning rate of Adam, px.
     """
 
@@ -36,7 +37,7 @@ class Bending(eqx.Module):
 def bending(
     disparity: Float[Array, "y x"], guide: Float[Array, "y x"], params: Bending
 ) -> Float[Array, ""]:
-    r"""How much a map bends within surfaces.
+    r"""Bending energy of a map within surfaces.
 
     $$ \sum \frac{1}{b} \left(\sqrt{q^2 + b^2} - b\right) $$
 
@@ -45,7 +46,7 @@ def bending(
 
     Args:
         disparity: the map.
-        guide: where the steps are taken from; no gradient.
+        guide: the map whose steps separate surfaces; no gradient.
         params: `bend` and `step`.
 
     Returns:
@@ -75,14 +76,14 @@ def bending(
 
 
 def _steps(guide: Float[Array, "y x"]) -> Float[Array, "y x-1"]:
-    """By how much each difference along x exceeds its smaller neighbour: slants have no step."""
+    """Excess of each difference along x over its smaller neighbor; slants have none."""
     slope = jnp.abs(jnp.diff(guide, axis=1))
     p = jnp.pad(slope, ((0, 0), (1, 1)))
     return slope - jnp.minimum(jnp.minimum(p[:, :-2], p[:, 2:]), slope)
 
 
 def _away_from_steps(along_x: Bool[Array, "y w"], along_y: Bool[Array, "h x"]) -> Array:
-    """Pixels none of whose four edges is a step: a step's own pixels may be mixtures."""
+    """Pixels without a step at any of their four edges; others may be mixtures."""
     x = jnp.pad(along_x, ((0, 0), (1, 1)), constant_values=True)
     y = jnp.pad(along_y, ((1, 1), (0, 0)), constant_values=True)
     return x[:, 1:] & x[:, :-1] & y[1:] & y[:-1]
@@ -94,17 +95,17 @@ def polish(
 ) -> Float[Array, "y x"]:
     r"""Removes bends that are within the error of a map.
 
-    Minimises $\sum \ln(1 + (D - D_0)^2 / \sigma^2)$ plus the bending of `bending`. Noise of
-    the labels that diffusion interpolates goes; steps and creases stay.
+    Minimizes $\sum \ln(1 + (D - D_0)^2 / \sigma^2)$ plus `bending`. This removes the noise of
+    diffused labels and keeps steps and creases.
 
     Args:
         disparity: D_0, px per view step, finite.
         params: scales and weights.
-        iterations: of Adam.
+        iterations: iterations of Adam.
 
     Returns:
-        The polished map. In derivatives, what polishing changes is a constant: those of so many
-        steps of a problem that is so stiff overflow.
+        The polished map. Derivatives treat the change by polishing as a constant, because those of
+        many steps on a stiff problem overflow.
     """
     params = cast(params, disparity.dtype)
 

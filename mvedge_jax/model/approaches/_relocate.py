@@ -1,4 +1,4 @@
-"""Depth steps of a map that was made from points in doubtful places, moved to image edges."""
+"""Moves depth steps of a map to image edges, for points with inaccurate positions."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -19,12 +19,12 @@ def _image_alone() -> ColorAndDepth:
 
 
 class StepRelocation(eqx.Module):
-    """Which depth steps may move, and where to.
+    """Parameters of the relocation of depth steps.
 
     Attributes:
-        step: neighbours whose disparities differ by more than this lie at a depth step, px.
-        trust: data weight of what is not near a depth step.
-        smoothness: where disparities may jump instead: at image edges, whatever the depth.
+        step: neighbors whose disparities differ by more than this are at a depth step, px.
+        trust: data weight of pixels away from depth steps.
+        smoothness: edge weights by image edges alone, where disparities may jump.
     """
 
     step: Float[Array, ""] = number(0.2)
@@ -42,20 +42,19 @@ def relocate_steps(
 ) -> Float[Array, "y x"]:
     """Moves depth steps by up to `reach` pixels to where the image has an edge.
 
-    What lies near a depth step is forgotten and diffused anew from both sides, with a smoothness
-    that follows the image alone. It mends steps that are in doubt, such as those of points whose
-    positions are noisy: on *cotton*, on which the defaults were chosen, with noise of 1 px, 89 % of
-    the mean squared error that the noise brought. Steps of `EdgeDepth`, which had more to go
-    by than the image, get worse by a little.
+    Pixels near a depth step are discarded and diffused again from both sides, with a smoothness
+    that follows the image alone. This corrects steps of points with noisy positions: on *cotton*,
+    on which the defaults were chosen, with noise of 1 px, it removes 89 % of the mean squared
+    error by the noise. Steps of `EdgeDepth`, which uses more than the image, get slightly worse.
 
     Args:
         disparity: the map, px per view step, finite.
-        image: centre view, sRGB in [0, 1].
+        image: center view, sRGB in [0, 1].
         params: see `StepRelocation`.
-        reach: how far from a step the map is forgotten, px; static.
+        reach: distance from a step within which the map is discarded, px; static.
 
     Returns:
-        The map; differentiable but for where its steps are.
+        The map; differentiable except for the positions of its steps.
 
     Raises:
         ValueError: the image has another size than the map, or `reach` is not positive.
@@ -74,17 +73,17 @@ def relocate_steps(
         raise ValueError(f"`reach` must be at least 1 pixel, got {reach}.")
     params = cast(params, disparity.dtype)
     lab = planes_to_lab(image)
-    # By differences, not bends: steps of noisy points are spread over pixels.
+    # By first differences, because steps of noisy points are spread over pixels.
     clear = _clear(disparity, params.step) & _clear(disparity.T, params.step).T
     weight = jnp.where(_shrink(clear, reach - 1), params.trust, 0)
-    # Where all is steps there is nothing to go by, and the map stays.
+    # If all pixels are near steps, the map stays.
     weight = jnp.where(jnp.any(weight > 0), weight, params.trust)
     tx, ty = edge_smoothness(lab, disparity, params.smoothness)
     return diffuse(System(weight, disparity, tx, ty)).value
 
 
 def _clear(disparity: Float[Array, "y x"], step: Array) -> Bool[Array, "y x"]:
-    """Pixels that differ from their neighbours along x by less than a step."""
+    """Pixels that differ from their neighbors along x by less than a step."""
     same = jnp.abs(jnp.diff(disparity, axis=1)) < step
     same = jnp.pad(same, ((0, 0), (1, 1)), constant_values=True)
     return same[:, 1:] & same[:, :-1]

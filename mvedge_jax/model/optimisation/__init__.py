@@ -1,4 +1,4 @@
-"""The loop of the optimisation: its state, its steps, what it does between them (Thesis 7.1.4)."""
+"""The optimization loop: state, steps, and strategies between them (Thesis 7.1.4)."""
 
 from ._grow import Growth as Growth
 from ._least_squares import minimise_least_squares as minimise_least_squares

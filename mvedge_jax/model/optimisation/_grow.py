@@ -1,4 +1,4 @@
-"""Adding points where the map is wrong, in the place of points that do nothing."""
+"""Relocates inactive points to pixels of large error, and adds new ones there."""
 
 import equinox as eqx
 import jax
@@ -17,24 +17,24 @@ from ._state import State, parts_of, settled_moments, with_parts
 
 
 class Growth(Strategy):
-    """Points that do nothing move to where the map is wrong, and new ones are added there.
+    """Relocates inactive points to pixels of large error, and adds new ones there.
 
-    A gradient moves a point by a few pixels, as far as its label is seen. Where no point was
-    detected at all (flat surfaces, slivers between objects, the holes of a perforated panel) none
-    arrives, while points that nearer ones hide do nothing elsewhere. Every round moves such points
-    to the worst pixels; their number stays the same unless the model has free places, which are
-    filled first. What is wrong only a known map tells: the objective must be `Supervised`. The
-    defaults were chosen on the synthetic scenes "textureless" and "thin".
+    Gradients move a point by a few pixels, the extent of its visible label. They bring no point to
+    surfaces without a detected one (flat surfaces, slivers between objects, the holes of a
+    perforated panel), while points hidden by nearer ones are inactive. Every round moves such
+    points to the worst pixels. The number of points stays the same unless the model has free
+    slots, which are filled first. The error needs a known map, so the objective must be
+    `Supervised`. The defaults were chosen on the synthetic scenes "textureless" and "thin".
 
     Attributes:
-        recycle: move points that do nothing; off, only free places are filled.
-        extra: free places that `prepare` appends.
+        recycle: relocate inactive points; if False, only free slots are filled.
+        extra: number of free slots that `prepare` appends.
         least: points that contribute less than this may move, see `usefulness`.
-        threshold: pixels that are wrong by no more than this need no point, px per view step.
-        until: share of the iterations after which points stay, so that all can settle, in [0, 1].
-        rounds: about how many, evenly spaced.
-        count: most points per round; by default a fiftieth of the pixels, or what fills the free
-            places in time.
+        threshold: largest error of a pixel that needs no new point, px per view step.
+        until: share of the iterations after which points are no longer relocated, in [0, 1].
+        rounds: approximate number of rounds, evenly spaced.
+        count: most points per round; by default a fiftieth of the pixels, or enough to fill the
+            free slots in time.
 
     Raises:
         ValueError: `rounds` or `count` is below 1, `extra` below 0, or `until` outside [0, 1].
@@ -66,7 +66,7 @@ class Growth(Strategy):
             raise ValueError(f"`until` must be a share from 0 to 1, got {float(self.until):g}.")
 
     def prepare(self, model: DepthModel) -> DepthModel:
-        """The model with as many places as points, and `extra` free ones after them."""
+        """The model with as many slots as points, and `extra` free ones after them."""
         model = without_free_places(model)
         return with_capacity(model, model.valid.size + self.extra)
 
@@ -79,10 +79,10 @@ class Growth(Strategy):
             )
         if not self.recycle and bool(jnp.all(state.model.valid)):
             return Plan(max(routine.length // 4, 1))
-        # After the last iteration nothing would say whether new points are any good.
+        # New points need iterations after them to be optimized.
         last = min(round(float(self.until) * routine.length), routine.length - 1)
         piece = max(-(-last // self.rounds), 1) if last > 0 else max(routine.length, 1)
-        # Of the places that `prepare` made, not of those still free: a resumed run does the same.
+        # Counted from the slots that `prepare` made, so that a resumed run does the same.
         count = max(objective.truth.size // 50, -(-self.extra // max(last // piece, 1)), 1)
         return Plan(piece, last, count if self.count is None else self.count)
 
@@ -96,17 +96,17 @@ class Growth(Strategy):
 
 
 def usefulness(model: DepthModel, renderer: Renderer) -> Float[Array, "n"]:
-    """How much data weight each point contributes to the map, in raster pixels.
+    """Data weight that each point contributes to the map, in raster pixels.
 
-    A point in the open contributes about `exp(-R)` times 1.4; one that nearer neighbours hide
-    contributes next to nothing, and gets next to no gradient.
+    A visible point contributes about `exp(-R)` times 1.4; a hidden one contributes hardly anything
+    and has hardly any gradient.
 
     Args:
         model: the points.
         renderer: of the model.
 
     Returns:
-        Σ over pixels of w λ T; zero for places that are free.
+        Σ over pixels of w λ T; zero for free slots.
     """
     weight = jnp.exp(-model.log_weight)
     opacity = opacities(model, renderer)
@@ -123,7 +123,7 @@ def worst_pixels(
     """The pixels of largest residual, at most one per block.
 
     Args:
-        residual: how wrong the map is, >= 0.
+        residual: error of the map, >= 0.
         count: how many pixels.
         block: side of the blocks, px.
 
@@ -158,16 +158,15 @@ def grow(
 ) -> Grown:
     """Puts new points where the residual is largest.
 
-    Free places are used first, then those of the points that contribute least (nearly all are
-    points that nearer neighbours hide: recycling is what brings them back, since they receive no
-    gradient of their own; `Renderer.clears` has the measurement).
+    Free slots are used first, then those of the points that contribute least. Nearly all of these
+    are hidden by nearer points and receive no gradient; `Renderer.clears` has a measurement.
 
     Args:
-        state: of the optimisation.
-        objective: what is minimised; its trust takes the new points in.
-        residual: how wrong the map is, per pixel.
-        label: what new points say at each pixel.
-        growth: see `Growth`; its `recycle`, `least` and `threshold` are read.
+        state: state of the optimization.
+        objective: the objective; its `trust` is extended by the new points.
+        residual: error of the map, per pixel.
+        label: label of a new point at each pixel.
+        growth: see `Growth`; `recycle`, `least` and `threshold` are read.
         count: most points to add.
 
     Returns:
@@ -186,7 +185,7 @@ def grow(
     if growth.recycle:
         open_place = open_place | (use[place] < growth.least)
     wanted = value > growth.threshold
-    # Places run from the least useful one, pixels from the worst one.
+    # Slots in order of usefulness, least first; pixels in order of error, largest first.
     fits = open_place & wanted
     new_label = label[xy[:, 1], xy[:, 0]].astype(dtype)
 
@@ -219,7 +218,7 @@ def grow(
     state = eqx.tree_at(
         lambda s: (s.model, s.moments.mu, s.moments.nu, s.best_loss),
         state,
-        # With other points the loss is another one.
+        # Other points change the loss, so the best loss is reset.
         (model, *moments, jnp.where(jnp.any(fits), jnp.inf, state.best_loss)),
     )
     return Grown(state, objective, jnp.sum(fits), recycled, jnp.sum(wanted & ~open_place))

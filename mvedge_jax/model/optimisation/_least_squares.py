@@ -17,10 +17,10 @@ from .._model import DepthModel
 from ..objectives import SquaredObjective
 from ._state import parts_of, with_parts
 
-# Steps of CG per step, at most: a system that is not solved by then ends the search.
+# Largest number of CG steps per step; an unsolved system ends the search.
 _LINEAR_STEPS = 300
-# A step that achieves this share of what was expected of it lets the next go further. Optimistix
-# asks for .99, which absolute errors never give: then the damping of the start is kept throughout.
+# Share of the predicted reduction at which damping decreases. Optimistix requires .99, which
+# absolute errors never reach, so the initial damping would stay.
 _GOOD = 0.75
 
 
@@ -30,7 +30,7 @@ class Minimised(NamedTuple):
     Attributes:
         model: the parameters with the lowest loss.
         disparity: the map that they render, px per view step.
-        loss: of the objective, before every step and at the end; a refused step repeats it.
+        loss: loss before every step and at the end; a rejected step repeats it.
     """
 
     model: DepthModel
@@ -48,23 +48,23 @@ def minimise_least_squares(
     tolerance: float = 0.1,
     progress: Callable[[int, float], None] | None = None,
 ) -> Minimised:
-    """Minimises a loss over all parameters at once, by Levenberg-Marquardt steps.
+    """Minimizes a loss over all parameters at once, by Levenberg-Marquardt steps.
 
     The Jacobian is never formed: each step of the linear solver applies it by forward mode, and its
     transpose, which costs two diffusions. Runs on the host, one compiled step at a time.
 
-    Few steps, but dear ones: on the synthetic scene "demo" at 64x64 px, the loss of 150 iterations
-    of Adam is reached after 12 or 13, towards the known map, `ByEvidence` and `ByReprojection`, in
-    some 20 to 30 times its seconds (`experiments/second_order.py`); later ones go on below it.
+    It needs few, but expensive steps. On the synthetic scene "demo" at 64x64 px, 12 or 13 steps
+    reach the loss of 150 iterations of Adam, for the known map, `ByEvidence` and `ByReprojection`,
+    in some 20 to 30 times its seconds (`experiments/second_order.py`); later steps go below it.
 
     Args:
-        model: where to start.
+        model: the initial model.
         objective: `Supervised` or `SelfSupervised`; its limits are applied before each evaluation.
         start: a map near what `model` renders.
-        steps: at most.
-        scales: typical changes of Q, Z, R and xy; steps are damped in these units. Where labels are
-            near their place already, as in `ByEvidence`, that of Z is a hundredth of a pixel.
-        tolerance: to which the linear systems are solved.
+        steps: largest number of steps.
+        scales: typical changes of Q, Z, R and xy, the units of the damping. If labels are already
+            accurate, as in `ByEvidence`, use a hundredth of a pixel for Z.
+        tolerance: tolerance of the linear systems.
         progress: called after each step with its number and the loss.
 
     Returns:
@@ -86,7 +86,8 @@ def minimise_least_squares(
         q, z, r, xy = (o + u * c for o, u, c in zip(origin, units, change, strict=True))
         return objective.project(with_parts(model, (q, z, r, xy)))
 
-    # The loss is a mean: as a sum its curvature per parameter is about 1, where the damping starts.
+    # The loss is a mean; scaled to a sum, its curvature per parameter is about 1, as the initial
+    # damping.
     whole = jnp.sqrt(jnp.asarray(start.size, dtype))
 
     def squared(change: tuple[Array, ...], _: None) -> tuple[tuple[Array, ...], Array]:
@@ -110,11 +111,11 @@ def minimise_least_squares(
     over = lean_jit(lambda y, state: solver.terminate(y=y, state=state, **fixed))
     loss, disparity = judged(here)
     losses, best = [loss], (here, disparity, loss)
-    # The first looks at the start alone, and is accepted.
+    # The first step only evaluates the start, and is accepted.
     here, state, _ = step(here, state)
     for count in range(steps):
         here, state, _ = step(here, state)
-        # Before a step is accepted, what Optimistix returns is where it was.
+        # Optimistix returns the previous iterate until a step is accepted.
         loss, disparity = judged(here)
         losses.append(loss)
         if loss < best[2]:

@@ -1,4 +1,4 @@
-"""Optimisation of the model by gradient descent: a jitted loop, in pieces between two hooks."""
+"""Optimization of the model by gradient descent: a jitted loop, in pieces with host hooks."""
 
 import abc
 from collections.abc import Callable
@@ -19,10 +19,10 @@ from ._state import ADAM, State, parts_of, with_parts
 
 
 class History(NamedTuple):
-    """What happened per iteration.
+    """Loss and gradient of every iteration.
 
     Attributes:
-        loss: before the step.
+        loss: loss before the step.
         gradient: norm of the gradient of Q, Z, R and xy.
     """
 
@@ -31,12 +31,12 @@ class History(NamedTuple):
 
 
 class Plan(NamedTuple):
-    """When a strategy is asked, in numbers for the host.
+    """The schedule of a strategy, on the host.
 
     Attributes:
         piece: iterations between two calls; a whole number of pieces compiles only once.
         last: the last iteration after which points change.
-        most: points that change at a time.
+        most: largest number of points that change at a time.
     """
 
     piece: int
@@ -45,14 +45,14 @@ class Plan(NamedTuple):
 
 
 class Grown(NamedTuple):
-    """What adding points did.
+    """The result of adding points.
 
     Attributes:
-        state: with the new points; Adam's moments of each are those of its first gradient.
-        objective: whose trust knows the new points.
-        added: how many points are new.
-        recycled: how many of them took the place of a point that did nothing.
-        refused: how many found no place.
+        state: state with the new points; the moments of Adam are those of their first gradient.
+        objective: objective with a `trust` that includes the new points.
+        added: number of new points.
+        recycled: how many of them replaced an inactive point.
+        refused: number of points without a slot.
     """
 
     state: State
@@ -63,7 +63,7 @@ class Grown(NamedTuple):
 
 
 class Strategy(eqx.Module):
-    """How the number and the places of points change, which no gradient does; abstract.
+    """Changes the number and the positions of points where gradients cannot; abstract.
 
     `prepare` is called once for a model, `plan` before the first iteration, `after_piece` between
     any two pieces of iterations, all on the host.
@@ -71,15 +71,15 @@ class Strategy(eqx.Module):
 
     @abc.abstractmethod
     def prepare(self, model: DepthModel) -> DepthModel:
-        """The model with the free places that the strategy will fill."""
+        """The model with the free slots that the strategy will fill."""
 
     @abc.abstractmethod
     def plan(self, state: State, routine: Routine, objective: Objective) -> Plan:
-        """When points change, and how many at most."""
+        """The schedule of changes."""
 
     @abc.abstractmethod
     def after_piece(self, plan: Plan, state: State, objective: Objective) -> Grown | None:
-        """What `state` and `objective` become, or None if nothing is due."""
+        """The new state and objective, or None if no change is due."""
 
 
 class FixedPoints(Strategy):
@@ -100,26 +100,26 @@ class FixedPoints(Strategy):
             raise ValueError(f"`piece` must be at least 1 iteration, got {self.piece}.")
 
     def prepare(self, model: DepthModel) -> DepthModel:
-        """The model as it is."""
+        """The unchanged model."""
         return model
 
     def plan(self, state: State, routine: Routine, objective: Objective) -> Plan:
-        """Nothing is ever due."""
+        """A schedule without changes."""
         return Plan(max(routine.length // 4, 1) if self.piece is None else self.piece)
 
     def after_piece(self, plan: Plan, state: State, objective: Objective) -> None:
-        """Nothing."""
+        """No change."""
 
 
 class Progress(NamedTuple):
-    """How far an optimisation is.
+    """Progress of an optimization.
 
     Attributes:
-        iteration: how many iterations were done.
-        iterations: how many there will have been.
-        loss: of the last iteration, before its step.
-        state: after it, and after `grown`.
-        grown: what adding points did, where a strategy did it after this piece.
+        iteration: number of finished iterations.
+        iterations: total number of iterations.
+        loss: loss of the last iteration, before its step.
+        state: state after the last iteration and after `grown`.
+        grown: result of a strategy that changed points after this piece, else None.
     """
 
     iteration: int
@@ -131,15 +131,15 @@ class Progress(NamedTuple):
 
 @lean_jit
 def advance(state: State, routine: Routine, objective: Objective) -> tuple[State, History]:
-    """Does as many iterations as `routine` has, as one compiled loop.
+    """Runs all iterations of `routine` in one compiled loop.
 
     A step that is not finite is skipped. The best parameters are those with the lowest loss,
     judged before each step.
 
     Args:
-        state: where to go on.
+        state: the current state.
         routine: what every iteration does.
-        objective: what is minimised.
+        objective: what is minimized.
 
     Returns:
         The new state and the history of these iterations.
@@ -194,18 +194,18 @@ def optimise(
     strategy: Strategy | None = None,
     progress: Callable[[Progress], None] | None = None,
 ) -> tuple[State, History]:
-    """Runs a routine in compiled pieces, with the host looking in between.
+    """Runs a routine in compiled pieces, with hooks on the host between them.
 
     Args:
-        state: from `begin`, or from a file: iterations of `routine` that it has done are skipped.
+        state: from `begin`, or from a file; finished iterations of `routine` are skipped.
         routine: what every iteration does.
-        objective: what is minimised.
+        objective: what is minimized.
         strategy: adds or moves points between pieces; by default `FixedPoints()`.
-        progress: called after every piece, to show or to save how far it is.
+        progress: called after every piece with a `Progress`.
 
     Returns:
-        The last state and the history of the iterations that were done. Warns where the rendering
-        of the objective (its `params` and `sizes`, where it has them) cuts points off.
+        The last state and the history of its iterations. Warns if the objective's `renderer` cuts
+        points off.
     """
     warn_of_cuts(state.model, objective)
     strategy = FixedPoints() if strategy is None else strategy

@@ -11,8 +11,8 @@ from mvedge_jax._params import number
 class Rates(eqx.Module):
     """Learning rates of Adam and their decay per pass, of Q, Z, R and xy in this order.
 
-    The defaults are those of the thesis' routine; the methods have rates for all parameters at
-    once, chosen on scenes that `mvedge render` makes and on cotton.
+    The defaults are those of the thesis' routine. The class methods have rates for all parameters
+    at once, chosen on scenes of `mvedge render` and on cotton.
 
     Attributes:
         rate: steps of Q, Z (px of disparity), R, xy (px).
@@ -27,26 +27,26 @@ class Rates(eqx.Module):
 
     @classmethod
     def supervised(cls) -> "Rates":
-        """For `Supervised`: far from the answer, with nothing to distrust."""
+        """For `Supervised`: large rates, as the start is far from the known map."""
         return cls(jnp.asarray([0.15, 0.01, 0.08, 0.1]))
 
     @classmethod
     def evidence(cls) -> "Rates":
-        """For the evidence of the views, linearised (`ByEvidence`)."""
+        """For the linearized evidence of the views (`ByEvidence`)."""
         return cls(jnp.asarray([0.1, 0.004, 0.1, 0.04]))
 
     @classmethod
     def self_supervised(cls) -> "Rates":
-        """For `SelfSupervised` from a model that was fitted to a depth map: little is left."""
+        """For `SelfSupervised` from a model fitted to a depth map: small rates."""
         return cls(jnp.asarray([0.02, 0.0005, 0.02, 0.01]))
 
 
 class Routine(eqx.Module):
-    """What every iteration does.
+    """Learning rates of every iteration.
 
     Attributes:
         rates: learning rates of Q, Z, R, xy per iteration.
-        restart: forget the moments of Adam before this iteration.
+        restart: whether to reset the moments of Adam before this iteration.
     """
 
     rates: Float[Array, "i 4"]
@@ -90,7 +90,7 @@ def all_at_once(rates: Rates, *, iterations: int = 100) -> Routine:
 
     Args:
         rates: learning rates; the decay is not used.
-        iterations: how many.
+        iterations: number of iterations.
 
     Returns:
         A table of `iterations` iterations.

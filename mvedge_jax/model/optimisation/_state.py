@@ -1,4 +1,4 @@
-"""What the optimisation carries along: parameters, Adam's moments, the best so far; its file."""
+"""State of the optimization (parameters, Adam's moments, best model), and its file."""
 
 import json
 from pathlib import Path
@@ -14,15 +14,15 @@ from mvedge_jax._params import accepts_numpy
 
 from .._model import DepthModel
 
-# How much of its two moments Adam keeps per iteration: Optax' defaults.
+# Decay rates of Adam's two moments: Optax' defaults.
 _KEPT = (0.9, 0.999)
-# Bytes of the line that a saved state begins with.
+# Length in bytes of the header line of a saved state.
 _LONGEST_HEADER = 4096
 ADAM = optax.scale_by_adam(*_KEPT)
 
 
 class State(eqx.Module):
-    """Everything that the optimisation carries from one iteration to the next.
+    """Everything that the optimization carries from one iteration to the next.
 
     Attributes:
         model: the current parameters.
@@ -30,7 +30,7 @@ class State(eqx.Module):
         disparity: the last rendered map.
         best: the parameters with the lowest loss so far.
         best_loss: that loss.
-        iteration: how many iterations were done.
+        iteration: number of finished iterations.
         key: draws views and noise.
     """
 
@@ -43,7 +43,7 @@ class State(eqx.Module):
     key: PRNGKeyArray
 
     def save(self, path: str | Path) -> None:
-        """Writes a state to a file, to go on from later.
+        """Writes a state to a file, to resume later.
 
         Args:
             path: the file to write.
@@ -66,8 +66,7 @@ class State(eqx.Module):
 
         Raises:
             FileNotFoundError: there is no such file.
-            ValueError: the file holds something else, or numbers of a precision that is switched
-                off.
+            ValueError: the file is not a saved state, or needs a precision that is switched off.
         """
         path = Path(path)
         if not path.is_file():
@@ -103,11 +102,11 @@ def with_parts(model: DepthModel, parts: tuple[Array, Array, Array, Array]) -> D
 def settled_moments(
     moments: Any, gradient: tuple[Array, Array, Array, Array]
 ) -> tuple[tuple[Array, ...], tuple[Array, ...]]:
-    """Both moments as they would be if every gradient so far had been this one.
+    """Both moments as if every gradient so far had been `gradient`.
 
-    A parameter that is new must not start from zero moments: the correction for that fades with
-    the iterations of the whole state, and without it steps are three to six times the learning
-    rate for a hundred iterations.
+    A new parameter must not start from zero moments: Adam's bias correction fades with the
+    iterations of the whole state, and without it steps are three to six times the learning rate
+    for a hundred iterations.
 
     Args:
         moments: of Adam; only the number of its iterations is used.
@@ -132,7 +131,7 @@ def begin(model: DepthModel, disparity: Float[Array, "y x"], *, key: PRNGKeyArra
 
     Args:
         model: initial parameters.
-        disparity: a map near the one that `model` renders, where the first solve starts.
+        disparity: a map near the one that `model` renders, the start of the first solve.
         key: draws views and noise.
 
     Returns:
@@ -144,7 +143,7 @@ def begin(model: DepthModel, disparity: Float[Array, "y x"], *, key: PRNGKeyArra
 
 
 def resumed(begun: State, earlier: State | None) -> State:
-    """The state to go on from: `earlier` if it fits the model, `begun` without one.
+    """The state to resume: `earlier` if it fits the model, `begun` if it is None.
 
     Args:
         begun: from `begin`.

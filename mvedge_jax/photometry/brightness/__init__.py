@@ -1,4 +1,4 @@
-"""How bright and how noisy the views are, measured once and taken out before they are compared."""
+"""Brightness and noise of the views, measured once and compensated before comparing them."""
 
 from ._brightness import Brightness as Brightness, NoiseModel as NoiseModel
 from ._denoise import denoised as denoised, low_pass as low_pass

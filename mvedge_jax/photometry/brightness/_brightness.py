@@ -1,4 +1,4 @@
-"""Parameters of what is found out about the brightness and the noise of the views."""
+"""Parameters of the brightness and the noise of the views."""
 
 import equinox as eqx
 from jaxtyping import Array, Float
@@ -7,18 +7,18 @@ from mvedge_jax._params import at_least, number
 
 
 class NoiseModel(eqx.Module):
-    """From what a scene's views scatter by to their noise.
+    """Factors from observed scatter to the noise of the views.
 
     Attributes:
-        single: noise over the second differences in the smoothest fifth of an image, which lie
-            below it; measured on white noise.
-        between: noise over the least of what some thirty hypotheses and two half arms leave
-            unexplained; measured on white noise.
-        finest: step of views that have none of 8 or 10 bits: interpolation and rendering are no
-            finer.
-        excess: variance that a guide loses as noise, a little more than it has: its own local
-            variance scatters, and what is left over looks like texture.
-        finer: disparities that are tried for each hypothesis.
+        single: noise divided by the second differences in the smoothest fifth of an image;
+            measured on white noise.
+        between: noise divided by the least residual of some thirty hypotheses and two half arms;
+            measured on white noise.
+        finest: quantization step of views without steps of 8 or 10 bits, for the accuracy of
+            interpolation and rendering.
+        excess: variance removed from a guide, relative to that of its noise. It is above 1 because
+            the local variance scatters, and remaining noise looks like texture.
+        finer: number of disparities tried for each hypothesis.
     """
 
     single: Float[Array, ""] = number(1 / 0.85, "second differences")
@@ -32,33 +32,33 @@ class NoiseModel(eqx.Module):
 
 
 class Brightness(eqx.Module):
-    """How exposure, gains, vignettes, noise and what the lens leaves dark are found.
+    """Parameters of exposure, gains, vignettes, noise and vignette mask.
 
     Attributes:
-        bright: where the 99th percentile of a bright, matt scene lies; floors are meant for such
-            scenes, and darker ones are brightened to it.
-        brightest: most that a scene is brightened.
-        gain_prior: a scene whose gains differ by no more than this owes it to the scene, not to the
+        bright: 99th percentile of a bright, matt scene. Darker scenes are brightened to it,
+            because floors are chosen for it.
+        brightest: largest factor of the brightening.
+        gain_prior: differences of gains up to this are attributed to the scene, not to the
             cameras.
-        alike: places that count as one, for parallax errs alike over some 4x4 of them.
-        blur: standard deviation of the blur that keeps noise from shrinking gains.
-        vignette_rough: a scene whose views' brightness against the centre view's varies over the
-            frame by no more than this, as a standard deviation of logs, owes it to the scene and
-            not to the lenses, as long as no disparity is known.
+        alike: number of blocks with a common error by parallax, some 4x4.
+        blur: standard deviation of the blur against the bias of gains by noise.
+        vignette_rough: variation over the frame of a view's brightness relative to the center
+            view's, as a standard deviation of logs, that is attributed to the scene while no
+            disparity is known.
         vignette_prior: the same along a disparity map.
-        vignette_common: what the lenses of all views, the centre view's too, take away from the
-            center of the frame to its corners is 0 if its standard deviation over the frame is no
-            more than this.
-        vignette_outlier: log ratio of brightness beyond which a place speaks against the vignette
-            of all others less and less.
-        vignette_side: the first two are for views whose shorter side is at least this long; for
-            smaller ones, of which parallax moves a larger part, they grow in proportion.
-        black: brightness below which a pixel of the centre view is black.
+        vignette_common: the radial vignette common to all views is set to 0 if its standard
+            deviation over the frame is at most this.
+        vignette_outlier: deviation of a log ratio of brightness from the fit beyond which its
+            weight falls.
+        vignette_side: least shorter side of the views for which `vignette_rough` and
+            `vignette_prior` hold; for smaller views, in which parallax moves a larger part, they
+            grow in proportion.
+        black: brightness below which a pixel of the center view is black.
         dark: brightness below which a pixel of the other views is dark.
-        noise: how noise is measured and taken out of the guide.
-        vignette_steps: of the descent to the vignettes.
-        blur_reach: where that blur ends, px.
-        dark_reach: pixels around what is unlit whose windows reach into it.
+        noise: parameters of the noise and of the denoising of the guide.
+        vignette_steps: steps of gradient descent of the vignette fit.
+        blur_reach: radius of the blur, px.
+        dark_reach: margin around the vignette mask, whose windows overlap it, px.
     """
 
     bright: Float[Array, ""] = number(0.56, "sRGB")

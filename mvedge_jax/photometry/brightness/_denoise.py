@@ -1,4 +1,4 @@
-"""What noisy views need before they are compared: a denoised guide, low-passed views."""
+"""Denoising of the guide and low-pass of noisy views."""
 
 from collections.abc import Callable
 
@@ -18,15 +18,15 @@ from ._noise import Noise
 def denoised(
     image: Float[Array, "c y x"], noise: Noise, *, params: NoiseModel | None = None
 ) -> Float[Array, "c y x"]:
-    """The centre view with its noise taken out, edges kept, for guiding others.
+    """Denoises the center view with its edges kept, as a guide.
 
-    An adaptive Wiener filter over 7x7 px: where the local variance is that of the noise the pixel
-    becomes the local mean, where it is much larger the pixel stays.
+    An adaptive Wiener filter over 7x7 px: a pixel becomes the local mean if the local variance is
+    that of the noise, and keeps its value if the variance is much larger.
 
     Args:
         image: `[c, y, x]`.
-        noise: of the same image.
-        params: its `excess` is read; None for the defaults.
+        noise: noise of the image.
+        params: only `excess` is read; None for the defaults.
 
     Returns:
         The filtered image, `[c, y, x]`; the image itself where `noise.alpha` is 0. Differentiable.
@@ -57,18 +57,18 @@ def denoised(
 def soften(
     images: Float[Array, "s c y x"], noise: Noise, sigma: Float[Array, ""]
 ) -> Float[Array, "s c y x"]:
-    """Images blurred as far as the noise rules.
+    """Blurs images according to the dominance of noise.
 
-    Interpolation between pixels averages noise and whole shifts do not, which would prefer shifts
-    by half a pixel; after a blur both keep nearly the same.
+    Interpolation between pixels averages noise, shifts by whole pixels do not, so costs would
+    prefer shifts by half a pixel; after a blur, both have nearly the same noise.
 
     Args:
         images: in any order.
-        noise: mixes the blurred images in by its `alpha`.
+        noise: `alpha` is the share of the blurred images.
         sigma: standard deviation of the Gaussian, px, at most about 1.
 
     Returns:
-        The images, the same ones where `noise.alpha` is 0. Differentiable.
+        The blurred images; `images` themselves if `noise.alpha` is 0. Differentiable.
     """
 
     def blurred(images: Array) -> Array:
@@ -78,13 +78,13 @@ def soften(
 
 
 def low_pass(noise: Noise) -> Callable[[Float[Array, "s c y x"]], Float[Array, "s c y x"]]:
-    """The blur that views need before they are measured in.
+    """The blur of views before the measurement.
 
     Args:
-        noise: of the views.
+        noise: noise of the views.
 
     Returns:
-        `soften` by as much as this noise asks for.
+        `soften` with the width for this noise.
     """
     return lambda planes: soften(planes, noise, blur_of(noise))
 
@@ -95,15 +95,15 @@ def blur_of(noise: Noise) -> Float[Array, ""]:
 
 
 def passed(noise: Noise, sigma: Float[Array, ""]) -> tuple[Float[Array, ""], Float[Array, ""]]:
-    """What `soften` leaves of white noise.
+    """Shares of white noise that remain after `soften`.
 
     Args:
         noise: see `soften`.
         sigma: see `soften`.
 
     Returns:
-        Share that is left of its variance, and share that is left of the energy of its derivative
-        per variance, 0..1. Differentiable.
+        Remaining share of its variance, and remaining share of the energy of its derivative per
+        variance, 0..1. Differentiable.
     """
     alpha, taps = noise.alpha, gaussian_taps(sigma, 3)
     middle, energy = taps[3] ** 2, jnp.sum(taps**2) ** 2

@@ -13,23 +13,21 @@ from ._vignette import cropped, falloff
 
 
 class Exposure(NamedTuple):
-    """What the views are multiplied by before their colours are compared.
+    """Brightness factors of the views.
 
     Attributes:
-        scale: factor for all views, which makes dark ones as bright as floors and weights expect,
-            from 1 to `Brightness.brightest`.
-        gain: brightness of each view relative to the centre view, `[v, u]`, or of each photograph
-            relative to the first, `[s]`, by which it is divided; 1 for views that were not asked
-            for.
-        vignette: how the log of that brightness varies over the frame of the view: coefficients
+        scale: factor for all views that brightens dark scenes, from 1 to `Brightness.brightest`.
+        gain: brightness of each view relative to the center view, `[v, u]`, or of each photograph
+            relative to the first, `[s]`; views are divided by it. 1 for views that were not
+            measured.
+        vignette: variation of the log of that brightness over the frame of the view: coefficients
             `[..., i, j]` of the products of Legendre polynomials of degree `i` down and `j` across
-            the frame, each of mean square 1; 0 where the views show no more of it than scenes do;
-            None for 0 everywhere. Only ratios to the centre view are seen, so that its own
-            vignette shows in nothing but parallax: a pixel that its disparity moves outwards is
-            darker there. What all views, the centre view too, lose in proportion to the square of
-            the distance from the center of the frame is found along a disparity map, if surfaces
-            of different disparities lie side by side, and is part of their coefficients. The rest
-            of the centre view's own vignette stays in all views.
+            the frame, each of mean square 1; 0 if the variation is no larger than that of scenes
+            without vignettes; None for 0 everywhere. Only ratios to the center view are observed,
+            so its own vignette shows in parallax alone: a pixel that moves outwards becomes
+            darker. The radial vignette common to all views is found along a disparity map with
+            surfaces of different disparities side by side, and is part of the coefficients. The
+            rest of the center view's vignette stays in all views.
     """
 
     scale: Float[Array, ""]
@@ -38,12 +36,12 @@ class Exposure(NamedTuple):
 
     @property
     def unevenness(self) -> Float[Array, "*views"]:
-        """Standard deviation over the frame of the log of each vignette over the centre view's."""
+        """Standard deviation over the frame of each log vignette relative to the center view's."""
         if self.vignette is None:
             return jnp.zeros_like(self.gain)
         shape = self.gain.shape
         own = self.vignette[tuple(n // 2 for n in shape) if len(shape) == 2 else 0]
-        # Of orthonormal polynomials.
+        # The polynomials are orthonormal.
         change = self.vignette - jnp.broadcast_to(own, self.vignette.shape)
         return root(jnp.sum(change**2, axis=(-2, -1)))
 
@@ -73,28 +71,28 @@ class Exposure(NamedTuple):
         return self._replace(vignette=cropped(self.vignette, (top, left), size, whole))
 
     def factors(self, views: Any, shape: tuple[int, ...]) -> Float[Array, "*s y x"]:
-        """What pixels are multiplied by to take exposure, gain and vignette out.
+        """Factors of pixels that remove exposure, gain and vignette.
 
         Args:
             views: index of an axis of the grid, or of both.
             shape: rows and columns of the views.
 
         Returns:
-            Of every view and pixel, or of every view, `[..., 1, 1]`, if there is no vignette.
+            Factors of every view and pixel, or of every view, `[..., 1, 1]`, without vignettes.
         """
         factor = (self.scale / self.gain[views])[..., None, None]
         return factor if self.vignette is None else factor * falloff(self.vignette[views], shape)
 
 
 def expose(light_field: LightField, exposure: Exposure) -> LightField:
-    """Takes exposure and gains out of the views.
+    """Removes exposure and gains from the views.
 
     Args:
-        light_field: the views as they came.
-        exposure: what to take out.
+        light_field: the raw views.
+        exposure: exposure and gains to remove.
 
     Returns:
-        The same with views whose colours compare; bright pixels may exceed 1. Differentiable.
+        The light field with comparable colors; bright pixels may exceed 1. Differentiable.
 
     Example:
         >>> import jax.numpy as jnp

@@ -1,4 +1,4 @@
-"""Gains and vignettes: every view's brightness against that of one of them."""
+"""Gains and vignettes: brightness of the views relative to one of them."""
 
 from typing import NamedTuple
 
@@ -15,12 +15,12 @@ from ._vignette import SIZE, basis_at, basis_of_blocks, falloff, falloff_at, rad
 
 
 class Ratios(NamedTuple):
-    """Brightness of views against that of one of them.
+    """Brightness of views relative to one of them.
 
     Attributes:
         gain: of each view.
-        variance: of the errors of the gains.
-        vignette: see `Exposure.vignette`; 0 if it was not asked for.
+        variance: error variance of the gains.
+        vignette: see `Exposure.vignette`; 0 unless fitted.
     """
 
     gain: Float[Array, " s"]
@@ -29,7 +29,7 @@ class Ratios(NamedTuple):
 
 
 def brightening(centre: Float[Array, "y x c"], params: Brightness) -> Float[Array, ""]:
-    """What brings the bright parts of an image to a fixed level."""
+    """Factor that brings the bright parts of an image to a fixed level."""
     bright = jnp.sort(centre[::4, ::4].reshape(-1))
     level = bright[int(0.99 * (bright.shape[0] - 1))]
     bright, most = params.bright, params.brightest
@@ -37,7 +37,7 @@ def brightening(centre: Float[Array, "y x c"], params: Brightness) -> Float[Arra
 
 
 def _block(shape: tuple[int, ...]) -> int:
-    """Side of the blocks whose means stand for a view, px."""
+    """Side of the blocks that are averaged, px."""
     return min(8, max(1, min(shape) // 16))
 
 
@@ -63,12 +63,12 @@ def rough_ratios(
     *,
     uneven: bool = True,
 ) -> Ratios:
-    """Gains and vignettes of views whose disparities nobody knows.
+    """Gains and vignettes of views without known disparities.
 
     Args:
         means: see `block_means`.
-        there: which views are to be read.
-        own: the view that the others are compared with.
+        there: which views to read.
+        own: index of the reference view.
         shape: rows and columns of the views.
         params: see `Brightness`.
         uneven: fit vignettes.
@@ -96,7 +96,7 @@ def rough_ratios(
 
 
 def _narrow(shape: tuple[int, ...], params: Brightness) -> Array:
-    """By how much more a scene may vary over a small frame: parallax moves a larger part of it."""
+    """Factor of the allowed variation in small frames, of which parallax moves a larger part."""
     return jnp.maximum(params.vignette_side / min(shape), 1)
 
 
@@ -106,7 +106,7 @@ def _logs(values: Array, own: Array, known: Bool[Array, "*n"]) -> Float[Array, "
 
 
 def _shown(values: Float[Array, "*n"], most: float) -> Bool[Array, "*n"]:
-    """What is bright enough for a ratio, and not clipped."""
+    """Whether values are bright enough for a ratio, and not clipped."""
     return (values > 0.1 * jnp.median(values)) & (values > 0) & (values < most)
 
 
@@ -119,7 +119,7 @@ def _ratios(
     ratio = jnp.where(values > 0, values, of_own) / jnp.where(shown, of_own, 1)
     known = shown & there[:, None]
     gain = _median(ratio, known)
-    # Of the median of so many values.
+    # Variance of the median of this many values.
     scatter = 1.25 * 1.48 * _median(jnp.abs(ratio - gain[:, None]), known)
     count = jnp.sum(known, axis=1).astype(gain.dtype)
     variance = params.alike * scatter**2 / jnp.maximum(count, 1)
@@ -128,7 +128,7 @@ def _ratios(
 
 
 def earned(found: Ratios, params: Brightness) -> Float[Array, " s"]:
-    """Gains, drawn to 1 where they hardly differ or are badly known."""
+    """Gains, shrunk to 1 where they hardly differ or are inaccurate."""
     logs, error = jnp.log(found.gain), jnp.mean(found.variance)
     excess = jnp.maximum(jnp.mean(logs**2) - 2 * error, 0)
     return jnp.exp(excess / (excess + params.gain_prior**2) * logs)

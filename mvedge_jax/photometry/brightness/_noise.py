@@ -14,20 +14,20 @@ from ._brightness import Brightness, NoiseModel
 from ._exposure import Exposure
 from ._uncalibrated import GridViews
 
-# Of 8-bit views, the rule: a number format.
+# Rounding of 8-bit views, the usual format.
 _STEP = 1.0 / 255
 
 
 class Noise(NamedTuple):
-    """How noisy the views of a scene are.
+    """The noise of a scene's views.
 
     Attributes:
-        deviation: standard deviation of a colour channel, quantisation included, in units of the
+        deviation: standard deviation of a color channel, quantization included, in units of the
             views as they are compared (after exposure and gains): sRGB in [0, 1] or a multiple.
-        alpha: how much the noise rules the measurements, 0..1: 0 where it is no more than what
-            8 bits leave, one half at a standard deviation of about 1.5 of 255.
-        rounding: standard deviation of what the views were rounded by when they were stored, in
-            units of sRGB: .29 of 255 in views of 8 bits.
+        alpha: dominance of the noise, 0..1: 0 up to the rounding of 8 bits, one half at a standard
+            deviation of about 1.5 of 255.
+        rounding: standard deviation of the rounding error of the stored views, in units of sRGB:
+            .29 of 255 in views of 8 bits.
     """
 
     deviation: Float[Array, ""]
@@ -39,8 +39,8 @@ class Noise(NamedTuple):
         """The noise of a known standard deviation.
 
         Args:
-            deviation: in units of the views.
-            rounding: see `Noise`; None for that of 8 bits.
+            deviation: standard deviation in units of the views.
+            rounding: see `Noise`; None for 8 bits.
 
         Returns:
             Noise whose `alpha` follows from it. Differentiable.
@@ -72,14 +72,14 @@ class Known(NamedTuple):
 def rough_brightness(
     light_field: LightField, *, params: Brightness | None = None
 ) -> tuple[Exposure, Noise]:
-    """Exposure, gains and noise without knowing any disparity.
+    """Exposure, gains and noise without known disparities.
 
     Args:
         light_field: the crosshair of views is read.
         params: see `Brightness`; None for the defaults.
 
     Returns:
-        `Uncalibrated.rough_exposure`, and the noise of the centre view alone. Differentiable.
+        `Uncalibrated.rough_exposure`, and the noise of the center view alone. Differentiable.
 
     Example:
         >>> import jax, jax.numpy as jnp
@@ -105,20 +105,20 @@ def measure_noise(
 ) -> Noise:
     """Measures the noise of a scene.
 
-    Two measurements, and the lower one counts: second differences in the smoothest places of the
-    centre view, which texture everywhere fools, and what the best disparity leaves unexplained
-    between views, which gloss fools. Neither may lie below the rounding of the views: that of 8 or
-    10 bits where all colours lie on such steps, else that of `NoiseModel.finest`.
+    The result is the lower of two estimates: second differences in the smoothest regions of the
+    center view, too large if texture is everywhere, and the residual of the best disparity between
+    views, too large on gloss. Neither may lie below the rounding error of the views: that of 8 or
+    10 bits if all colors lie on such steps, else that of `NoiseModel.finest`.
 
     Args:
-        centre: the centre view, `[c, y, x]`, multiplied by `exposure`.
+        centre: the center view, `[c, y, x]`, multiplied by `exposure`.
         exposure: see `Exposure.scale`.
-        between: the second measurement, see `between_views_variance`; None leaves it out.
+        between: the second estimate, see `between_views_variance`; None leaves it out.
         params: see `NoiseModel`; None for the defaults.
 
     Returns:
-        The noise. Differentiable; which steps the views have is a choice, and views of 8 bits
-        that are changed a little have none.
+        The noise. Differentiable. The detection of steps is a selection; views of 8 bits that are
+        changed a little have none.
 
     Example:
         >>> import jax, jax.numpy as jnp
@@ -137,29 +137,29 @@ def measure_noise(
 def _rounding(image: Array, finest: Float[Array, ""]) -> Float[Array, ""]:
     """Standard deviation of the rounding error of a stored image."""
     step = finest
-    # Of 10 bits and of 8, the coarsest last.
+    # Steps of 10 and of 8 bits, the coarsest last.
     for candidate in (1 / 1023, _STEP):
         levels = image / candidate
-        # A quarter on average where the values are no levels.
+        # A quarter on average if the values are not on such steps.
         off = jnp.mean(jnp.abs(levels - jnp.round(levels)))
         step = jnp.where(off < 0.01, candidate, step)
     return _rounded_to(step)
 
 
 def _rounded_to(step: Array | float) -> Any:
-    """Standard deviation of the error of rounding to multiples of a step: a uniform one."""
+    """Standard deviation of the error of rounding to multiples of a step (uniform)."""
     return step * 12**-0.5
 
 
 def single_view_variance(
     image: Float[Array, "c y x"], exposure: Float[Array, ""]
 ) -> Float[Array, ""]:
-    """Local variance of mixed second differences that a fifth of the image stays below.
+    """The 20 % quantile of the local variance of mixed second differences.
 
     The product of second differences along x and y vanishes on planes and on straight edges along
     either axis; its local mean square is the noise plus whatever texture there is. Clipped pixels,
-    which show no noise, have no say. The median over the channels; 0 for images below 9 px a side
-    and where nothing but clipped pixels is.
+    which show no noise, are ignored. The result is the median over the channels; 0 for images
+    below 9 px a side or with clipped pixels only.
     """
     if min(image.shape[1:]) < 9:
         return jnp.zeros((), image.dtype)

@@ -1,4 +1,4 @@
-"""Views as they came: what their brightness is measured and taken out by."""
+"""Raw views, with the measurement and removal of their brightness."""
 
 from typing import Any, Protocol, runtime_checkable
 
@@ -21,7 +21,7 @@ from ._vignette import SIZE
 
 @runtime_checkable
 class Uncalibrated(Protocol):
-    """Views as they came, one of which is the reference; what is measured is differentiable."""
+    """Raw views, one of which is the reference; results are differentiable."""
 
     @property
     def reference(self) -> Any:
@@ -29,39 +29,39 @@ class Uncalibrated(Protocol):
         ...
 
     def rough_exposure(self, params: Brightness) -> Exposure:
-        """Exposure, gains and maybe vignettes without knowing any disparity, to about 1 %.
+        """Exposure, gains and maybe vignettes without known disparities, to about 1 %.
 
-        The gain is the median ratio of the blurred views: what parallax adds to it goes both ways.
+        The gain is the median ratio of the blurred views, in which the effect of parallax cancels.
         """
         ...
 
     def exposure_along(
         self, scale: Float[Array, ""], disparity: Float[Array, "y x"], params: Brightness
     ) -> Exposure:
-        """Gains and vignettes by robust regression on the reference, along a map of it.
+        """Gains and vignettes by robust regression on the reference, along its disparity map.
 
-        To about 0.2 %. Of the blurred views, every sixteenth pixel either way takes part: blurring
-        keeps noise from shrinking the gains, and what the map or an occlusion gets wrong is an
-        outlier.
+        The accuracy is about 0.2 %. Every sixteenth pixel of the blurred views along either axis
+        is used: the blur avoids the bias of gains by noise, and errors of the map and occlusions
+        are outliers.
         """
         ...
 
     def exposed(self, exposure: Exposure) -> Crosshair | ViewSet:
-        """The views that are compared, exposure taken out."""
+        """The views to compare, after exposure."""
         ...
 
     def lit(self, params: Brightness) -> Float[Array, "y x"] | None:
-        """0 where the reference shows nothing of the scene, 1 elsewhere; None for 1 everywhere."""
+        """0 where the reference does not show the scene, 1 elsewhere; None for 1 everywhere."""
         ...
 
 
 class GridViews(eqx.Module):
-    """The views of a light field, of which those of the crosshair are compared.
+    """The views of a light field; those of the crosshair are compared.
 
     Attributes:
         light_field: the views.
-        arms: its crosshair.
-        every: measure the gains of all views along a map, not of the crosshair alone.
+        arms: the crosshair of the light field.
+        every: measure the gains of all views along a map instead of the crosshair alone.
 
     Example:
         >>> import jax, jax.numpy as jnp
@@ -111,7 +111,7 @@ class GridViews(eqx.Module):
         *,
         uneven: Bool[Array, ""] | bool = True,
     ) -> Exposure:
-        """See `Uncalibrated`; not `uneven`, no vignettes: a map's errors could pass for some."""
+        """See `Uncalibrated`; no vignettes unless `uneven`: map errors can look like them."""
         of, views, own = self.light_field, self.light_field.views, self.reference
         params, grid = cast(params, views.dtype), views.shape[:2]
         asked = [at for at in np.ndindex(grid) if self.every or at[0] == own[0] or at[1] == own[1]]
@@ -121,7 +121,7 @@ class GridViews(eqx.Module):
             views[v, u], shifts, there, asked.index(own), disparity, params, uneven=uneven
         )
         gain = jnp.ones(grid, views.dtype).at[v, u].set(earned(found, params))
-        # Views that were not asked for have what all have in common.
+        # Views that were not measured get the common part.
         vignette = jnp.broadcast_to(found.vignette[asked.index(own)], (*grid, SIZE, SIZE))
         return Exposure(scale, gain, vignette.at[v, u].set(found.vignette))
 
@@ -145,7 +145,7 @@ class PosedViews(eqx.Module):
     """Posed photographs, all of which are compared.
 
     Attributes:
-        views: the reference first.
+        views: the photographs, the reference first.
     """
 
     views: ViewSet
@@ -160,7 +160,7 @@ class PosedViews(eqx.Module):
         return jnp.moveaxis(self.views.planes, 1, -1)
 
     def rough_exposure(self, params: Brightness) -> Exposure:
-        """See `Uncalibrated`: no vignettes, for what looks elsewhere shows something else."""
+        """See `Uncalibrated`; no vignettes, as photographs differ in what they show."""
         images, there = self._images, self.views.available
         params, shape = cast(params, images.dtype), images.shape[1:3]
         found = rough_ratios(block_means(images), there, 0, shape, params, uneven=False)
@@ -182,6 +182,6 @@ class PosedViews(eqx.Module):
         return self.views.mapped(lambda planes: planes * factors[:, None])
 
     def lit(self, params: Brightness) -> Float[Array, "y x"] | None:
-        """See `Uncalibrated`: where the reference is opaque."""
+        """See `Uncalibrated`: 1 where the reference is opaque."""
         del params
         return None if self.views.shown is None else self.views.shown[0]

@@ -1,4 +1,4 @@
-"""What the lens leaves dark: the corners of a plenoptic camera's views."""
+"""The vignette mask: black corners of a plenoptic camera's views."""
 
 import functools
 
@@ -13,15 +13,15 @@ from ._brightness import Brightness
 
 
 def lit(arms: Crosshair, params: Brightness) -> Float[Array, "y x"]:
-    """Where light of the scene arrived: 0 in what is dark from the frame inwards, and around it.
+    """0 in the vignette mask and around it, 1 elsewhere.
 
-    A mask of the lens stays where it is from view to view. So a pixel is unlit if it is black in
-    the centre view, dark at the same place in half of the others, and so is everything between it
-    and one side of the frame. Its outline is none of the scene, and what is behind it unknown.
+    The mask of the lens has the same position in every view. So a pixel is in the mask if it is
+    black in the center view, dark at the same position in half of the others, and so are all
+    pixels between it and one side of the frame. The outline of the mask is no edge of the scene.
 
     Args:
-        arms: of the crosshair, as they were taken.
-        params: its `black`, `dark` and `dark_reach` are read.
+        arms: the raw crosshair.
+        params: only `black`, `dark` and `dark_reach` are read.
 
     Returns:
         0 or 1, a constant for derivatives.
@@ -43,7 +43,7 @@ def lit(arms: Crosshair, params: Brightness) -> Float[Array, "y x"]:
 
 
 def _before_light(black: Bool[Array, "y x"], axis: int, reverse: bool) -> Bool[Array, "y x"]:
-    """Pixels before the first one, from a side of the image, that is not black."""
+    """Pixels between a side of the image and the first pixel that is not black."""
     size = black.shape[axis]
     index = lax.broadcasted_iota(jnp.int32, black.shape, axis)
     index = size - 1 - index if reverse else index

@@ -1,4 +1,4 @@
-"""Vignettes: what a view's brightness, relative to the centre view's, changes by over the frame."""
+"""Vignettes: variation over the frame of a view's brightness relative to the center view's."""
 
 from typing import NamedTuple
 
@@ -20,13 +20,13 @@ _MEMBERS = np.stack([order == _ORDERS for order in range(1, SIZE)])
 
 
 class _Fit(NamedTuple):
-    """Log ratios of the views.
+    """A fit of the log ratios of the views.
 
     Attributes:
-        coefficients: of every view.
-        variance: of each of them.
-        common: what multiplies `radial` in all views.
-        common_variance: of it.
+        coefficients: coefficients of every view.
+        variance: variance of each coefficient.
+        common: factor of `radial` common to all views.
+        common_variance: variance of `common`.
     """
 
     coefficients: Float[Array, "s 4 4"]
@@ -52,7 +52,7 @@ def _polynomials(size: int, block: int) -> np.ndarray:
 def falloff(
     coefficients: Float[Array, "*s 4 4"], shape: tuple[int, ...], *, block: int = 1
 ) -> Float[Array, "*s y x"]:
-    """What the pixels of views are multiplied by to take vignettes out: 1 without any.
+    """Factors of pixels that remove vignettes; 1 without any.
 
     Args:
         coefficients: see `Exposure.vignette`.
@@ -102,7 +102,7 @@ def _change(start: int, size: int, whole: int) -> np.ndarray:
 def falloff_at(
     coefficients: Float[Array, "s 4 4"], basis: Float[Array, "s n 16"]
 ) -> Float[Array, "s n"]:
-    """`falloff` at places, see `basis_at`."""
+    """`falloff` at positions, see `basis_at`."""
     flat = coefficients.reshape(coefficients.shape[0], -1)
     return jnp.exp(-jnp.einsum("snk,sk->sn", basis, flat, precision=FULL))
 
@@ -116,7 +116,7 @@ def basis_of_blocks(shape: tuple[int, ...], block: int) -> np.ndarray:
 def basis_at(
     y: Float[Array, "*p"], x: Float[Array, "*p"], shape: tuple[int, int]
 ) -> Float[Array, "*p 16"]:
-    """Products of polynomials at places of a view, px; those outside of the frame are moved in."""
+    """Products of polynomials at positions of a view, px, clipped to the frame."""
     height, width = shape
     t = jnp.stack([(2 * y + 1) / height - 1, (2 * x + 1) / width - 1])
     t = jnp.clip(t, -1, 1)
@@ -148,22 +148,22 @@ def vignettes(
     shape: tuple[int, ...],
     moved: Float[Array, "s n"] | None = None,
 ) -> Float[Array, "s 4 4"]:
-    """Robust fit of smooth log ratios, kept where they are no accident.
+    """Robust fit of smooth log ratios, shrunk by their share of chance.
 
     Args:
-        logs: of the ratio of every view to the centre view, place by place.
+        logs: log ratio of every view to the center view at every position.
         known: 1 where both show the scene, 0 elsewhere.
         basis: see `basis_at`.
         params: see `Brightness`.
         least: standard deviation of the log ratios over all views and the frame that scenes
             without vignettes have.
         shape: rows and columns of the views.
-        moved: what parallax adds to `radial` at each place: what a lens like the centre view's
-            does to the ratio there; None where no disparity is known.
+        moved: difference of `radial` between the positions in the view and in the center view, by
+            parallax; None if no disparity is known.
 
     Returns:
-        Coefficients. The constant is the gain, and left out. Exactly 0 where the ratios of all
-        views together are no more than a scene without vignettes has. Differentiable.
+        Coefficients without the constant, which is the gain. Exactly 0 if the ratios of all views
+        together vary no more than those of a scene without vignettes. Differentiable.
     """
     moved = jnp.zeros_like(logs) if moved is None else moved
     fit = _fitted(logs, known, basis, moved, params)
@@ -178,15 +178,15 @@ def vignettes(
 
 
 def _fitted(logs: Array, known: Array, basis: Array, moved: Array, params: Brightness) -> _Fit:
-    """Weighted least squares, reweighted while the scale of what is an outlier falls.
+    """Iteratively reweighted least squares with a decreasing scale of outliers.
 
-    Steps of gradient descent suffice, as the polynomials are orthonormal; they leave unknown parts
-    of the frame at what the known parts need least. What the polynomials explain of `moved` is
-    taken out of it alike, and what is left of both says what all views have in common.
+    Gradient descent suffices, as the polynomials are orthonormal; it extrapolates to unknown parts
+    of the frame with small coefficients. The polynomials are also regressed out of `moved`; the
+    residuals of both give the part common to all views.
     """
     count = logs.shape[1]
     both = jnp.stack([logs, moved])
-    # Where polynomials explain all but a hundredth of `moved`, rounding would tell the rest.
+    # If the polynomials explain all but a hundredth of `moved`, the residual is rounding.
     ridge = 0.01 * jnp.sum(known * moved**2) + 1e-9
 
     def weighted(flat: Array, common: Array, scale: Array) -> tuple[Array, Array]:
@@ -219,7 +219,7 @@ def _fitted(logs: Array, known: Array, basis: Array, moved: Array, params: Brigh
 
 
 def _earned(fit: _Fit, least: Float[Array, ""]) -> Float[Array, "s 4 4"]:
-    """Every order shrunk by its share of chance, and all of them where they hardly matter."""
+    """Shrinks every order by its share of chance, and all of them where they are small."""
     dtype = fit.coefficients.dtype
     power = jnp.mean(fit.coefficients**2, axis=0)
     own = jnp.einsum("okl,kl->o", jnp.asarray(_MEMBERS, dtype), power, precision=FULL)

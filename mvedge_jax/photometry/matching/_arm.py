@@ -1,4 +1,4 @@
-"""The cost of a disparity along one arm: the half of its views that agrees better."""
+"""The cost of a disparity along one arm, over the half of its views that agrees better."""
 
 from collections.abc import Iterator
 from typing import NamedTuple
@@ -19,12 +19,12 @@ Corner = tuple[Array | int, Array | int]
 
 
 class Half(NamedTuple):
-    """The views on one side of the centre that a sweep looks at.
+    """The views on one side of the center view that a sweep compares.
 
     Attributes:
-        planes: colours, padded along the arm by its length, `[s, c, y, x]`.
-        steps: from the centre view.
-        there: 1 for views that are there, 0 for others.
+        planes: colors, padded along the arm by its length, `[s, c, y, x]`.
+        steps: view steps from the center view.
+        there: 1 for available views, 0 for others.
     """
 
     planes: Array
@@ -36,11 +36,10 @@ class Swept(NamedTuple):
     """An arm prepared for a sweep.
 
     Attributes:
-        centre: colours of the centre view, `[c, y, x]`.
+        centre: colors of the center view, `[c, y, x]`.
         halves: the other views.
-        support: weights of the window of the cost.
-        wide: weights of the window that drift is looked for in, twice as wide, through as many
-            pixels.
+        support: window weights of the cost.
+        wide: window weights of the drift: a window twice as wide with as many pixels.
         share: how much of the drift is granted.
     """
 
@@ -55,9 +54,9 @@ class Limits(NamedTuple):
     """The numbers of a cost.
 
     Attributes:
-        truncation: squared differences of colour that count half.
-        drift: largest change of colour that is taken out.
-        alpha: how far noise rules.
+        truncation: squared differences of color that count half.
+        drift: largest change of color that is taken out.
+        alpha: dominance of the noise.
     """
 
     truncation: Array
@@ -70,7 +69,7 @@ def swept(arm: Arm, lab: Array, share: Array, same_color: Array, window: int) ->
 
     Args:
         arm: low-passed.
-        lab: the centre view in CIELAB, in the arm's orientation.
+        lab: the center view in CIELAB, in the arm's orientation.
         share: how much of the drift is granted, likewise.
         same_color: see `Matching`.
         window: half the width of the window, px.
@@ -105,10 +104,10 @@ def arm_cost(arm: Swept, disparity: Float[Array, ""], limits: Limits) -> Float[A
 def moved_cost(
     arm: Swept, moved: list[list[Array]], disparity: Float[Array, ""], limits: Limits
 ) -> Float[Array, "y x"]:
-    """`arm_cost` of a part of the image whose views are moved already.
+    """`arm_cost` of a part of the image whose views are already shifted.
 
     Args:
-        arm: cut to the part, but for its planes, which are not read.
+        arm: the arm cut to the part; its planes are not read.
         moved: per half and view, see `shifted`.
         disparity: px per view step.
         limits: see `Limits`.
@@ -121,7 +120,7 @@ def moved_cost(
 
 
 def reach_of(window: int) -> int:
-    """How far around a pixel its cost looks at the centre view, px.
+    """Radius of the center view's pixels that a cost reads, px.
 
     Args:
         window: half the width of the window of the cost; that of the drift is twice as wide.
@@ -137,7 +136,7 @@ def _better_half(arm: Swept, changes: list[list[Array]], limits: Limits) -> Arra
         for change, step, there in _per_view(half, changes):
             total = total + there * truncated(change - step * drift[None], limits.truncation)
         count = jnp.sum(half.there)
-        # A half without views confirms nothing.
+        # A half without views gets the largest cost.
         return jnp.where(count > 0, total / jnp.maximum(count, 1), 1)
 
     means = jnp.stack([cost(*of) for of in zip(arm.halves, changes, unstack(drifts), strict=True)])
@@ -146,7 +145,7 @@ def _better_half(arm: Swept, changes: list[list[Array]], limits: Limits) -> Arra
 
 
 def shifted(half: Half, disparity: Array, corner: Corner, size: tuple[int, int]) -> list[Array]:
-    """What a disparity moves to a part of the centre view, of every view of a half.
+    """Pixels of every view of a half that a disparity moves to a part of the center view.
 
     Args:
         half: with padded planes.
@@ -155,7 +154,7 @@ def shifted(half: Half, disparity: Array, corner: Corner, size: tuple[int, int])
         size: rows and columns of it.
 
     Returns:
-        Colours of each view, `[c, y, x + 3]`: four taps lie around every pixel.
+        Colors of each view, `[c, y, x + 3]`: four taps lie around every pixel.
     """
     views, colours = half.planes.shape[:2]
     places = [shifted_to(half, disparity, s, corner) for s in range(views)]
@@ -166,7 +165,7 @@ def shifted(half: Half, disparity: Array, corner: Corner, size: tuple[int, int])
 
 
 def shifted_to(half: Half, disparity: Array, view: int, corner: Corner) -> list[Array]:
-    """Where in the planes of a half the part begins that `shifted` takes of a view."""
+    """Corner, in the planes of a half, of the part that `shifted` reads of a view."""
     width = (half.planes.shape[3] - 3) // 3
     whole = jnp.floor(half.steps[view] * disparity).astype(jnp.int32)
     first = jnp.clip(whole, -width, width) + width - 1 + corner[1]
@@ -174,7 +173,7 @@ def shifted_to(half: Half, disparity: Array, view: int, corner: Corner) -> list[
 
 
 def _changes(moved: list[Array], steps: Array, centre: Array, disparity: Array) -> list[Array]:
-    """Colours of every view of a half at a disparity, less those of the centre view."""
+    """Colors of every view of a half at a disparity minus those of the center view."""
     width = centre.shape[2]
     result = []
     for part, step in zip(moved, unstack(steps), strict=True):
@@ -186,7 +185,7 @@ def _changes(moved: list[Array], steps: Array, centre: Array, disparity: Array) 
 
 
 def _better(first: Array, second: Array, alpha: Array) -> Array:
-    """The smaller of two costs; under noise softly, for the least of two is biased."""
+    """Minimum of two costs; under noise a soft one, as the minimum is biased low."""
     scale = 0.05 * jnp.where(alpha > 0, alpha, 1)
 
     def soft(first: Array, second: Array) -> Array:
@@ -200,14 +199,14 @@ def _better(first: Array, second: Array, alpha: Array) -> Array:
 def _drift(
     halves: tuple[Half, Half], changes: list[list[Array]], weights: Array, limit: Array
 ) -> Float[Array, "h y x"]:
-    """Change of the grey of a window per view step, by regression through the centre view."""
+    """Change of a window's gray value per view step, by regression through the center view."""
     ends = [jnp.max(jnp.abs(half.steps), initial=1) for half in halves]
 
     def trend(half: Half, changes: list[Array], last: Array) -> Array:
         total, square = jnp.zeros_like(weights[0]), jnp.zeros_like(last)
         for change, step, there in _per_view(half, changes):
             gray = plane_sum(change) / change.shape[0]
-            # What is far beyond any drift is another surface, and says nothing about this one.
+            # Changes far beyond any drift belong to another surface and are ignored.
             total = total + there * step * jnp.clip(gray, -3 * limit, 3 * limit)
             square = square + there * step**2
         return total * (last / jnp.maximum(square, 1))
@@ -218,18 +217,18 @@ def _drift(
 
 
 def truncated(change: Float[Array, "c y x"], truncation: Array) -> Float[Array, "y x"]:
-    """Saturated squares of a change: one half where they are as large as `truncation`."""
+    """Saturated squares of a change: one half at `truncation`."""
     square = plane_sum(change**2)
     return square / (square + truncation)
 
 
 def _per_view(half: Half, changes: list[Array]) -> Iterator[tuple[Array, Array, Array]]:
-    """Every view's change with its step and whether it is there."""
+    """Every view's change, step and availability."""
     return zip(changes, unstack(half.steps), unstack(half.there), strict=True)
 
 
 def halves_of(arm: Arm) -> tuple[Half, Half]:
-    """The views of an arm that a sweep looks at, on either side of the centre."""
+    """The views of an arm that a sweep compares, on either side of the center view."""
     width = arm.planes.shape[3]
     indices = sweep_views(arm.planes.shape[0])
 
@@ -244,7 +243,7 @@ def halves_of(arm: Arm) -> tuple[Half, Half]:
 
 
 def sweep_views(count: int) -> tuple[int, ...]:
-    """Views of an arm that a sweep looks at: the ends and half of the way to them."""
+    """Views of an arm that a sweep compares: the ends, and those half-way to them."""
     centre = count // 2
     near = centre // 2
     picked = {0, centre - near, centre + near, count - 1} - {centre}

@@ -1,4 +1,4 @@
-"""Hypotheses: per pixel, the disparity whose views agree best, whatever hides some of them."""
+"""Hypotheses: per pixel, the disparity at which the visible views agree best."""
 
 from functools import partial
 
@@ -26,21 +26,20 @@ class Matching(eqx.Module):
     """Parameters of the hypotheses.
 
     Attributes:
-        truncation: squared colour differences saturate at this many times the scene's noise, so
-            that a view in which the pixel is hidden says nothing, instead of a lot.
-        drift: the mean colour of a window may change by this much, sRGB, from the centre view to
-            the last one without speaking against a hypothesis: gloss and shading slide over a
-            surface. Noise would pass for drift: the more it rules, the less is granted.
-        slant: price of a change by one hypothesis between neighbouring pixels; of 2, the cost of a
-            pixel that no view confirms.
-        jump: price of a larger change between pixels of the same colour.
-        jump_color: step of color that halves the price of a jump.
-        same_color: neighbors whose color differs by much more than this take no part in a window.
-        outline: gradient near which half of the drift is granted, and soon none: beside an outline,
-            a change of mean color is what shows the wrong hypothesis.
-        least_noise: least standard deviation of the noise that is assumed.
-        pooling: of the costs along surfaces, where noise rules.
-        outline_reach: how far gradients are looked for, px: the reach of a window and of its drift.
+        truncation: squared color differences saturate at this many times the scene's noise, so
+            that a view in which the pixel is hidden does not dominate.
+        drift: allowed change of a window's mean color, sRGB, from the center view to the last one,
+            by gloss and shading. It falls with the dominance of noise, which looks like drift.
+        slant: penalty of a change by one hypothesis between neighboring pixels; costs are at most
+            2.
+        jump: penalty of a larger change between pixels of the same color.
+        jump_color: step of color that halves the penalty of a jump.
+        same_color: difference of color at which a neighbor's weight in a window is 1/e.
+        outline: gradient nearby at which half of the drift is allowed, because a wrong hypothesis
+            beside an outline shows as a change of mean color.
+        least_noise: lower bound of the noise's standard deviation.
+        pooling: pooling of the costs along surfaces in noisy views.
+        outline_reach: radius in which gradients count, px: that of a window and of its drift.
     """
 
     truncation: Float[Array, ""] = number(4.0, "noise variances")
@@ -70,27 +69,27 @@ def hypotheses(
 ) -> Float[Array, "y x"]:
     r"""Per pixel, the disparity at which the views agree best.
 
-    A pixel beside a nearer surface is hidden in the views of one side of each arm. Of each
-    arm, therefore, only the half that agrees better counts:
+    A pixel beside a nearer surface is hidden in the views of one side of each arm. So only the
+    half of each arm that agrees better counts:
     $\min(C_{left}, C_{right}) + \min(C_{above}, C_{below})$, each a mean of truncated
-    squared colour differences to the centre view over a colour-weighted window. Of a `ViewSet`,
-    whose views have no sides, the better half of all of them counts, twice.
+    squared color differences to the center view over a color-weighted window. The views of a
+    `ViewSet` have no sides: the better half of all of them counts, twice.
 
-    On glossy and on dark surfaces the colour of a window drifts from view to view, at the true
-    disparity by more than its texture differs at a wrong one. Away from outlines, what such a
-    window changes in proportion to the view step is therefore taken out, per half, up to a limit.
+    On glossy and on dark surfaces the color of a window drifts from view to view, by more than its
+    texture differs at a wrong disparity. Away from outlines, the change of a window in proportion
+    to the view step is therefore removed, per half, up to a limit.
 
-    These costs are summed along paths through the image, so that pixels that the views say little
-    about follow their surroundings; see `aggregate`. Noise makes jumps cheaper, softens the choice
-    of the half, and has costs pooled along surfaces first.
+    These costs are summed along paths through the image, so that pixels with little texture follow
+    their surroundings; see `aggregate`. Noise makes jumps cheaper, softens the choice of the half,
+    and pools costs along surfaces first.
 
     Args:
-        views: low-passed as the noise asks.
-        lab: the centre view in CIELAB, denoised, `[c, y, x]`.
+        views: views, low-passed according to the noise.
+        lab: the center view in CIELAB, denoised, `[c, y, x]`.
         disparities: what to try, px per view step, increasing, evenly spaced.
         params: see `Matching`.
         window: half the width of the window, px.
-        noise: of the views before any low-pass; None for none.
+        noise: noise of the views before any low-pass; None for none.
 
     Returns:
         Disparity per pixel, between the hypotheses by a parabola. Differentiable in all but
@@ -112,15 +111,15 @@ def best_match(
     window: int,
     noise: Noise | None = None,
 ) -> tuple[Float[Array, "y x"], Float[Array, "y x"]]:
-    """The cheapest hypothesis of every pixel by itself: `hypotheses` without paths and pooling.
+    """The hypothesis of least cost at every pixel: `hypotheses` without paths and pooling.
 
     Args:
-        views: exposure and gains taken out.
-        lab: the centre view in CIELAB, `[c, y, x]`.
+        views: views after exposure and gains.
+        lab: the center view in CIELAB, `[c, y, x]`.
         disparities: what to try, px per view step, increasing, evenly spaced.
         params: see `Matching`.
         window: half the width of the window, px.
-        noise: of the views; None for none.
+        noise: noise of the views; None for none.
 
     Returns:
         Disparity and its cost per pixel: 0 where the better halves of both arms agree, 2 where no
@@ -167,20 +166,20 @@ def along_paths(
 
 
 def noise_variance(noise: Noise, params: Matching) -> Float[Array, ""]:
-    """What truncated differences are measured by."""
-    # Of views without noise, two thirds of what was measured: texture is in it.
+    """Unit of the truncated differences."""
+    # Two thirds of the estimate for views without noise, because it includes texture.
     deviation = noise.deviation * (noise.alpha + (1 - noise.alpha) / 1.45)
     return jnp.maximum(deviation, params.least_noise) ** 2
 
 
 def shared_drift(noise: Noise, lab: Float[Array, "c y x"], params: Matching) -> Float[Array, "y x"]:
-    """How much of a window's drift is granted at every pixel, 0..1."""
+    """Share of a window's drift that is allowed at every pixel, 0..1."""
     steepest = contrast(lab, radius=params.outline_reach)
     return (1 - noise.alpha) / (1 + (steepest / params.outline) ** 4)
 
 
 def cheapest(total: Float[Array, "d y x"], disparities: Float[Array, " d"]) -> Array:
-    """The disparity of least cost, refined by a parabola through it and its neighbours."""
+    """The disparity of least cost, refined by a parabola through it and its neighbors."""
     count = disparities.shape[0]
     winner = jnp.argmin(total, axis=0)[None]
     inner = jnp.clip(winner, 1, max(count - 2, 1))

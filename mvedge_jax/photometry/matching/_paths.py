@@ -1,4 +1,4 @@
-"""Aggregation of matching costs along paths: the disparity of a pixel is seldom its own affair."""
+"""Aggregation of matching costs along paths through the image."""
 
 import jax
 import jax.numpy as jnp
@@ -20,17 +20,17 @@ def aggregate(
     r"""Sums, over four directions, the cost of the cheapest path that ends at each pixel.
 
     Along a path, a change by one disparity costs `slant` and a larger one
-    $j = \mathrm{jump} / (1 + |\Delta Lab| / \mathrm{colour})$:
+    $j = \mathrm{jump} / (1 + |\Delta Lab| / \mathrm{color})$:
     $L(p, d) = C(p, d) + \min(L(q, d), L(q, d \pm 1) + s, \min_k L(q, k) + j) - \min_k L(q, k)$
-    with $q$ the pixel before $p$. What texture does not say, the neighbours on the same surface
-    do, however far away.
+    with $q$ the pixel before $p$. Pixels without texture follow their surface, however far its
+    texture is.
 
     Args:
         cost: per disparity and pixel, `[d, y, x]`.
-        lab: centre view in CIELAB, `[c, y, x]`.
-        slant: price of a step to a neighbouring disparity, in units of `cost`.
-        jump: price of any other step between pixels of the same colour.
-        colour: step of CIELAB colour that halves the price of a jump.
+        lab: center view in CIELAB, `[c, y, x]`.
+        slant: penalty of a step to the next disparity, in units of `cost`.
+        jump: penalty of any other step between pixels of the same color.
+        colour: step of CIELAB color that halves the penalty of a jump.
 
     Returns:
         The sum, `[d, y, x]`.
@@ -80,7 +80,7 @@ def _both_ways(cost: Array, lab: Array, slant: Array, jump: Array, colour: Array
 
 
 def _least(values: Array) -> Array:
-    """Minimum over the first axis by halves: XLA on CPU vectorises these, but no reduction."""
+    """Minimum over the first axis by halves: XLA on CPU vectorizes these, but no reduction."""
     count = values.shape[0]
     while count > 1:
         half = (count + 1) // 2

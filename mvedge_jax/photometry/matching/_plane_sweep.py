@@ -1,4 +1,4 @@
-"""Plane sweep of the crosshair: the baseline that the method has to beat."""
+"""Plane sweep of the crosshair: a baseline."""
 
 from typing import NamedTuple
 
@@ -19,7 +19,7 @@ class PlaneSweep(NamedTuple):
 
     Attributes:
         disparity: px per view step, `[y, x]`.
-        cost: of the winner, `[y, x]`: 0 where the better halves of both arms agree, 2 where no
+        cost: least cost, `[y, x]`: 0 where the better halves of both arms agree, 2 where no
             view does.
     """
 
@@ -35,30 +35,29 @@ def plane_sweep(
     window: int = 2,
     disparity_range: tuple[float, float] | Float[Array, "2"] | None = None,
 ) -> PlaneSweep:
-    """Disparity of the centre view by winner-takes-all over planes.
+    """Disparity of the center view by winner-takes-all over planes.
 
-    The matching cost is that of `hypotheses`: over the better half of either arm, truncated colour
-    differences in a window of like colours. The cheapest plane wins, and a parabola through its
-    cost and its neighbours' gives the fraction of a plane.
+    The matching cost is that of `hypotheses`: truncated color differences in a color-weighted
+    window, over the better half of either arm. The plane of least cost wins, and a parabola
+    through its cost and those beside it gives the fraction of a plane.
 
-    There is no regularisation: surfaces without texture come out as noise, which is what a baseline
-    is for; nor are noise and gains of the views measured. Planes should be no more than half a
-    pixel apart in the outermost views.
+    There is no regularization, so surfaces without texture are noise; noise and gains of the views
+    are not measured. Planes should be no more than half a pixel apart in the outermost views.
 
     Args:
         light_field: the views; only the crosshair is read, never the ground truth.
-        params: of the cost, traced; what is for paths and pooling is not read.
-        planes: number of disparities that are tried, at least 2, static.
+        params: parameters of the cost, traced; those of paths and pooling are not read.
+        planes: number of disparities, at least 2, static.
         window: half the width of the windows in which colors are compared, px, static.
         disparity_range: lowest and highest plane, px per view step, traced; the light field's own
             range by default.
 
     Returns:
-        The disparity map with its costs. Differentiable with respect to views and parameters
-        through the parabola only, the winning plane being held fixed.
+        The disparity map with its costs. Differentiable in views and parameters through the
+        parabola; the winning plane is a selection.
 
     Raises:
-        ValueError: if neither the arguments nor the light field tell the disparity range.
+        ValueError: neither the arguments nor the light field give a disparity range.
 
     Source: not in the thesis; the plane sweep of Collins (1996) with the half arms of Kang et al.
     (2001).

@@ -1,4 +1,4 @@
-"""Pooling of matching costs: under noise a window of 5x5 px says too little."""
+"""Pooling of matching costs in noisy views, where a window of 5x5 px is too small."""
 
 import equinox as eqx
 import jax
@@ -13,17 +13,17 @@ from mvedge_jax.image import gaussian, highest
 
 from ..brightness._noise import Noise
 
-# Disparities that are filtered together: memory against speed, no choice of results.
+# Disparities filtered together: trades memory against speed; results do not depend on it.
 _SLAB = 8
 
 
 class Pooling(eqx.Module):
-    """How far matching costs are averaged along surfaces where noise rules.
+    """Parameters of the averaging of matching costs along surfaces in noisy views.
 
     Attributes:
         length: standard deviation of the filter within one color.
-        step: step of the guide, per unit of noise, that ends pooling like its whole length.
-        reach: how far from an outline its costs are those of the nearer surface, px.
+        step: step of the guide, per unit of noise, that attenuates pooling as much as `length`.
+        reach: distance from an outline within which costs are those of the nearer surface, px.
     """
 
     length: Float[Array, ""] = number(20.0, "px")
@@ -42,13 +42,13 @@ def pooled(
 ) -> Float[Array, "d y x"]:
     """Averages every slice of a matching cost along the surfaces of an image.
 
-    A recursive filter along rows and columns, twice, that ends where the guide's colour changes.
-    Costs within `reach` of a strong edge hardly count: they are those of the nearer surface on both
-    of its sides, and would be carried onto the farther one.
+    A recursive filter along rows and columns, twice, stops where the guide's color changes. Costs
+    within `reach` of a strong edge have little weight: they are those of the nearer surface on
+    both of its sides and would spread onto the farther one.
 
     Args:
         cost: per disparity and pixel, `[d, y, x]`.
-        lab: the denoised centre view in CIELAB, `[c, y, x]`.
+        lab: the denoised center view in CIELAB, `[c, y, x]`.
         noise: pooling fades with its `alpha`.
         params: see `Pooling`.
 
@@ -77,8 +77,8 @@ def pooled(
         def some(slab: Array) -> Array:
             return _smooth(slab, steps, reach)
 
-        # The trust itself goes along as one more slice. In slabs, for the sake of what reverse mode
-        # keeps of a filter.
+        # The weights are filtered as one more slice. In slabs, to limit the memory of reverse
+        # mode.
         count = cost.shape[0]
         slabs = -(-(count + 1) // _SLAB)
         spare = slabs * _SLAB - count - 1
@@ -100,7 +100,7 @@ def _gradient(lab: Float[Array, "c y x"]) -> Float[Array, "y x"]:
 
 
 def _distance(lab: Float[Array, "c y x"], axis: int) -> Array:
-    """Colour step between each pixel and the one before it along an axis, 0 for the first."""
+    """Color step between each pixel and the one before it along an axis, 0 for the first."""
     margin = [(0, 0), (0, 0)]
     margin[axis] = (1, 0)
     return root(jnp.pad(plane_sum(jnp.diff(lab, axis=1 + axis) ** 2), margin))

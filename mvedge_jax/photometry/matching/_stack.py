@@ -1,4 +1,4 @@
-"""The cost of a disparity over views in any places: the half of them that agrees better."""
+"""The cost of a disparity over views at any positions, over the half that agrees better."""
 
 import jax
 import jax.numpy as jnp
@@ -21,17 +21,17 @@ def stack_costs(
 ) -> Float[Array, "d y x"]:
     """The costs of all disparities, as `volume` has those of two arms.
 
-    What hides a pixel hides it from one side, as a rule, so that of all views only the better half
-    counts: its mean of truncated squared colour differences over a colour-weighted window. Of each,
-    a change of the window's mean colour within limits, which grow with the distance from the
-    reference, is taken out first. A view in whose frame a pixel is not, or behind whose camera,
-    confirms nothing.
+    An occluder usually hides a pixel on one side, so only the better half of all views counts: its
+    mean of truncated squared color differences over a color-weighted window. A change of the
+    window's mean color is removed first, up to limits that grow with the distance from the
+    reference. A view has the largest cost if the pixel is outside of its frame or behind its
+    camera.
 
     Args:
-        views: low-passed, gains taken out.
-        disparities: what to try.
-        weights: of the windows of the cost and of the drift, see `Swept`.
-        share: how much of the drift is granted.
+        views: views after gains, low-passed.
+        disparities: hypotheses, px.
+        weights: window weights of the cost and of the drift, see `Swept`.
+        share: share of the drift that is allowed.
         limits: see `Limits`.
 
     Returns:
@@ -54,7 +54,7 @@ def stack_costs(
             there = view.readable(x, y, shape, own)
             change = jnp.stack(linear(view.planes, x, y)) - reference
             gray = plane_sum(change) / change.shape[0]
-            # What is far beyond any drift is another surface, and says nothing about this one.
+            # Changes far beyond any drift belong to another surface and are ignored.
             gray = jnp.where(there, jnp.clip(gray, -3 * limit, 3 * limit), 0)
             drift = weighted_sum(gray[None], wide, spacing=2)[0]
             drift = share * jnp.clip(drift, -limit, limit)
@@ -66,7 +66,7 @@ def stack_costs(
 
 
 def better_half(costs: Float[Array, "s y x"]) -> Float[Array, "y x"]:
-    """Mean of the smaller half of the costs, by exchanges: XLA on CPU vectorises these, no sort."""
+    """Mean of the smaller half of the costs, by exchanges, which XLA on CPU vectorizes."""
     planes = unstack(costs)
     kept = (len(planes) + 1) // 2
     for first in range(kept):
@@ -78,7 +78,7 @@ def better_half(costs: Float[Array, "s y x"]) -> Float[Array, "y x"]:
 
 
 def linear(image: Float[Array, "y x c"], x: Array, y: Array) -> list[Array]:
-    """Colours between pixels, by linear interpolation; the border is repeated."""
+    """Colors between pixels, by linear interpolation; the border is repeated."""
     height, width, channels = image.shape
     x, y = jnp.clip(x, 0, width - 1), jnp.clip(y, 0, height - 1)
     column = jnp.minimum(jnp.floor(x), width - 2).astype(jnp.int32)

@@ -1,4 +1,4 @@
-"""What the best disparity leaves unexplained between views: noise, at most."""
+"""Residual variance of the best disparity between views: an upper bound of the noise."""
 
 from collections.abc import Callable
 
@@ -16,26 +16,26 @@ from ..views import ViewSet
 from ._arm import Half, halves_of, shifted
 from ._stack import better_half, linear
 
-# Of so many rows, one is looked at: a sample, for speed.
+# One of this many rows is sampled, for speed.
 _ROWS = 8
 
 
 def between_views_variance(
     views: Crosshair | ViewSet, disparities: Float[Array, " d"], *, finer: int = 1
 ) -> Float[Array, ""]:
-    """Variance of a channel that the best disparity leaves unexplained in the half that agrees.
+    """Residual variance of a channel at the best disparity, over the half that agrees.
 
-    Of every eighth row, over windows of 7 px. Differences of interpolated views are normalised by
-    the noise that the interpolation keeps.
+    Every eighth row is sampled, in windows of 7 px. Differences of interpolated views are
+    normalized by the noise that remains after the interpolation.
 
     Args:
-        views: exposure and gains taken out; of a crosshair, the longer arm is read.
-        disparities: what to try, px per view step, evenly spaced.
-        finer: of a crosshair, so many disparities are tried for each of them: a texture that is
-            half a pixel off is no noise.
+        views: views after exposure and gains; of a crosshair, the longer arm is read.
+        disparities: hypotheses, px per view step, evenly spaced.
+        finer: number of disparities tried per hypothesis of a crosshair, so that the error of a
+            hypothesis does not look like noise.
 
     Returns:
-        What a fifth of the windows stay below; 0 where the reference shows nothing. Differentiable.
+        The 20 % quantile over the windows; 0 if the reference shows nothing. Differentiable.
     """
     if isinstance(views, ViewSet):
         unexplained = _of_stack(views)
@@ -51,7 +51,7 @@ def between_views_variance(
     best, _ = lax.scan(jax.checkpoint(consider), jnp.full_like(rows, jnp.inf), disparities)
     if not isinstance(views, ViewSet) or views.shown is None:
         return jnp.sort(best.reshape(-1))[best.size // 5]
-    # Of what is transparent, all views are of one color: its windows have no say.
+    # Transparent pixels have one color in all views: their windows are ignored.
     whole = window_sum(views.shown[0, ::_ROWS], 3, 1) > 6.5
     ordered = jnp.sort(jnp.where(whole, best, jnp.inf).reshape(-1))
     fifth = ordered[(jnp.sum(whole) // 5).astype(jnp.int32)]
@@ -90,7 +90,7 @@ def _of_stack(views: ViewSet) -> Callable[[Array], Array]:
         def one(view: ViewSet) -> Array:
             positions = view.parallax.positions(jnp.full(shape, disparity))
             x, y = (p[::_ROWS] for p in positions)
-            # Interpolation averages noise away, most between four pixels.
+            # Interpolation averages noise, most between four pixels.
             kept = jnp.ones_like(x)
             for place in (x, y):
                 part = place - jnp.floor(place)

@@ -1,9 +1,8 @@
-"""All hypotheses' costs, with a transpose that leaves out what no pixel's choice depends on.
+"""Costs of all hypotheses, with a transpose that skips hypotheses without cotangents.
 
-Of the hypotheses of a pixel, its disparity and its neighbours' depend on three, as a rule. A
-transpose that goes through all of them, image by image, is a multiple of the work that the costs
-were. Here it goes through parts of the image, and in each through the hypotheses that have
-cotangents there.
+A pixel's disparity usually depends on three of its hypotheses. A transpose over all of them, image
+by image, takes several times the work of the costs. This one visits parts of the image, and in
+each the hypotheses that have cotangents there.
 """
 
 from collections.abc import Sequence
@@ -20,13 +19,13 @@ from mvedge_jax._linear_map import linear_map
 
 from ._arm import Corner, Half, Limits, Swept, arm_cost, moved_cost, reach_of, shifted, shifted_to
 
-# Side of a part, px; results do not depend on it. In smaller ones fewer hypotheses count, but more
-# of the work is around them.
+# Side of a part, px; results do not depend on it. Smaller parts need fewer hypotheses, but have
+# larger margins.
 _PART = 64
 
 
 class Sweep(NamedTuple):
-    """What a volume of costs is made from.
+    """Inputs of a volume of costs.
 
     Attributes:
         across: the horizontal arm.
@@ -42,12 +41,12 @@ class Sweep(NamedTuple):
 
 
 class _Region(NamedTuple):
-    """A part of the image with what reaches into it.
+    """A part of the image with its margin.
 
     Attributes:
-        corner: its first row and column.
+        corner: first row and column of the part.
         wanted: cotangents of the costs of the part; 0 around it, `[d, y, x]`.
-        local: centre view, weights and share of drift there.
+        local: center view, weights and share of drift there.
     """
 
     corner: Corner
@@ -93,7 +92,7 @@ def _costs(sweep: Sweep) -> Array:
 
 def _pulled(window: int, sweep: Sweep, cotangent: Float[Array, "d y x"]) -> Sweep:
     """The transpose."""
-    # One after the other: cotangents of both arms at once take a multiple of the memory.
+    # One after the other: cotangents of both arms at once take several times the memory.
     across, along_x = _pulled_arm(window, sweep.across, sweep, cotangent)
     down, along_y = _pulled_arm(window, sweep.down, sweep, jnp.swapaxes(cotangent, 1, 2))
     return Sweep(across, down, *jax.tree.map(jnp.add, along_x, along_y))
@@ -171,7 +170,7 @@ def _level(k: Array, region: _Region, arm: Swept, sweep: Sweep, state: Any) -> A
 def _moved_back(
     planes: Array, half: Half, disparity: Array, parts: list[Array], corner: Corner
 ) -> Array:
-    """Adds what belongs to the shifted parts of a half's views to the whole planes."""
+    """Adds cotangents of the shifted parts of a half's views to the whole planes."""
     for s, part in enumerate(parts):
         planes = _added(planes, part[None], shifted_to(half, disparity, s, corner))
     return planes

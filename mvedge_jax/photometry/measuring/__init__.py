@@ -1,4 +1,4 @@
-"""The measurement: disparity and standard error of a pixel around a map, in the views it shows."""
+"""The measurement: disparity and standard error of every pixel around a map."""
 
 from ._grid import ViewSplines as ViewSplines
 from ._look import CrosshairSplines as CrosshairSplines, Look as Look

@@ -1,4 +1,4 @@
-"""Reading all views around a map: those of a light field, or posed photographs."""
+"""Normal equations over all views of a light field, or over posed photographs."""
 
 from typing import NamedTuple
 
@@ -17,12 +17,12 @@ from ..views._parallax import GridShift, Parallax, shown_at
 from ._look import Look
 from ._measuring import Measuring
 
-# What the four taps of a cubic spline reach beyond the pixel before a position.
+# Margin of the four taps of a cubic spline beyond the pixel before a position.
 _BEFORE, _AFTER = 1, 2
 
 
 class _Totals(NamedTuple):
-    """Sums over the views: weights, steps, their products, colours, their products with steps."""
+    """Sums over the views: weights, steps, their products, colors, their products with steps."""
 
     n: Array
     x: Array
@@ -37,13 +37,13 @@ class _Totals(NamedTuple):
 
 
 class ViewSplines(NamedTuple):
-    """Views in any places, ready for being read between their pixels: those of a `ViewSet`.
+    """Spline coefficients of the views of a `ViewSet`.
 
     Attributes:
         splines: coefficients of cubic splines, `[s, y, x]`; every row is longer than the images'
             by 3 px and has its channels side by side.
         parallax: where each view shows the pixels of the first one.
-        available: views that are to be read, `[s]`.
+        available: which views are read, `[s]`.
         shown: 1 where they show the scene, 0 where they are transparent; None for everywhere.
     """
 
@@ -54,7 +54,7 @@ class ViewSplines(NamedTuple):
 
     @staticmethod
     def of(views: ViewSet) -> "ViewSplines":
-        """Coefficients of views without exposure and gains. Differentiable."""
+        """Coefficients of views after exposure and gains. Differentiable."""
 
         def one(view: Array) -> Array:
             both = spline_coefficients(spline_coefficients(view, axis=-1), axis=-2)
@@ -69,8 +69,8 @@ class ViewSplines(NamedTuple):
     def look(self, disparity: Float[Array, "y x"], params: Measuring) -> Look:
         """See `CrosshairSplines.look`.
 
-        Of photographs, steps are those of the pixel itself that would move it as a change of
-        disparity does, and differ from pixel to pixel.
+        Steps of photographs differ from pixel to pixel: a step is the movement of the pixel itself
+        that is equivalent to a change of disparity by 1.
         """
         params, shown = cast(params, disparity.dtype), self.shown
         still = GridShift(jnp.zeros(2, disparity.dtype))
@@ -82,7 +82,8 @@ class ViewSplines(NamedTuple):
             seen = one.parallax.seen(disparity, params.radius, slant=params.slant) & one.available
             x, y = one.parallax.positions(disparity)
             if shown is not None and one.shown is not None:
-                # What is transparent in either is seen in neither; but the reference sees itself.
+                # Pixels that are transparent in either view are left out; the reference shows
+                # itself.
                 seen = seen & (itself | shown_at(one.shown, x, y) & (shown[0] > 0))
             weight = seen.astype(disparity.dtype)
             value, *slopes = _sample(one.splines, x, y)
@@ -140,7 +141,7 @@ def _look(total: _Totals, gx: Array, gy: Array, views: Array) -> Look:
 def _sample(
     spline: Float[Array, "h w"], x: Float[Array, "y x"], y: Float[Array, "y x"]
 ) -> tuple[Float[Array, "c y x"], Float[Array, "c y x"], Float[Array, "c y x"]]:
-    """A view where it shows the pixels, and its derivatives along x and y."""
+    """A view at the positions of the pixels, and its derivatives along x and y."""
     height, width = x.shape
     row_length = spline.shape[1]
     channels = row_length // (width + _BEFORE + _AFTER)

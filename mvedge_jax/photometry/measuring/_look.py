@@ -1,4 +1,4 @@
-"""Reading the views of the crosshair around a map."""
+"""Normal equations over the views of the crosshair, around a map."""
 
 from typing import NamedTuple
 
@@ -21,10 +21,10 @@ class ArmSplines(NamedTuple):
     """The views of an arm as coefficients of cubic splines along it.
 
     Attributes:
-        centre: of the centre view, `[c, y, x]`.
-        others: of the other views, apart, as each look would have to copy them, `[s, c, y, x]`.
-        steps: disparity is multiplied by this to get from the centre view to each other one, `[s]`.
-        available: which of them are there, `[s]`.
+        centre: coefficients of the center view, `[c, y, x]`.
+        others: coefficients of the other views, separate to avoid copies, `[s, c, y, x]`.
+        steps: view steps from the center view to each other one, `[s]`.
+        available: which of the other views are read, `[s]`.
     """
 
     centre: Float[Array, "c y x"]
@@ -34,7 +34,7 @@ class ArmSplines(NamedTuple):
 
     @staticmethod
     def of(arm: Arm) -> "ArmSplines":
-        """Coefficients of an arm. Differentiable in the colours."""
+        """Coefficients of an arm. Differentiable in the colors."""
         planes, own = spline_coefficients(arm.planes, axis=-1), arm.centre
 
         def others(of: Array) -> Array:
@@ -44,20 +44,20 @@ class ArmSplines(NamedTuple):
 
 
 class Look(NamedTuple):
-    """What the views show of every pixel around a map: sums that windows add up.
+    """Normal equations of every pixel around a map: sums over views, which windows add up.
 
-    With the steps `k = (k_x, k_y)` of the views, less their weighted mean, colours `r` and mean
-    gradients `g` per channel, the map's error `e` and the drift `h` per view step are those that
-    minimise the sum of `(r + k . (g e - h))²`. Of the crosshair, each arm has steps along one axis
+    Let `k = (k_x, k_y)` be the steps of the views minus their weighted mean, `r` the colors and
+    `g` the mean gradients per channel. The map's error `e` and the drift `h` per view step
+    minimize the sum of `(r + k . (g e - h))²`. Each arm of the crosshair has steps along one axis
     only, and a mean of its own.
 
     Attributes:
         right: `-sum (k . g) r`, `[y, x]`.
         information: `sum (k . g)²`, `[y, x]`.
         power: `sum r²`, `[y, x]`.
-        freedom: views that see the pixel less the mean colours that they determine, `[y, x]`.
-        views: how many there are whose gradients were averaged: of the crosshair, those of an arm.
-            A number, or one per pixel.
+        freedom: degrees of freedom: views that show the pixel minus mean colors, `[y, x]`.
+        views: number of views whose gradients were averaged (of the crosshair, those of an arm), a
+            scalar or one per pixel.
         spread: `sum k_x²` and `sum k_y²`, `[y, x]`.
         cross: `sum k_x k_y`, `[y, x]`; None for the crosshair, which has none.
         slope: `sum k_x (k . g)` and `sum k_y (k . g)`, per channel `[y, x]`.
@@ -75,12 +75,12 @@ class Look(NamedTuple):
     trend: tuple[tuple[Array, ...], ...]
 
     def per_pixel(self) -> "Look":
-        """The same, `views` per pixel, so that looks can be mixed by pixel."""
+        """The same with `views` per pixel, so that two of them can be mixed by pixel."""
         return self._replace(views=jnp.broadcast_to(self.views, self.right.shape))
 
 
 class _Moments(NamedTuple):
-    """Sums over the views that see a pixel: weights, steps, colours, gradients."""
+    """Sums over the views that show a pixel: weights, steps, colors, gradients."""
 
     weight: Array
     step: Array
@@ -92,7 +92,7 @@ class _Moments(NamedTuple):
 
 
 class CrosshairSplines(NamedTuple):
-    """The views of a crosshair, ready for being read between their pixels.
+    """Spline coefficients of the views of a crosshair.
 
     Attributes:
         horizontal: the horizontal arm.
@@ -104,26 +104,26 @@ class CrosshairSplines(NamedTuple):
 
     @staticmethod
     def of(arms: Crosshair) -> "CrosshairSplines":
-        """Coefficients of both arms. Differentiable in the colours."""
+        """Coefficients of both arms. Differentiable in the colors."""
         return CrosshairSplines(*map(ArmSplines.of, arms))
 
     @jax.jit
     def look(self, disparity: Float[Array, "y x"], params: Measuring) -> Look:
-        """Reads colours and gradients of all views around a map.
+        """Accumulates colors and gradients of all views around a map.
 
         Args:
             disparity: px per view step, `[y, x]`.
             params: see `Measuring`.
 
         Returns:
-            What `labels` and `mismatch` read. Differentiable.
+            Inputs of `labels` and `mismatch`. Differentiable.
         """
         params = cast(params, disparity.dtype)
 
         def sums(arm: ArmSplines, disparity: Array) -> Look:
             return _sums(_arm_views(arm, disparity, params), arm)
 
-        # Stored, or the vertical arm is summed up across the rows in memory.
+        # Stored; otherwise the vertical arm is summed across the rows in memory.
         turned = fenced(sums, self.vertical, disparity.T)
         return self._joined(fenced(sums, self.horizontal, disparity), turned)
 
@@ -131,17 +131,17 @@ class CrosshairSplines(NamedTuple):
     def look_with_weights(
         self, disparity: Float[Array, "y x"], params: Measuring
     ) -> tuple[Look, Float[Array, "s y x"]]:
-        """`look`, and how far each view shows what the centre view shows.
+        """`look`, and the weight of each view at every pixel.
 
         Args:
             disparity: px per view step, `[y, x]`.
             params: see `Measuring`.
 
         Returns:
-            What `look` returns; the weights of the views, those of the vertical arm first, in
-            [0, 1]: 0 where a nearer surface of the map hides a pixel or the image ends, less than
-            one half where colours are further from those of the other views than these are from
-            each other. Differentiable at the occlusions found.
+            The result of `look`; the weights of the views, those of the vertical arm first, in [0,
+            1]: 0 where a nearer surface of the map hides a pixel or the image ends, less than one
+            half where colors differ more from the other views than these from each other.
+            Differentiable at the occlusions found.
         """
         params = cast(params, disparity.dtype)
 
@@ -169,7 +169,7 @@ class CrosshairSplines(NamedTuple):
 
 
 class _ArmViews(NamedTuple):
-    """What the views of an arm but the centre one show, and how far they are trusted."""
+    """Colors, gradients and weights of the views of an arm without the center view."""
 
     own: Array
     weight: Array
@@ -195,7 +195,7 @@ def _arm_views(arm: ArmSplines, disparity: Array, params: Measuring) -> _ArmView
         relative = tuple(v - c for v, c in zip(values, centre, strict=True))
         return (seen.astype(disparity.dtype), *relative, *slopes)
 
-    # Colours are relative to the centre view, whose own are therefore 0.
+    # Colors are relative to the center view, whose own are therefore 0.
     seen, *rest = lax.map(one, (arm.others, arm.steps, arm.available))
     relative, gradients = rest[: len(centre)], rest[len(centre) :]
     first = _moments(seen, arm.steps, relative, gradients, jnp.ones_like(disparity), slopes)
@@ -211,7 +211,7 @@ def _moments(
     own: Array,
     slopes: list[Array],
 ) -> _Moments:
-    """Sums over the views; `own` and `slopes` are weight and gradients of the centre view."""
+    """Sums over the views; `own` and `slopes` are weight and gradients of the center view."""
     step = steps[:, None, None]
     first = weight * step
     return _Moments(
@@ -228,7 +228,7 @@ def _moments(
 def _trusted(
     seen: Array, values: list[Array], moments: _Moments, params: Measuring
 ) -> tuple[Array, Array]:
-    """Weights of the centre view and of the others: those far from the mean count less."""
+    """Weights of the center view and of the others: outliers from the mean weigh less."""
     means = [c / moments.weight for c in moments.colour]
     spread = moments.power
     for mean, colour in zip(means, moments.colour, strict=True):
@@ -262,7 +262,7 @@ def _sums(seen: _ArmViews, arm: ArmSplines) -> Look:
         contrast = contrast + gradient * gradient
         power = power - colour * colour / moments.weight
     slope = tuple(spread * g for g in gradients)
-    # Half of them: those of both arms are added up to those of an arm.
+    # Half of them, because the sums of both arms are added.
     views = 0.5 * (1 + jnp.sum(arm.available.astype(power.dtype)))
     freedom, trend = moments.weight - 1, tuple(trends)
     return Look(

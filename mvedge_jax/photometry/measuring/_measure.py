@@ -1,4 +1,4 @@
-"""Dense labels: where the views themselves put the surface, and how well they know it."""
+"""Dense labels: disparity and standard error of every pixel from the views."""
 
 from collections.abc import Callable
 from functools import partial
@@ -27,9 +27,9 @@ class PhotometricLabels(NamedTuple):
 
     Attributes:
         disparity: px per view step, `[y, x]`.
-        variance: of the disparity, px², `[y, x]`: residual over contrast, and what no residual
-            tells (`Measurement.error_floor`).
-        residual: variance of the colours over the views that see the pixel, `[y, x]`.
+        variance: variance of the disparity, px², `[y, x]`: residual over contrast, plus the error
+            that views share (`Measurement.error_floor`).
+        residual: variance of the colors over the views that show the pixel, `[y, x]`.
     """
 
     disparity: Float[Array, "y x"]
@@ -39,10 +39,10 @@ class PhotometricLabels(NamedTuple):
     def weight(
         self, params: Measuring, *, precision: Float[Array, ""], trust: Float[Array, ""]
     ) -> Float[Array, "y x"]:
-        """Data weight of the labels: by standard error, and by how well the views agree.
+        """Data weight of the labels by standard error and residual.
 
         Args:
-            params: of the measurement.
+            params: parameters of the measurement.
             precision: standard error, px, at which a label counts half as much as a perfect one.
             trust: residual, in multiples of the noise variance, that halves the weight.
 
@@ -65,23 +65,23 @@ def labels(
 ) -> PhotometricLabels:
     r"""One Gauss-Newton step of every pixel's disparity towards photo-consistency.
 
-    Around the map given, the colour of a surface point changes from view to view by
-    $k\,(\bar g\,\delta + h)$: the view step, the mean gradient along the step, the error of the
-    disparity, and a drift of the colour itself, as gloss and shading have it. Regressing the
-    colours on the view steps, over the views that see the point and over the neighbours on the
-    same surface, gives $\delta$ with its standard error; the drift, one per channel and axis for a
-    window, is eliminated. Views that the map itself hides are left out, those that disagree with
-    the others are weighed down.
+    Around the given map, the color of a surface point changes from view to view by $k\,(\bar
+    g\,\delta + h)$ with the view step $k$, the mean gradient $\bar g$ along the step, the error
+    $\delta$ of the disparity, and a drift $h$ of the color by gloss and shading. Colors are
+    regressed on view steps, over the views that show the point and over the neighbors on the same
+    surface. This gives $\delta$ with its standard error; the drift, one per channel and axis of a
+    window, is eliminated. Views in which the map hides the point are left out; views that disagree
+    with the others get less weight.
 
-    The gradient of noise is no information about disparity. What the residual says about the
-    noise is therefore subtracted from the information, so that plain surfaces have none.
+    The gradient of noise has no information about disparity. Its energy, by the residual, is
+    therefore subtracted from the information, so that plain surfaces have none.
 
     Args:
-        found: what the views show around `disparity`, see `CrosshairSplines.look`.
-        lab: the centre view in CIELAB, `[c, y, x]`.
+        found: normal equations around `disparity`, see `CrosshairSplines.look`.
+        lab: the center view in CIELAB, `[c, y, x]`.
         disparity: the map to improve, px per view step, `[y, x]`.
         params: see `Measuring`.
-        passes: over the neighbourhood: 1 for 3x3 pixels, 2 for 7x7, 3 for 15x15.
+        passes: passes over the neighborhood: 1 for 3x3 pixels, 2 for 7x7, 3 for 15x15.
 
     Returns:
         Labels with their variances. Differentiable.
@@ -100,7 +100,7 @@ def labels(
     stiffness = _stiffness(total, params, floor, wider)
     right, information, power = _regressed(total, stiffness)
     residual = jnp.maximum(power, 0) / freedom
-    # The step explains a part of the residual itself.
+    # The step explains a part of the residual.
     noise = jnp.maximum(power - _explained(right, information, tiny), 0) / freedom
     spread = total.spread[0] + total.spread[1]
     gradient = params.gradient_noise * channels * spread / found.views
@@ -110,7 +110,7 @@ def labels(
     step = _over(right, information + tiny) * share / (share**2 + params.least_share**2)
     limit = params.largest_step
     step = limit * jnp.tanh(step / limit)
-    # The right-hand side has the variance of the whole information, the step that of the signal.
+    # The variance of the right-hand side is by the whole information, the step by the signal.
     effective = signal * share
     variance = _over(jnp.maximum(noise, floor), effective + tiny) + params.error_floor**2
     return PhotometricLabels(disparity + step, variance, residual)
@@ -119,11 +119,11 @@ def labels(
 def _stiffness(
     total: Look, params: Measuring, floor: Array, wider: Callable[[_Pair], _Pair]
 ) -> Array:
-    """How little the drift of every window is believed in, in squared view steps.
+    """Stiffness of the prior that holds the drift of every window at 0, in squared view steps.
 
-    Matt surfaces have none, and looking for it there costs a part of the information; on glossy
-    ones it is what there is to explain. The surroundings tell: what drifts explain in them,
-    beyond disparities, is compared with what as many numbers explain of noise.
+    Matt surfaces have no drift, and estimating one costs a part of the information; glossy ones
+    need it. The reduction of the residual by drifts, in the surroundings of a pixel, is compared
+    with the reduction by as many parameters in noise.
     """
     channels, tiny = len(total.slope[0]), floor * 1e-6
     right, information, left = _regressed(total, params.stiffness)
@@ -139,7 +139,7 @@ def _stiffness(
 
 
 def _regressed(total: Look, stiffness: Array) -> tuple[Array, Array, Array]:
-    """Right-hand side, information and power of a window, less what its drift explains."""
+    """Right-hand side, information and power of a window after elimination of the drift."""
     right, information, power = total.right, total.information, total.power
     for slope, trend in zip(
         zip(*total.slope, strict=True), zip(*total.trend, strict=True), strict=True
@@ -152,20 +152,21 @@ def _regressed(total: Look, stiffness: Array) -> tuple[Array, Array, Array]:
 
 
 def _explained(right: Array, information: Array, tiny: Array) -> Array:
-    """What the step of the disparity takes off the power."""
+    """Reduction of the power by the step of the disparity."""
     return _over(right * right, information + tiny)
 
 
 def _over(part: Array, whole: Array) -> Array:
-    """A quotient whose transpose meets what is small before the inverse square of what is.
+    """A quotient whose transpose multiplies by small factors first.
 
-    That of a division multiplies large cotangents by the inverse square first, beyond float32.
+    The transpose of a division multiplies large cotangents by the inverse square first, which
+    overflows float32.
     """
     return part * (1 / whole)
 
 
 def _undrifted(total: Look, sums: tuple[Array, Array], stiffness: Array) -> tuple[Array, Array]:
-    """The drift that explains sums over views times their steps."""
+    """The drift, from sums over views times their steps."""
     xx, yy = (spread + stiffness for spread in total.spread)
     x, y = sums
     if total.cross is None:
@@ -187,20 +188,20 @@ def shared(
     *,
     passes: int,
 ) -> PhotometricLabels:
-    """Labels averaged with those of neighbours on the same surface, by their precision.
+    """Averages labels with those of neighbors on the same surface, weighted by their precision.
 
-    A step of `labels` is that of a window, taken from every pixel's own start: what the starts
-    scatter by is still in the labels.
+    A step of `labels` is that of a window, taken from every pixel's own start, so the scatter of
+    the starts is still in the labels.
 
     Args:
-        measured: of `labels`.
-        lab: the centre view in CIELAB, `[c, y, x]`.
+        measured: result of `labels`.
+        lab: the center view in CIELAB, `[c, y, x]`.
         params: see `Measuring`.
-        passes: over the neighbourhood, see `labels`.
+        passes: passes over the neighborhood, see `labels`.
 
     Returns:
-        The averages; variance and residual are those of the pixel itself, since neighbours were
-        measured in windows that overlap. Differentiable.
+        The averages. Variance and residual are those of the pixel itself, because the windows of
+        neighbors overlap. Differentiable.
     """
     params = cast(params, lab.dtype)
     own = measured.disparity
@@ -219,14 +220,14 @@ def mismatch(
     *,
     passes: int,
 ) -> Float[Array, "y x"]:
-    """Variance of the colours of every window over the views that see it, drift included.
+    """Residual variance of every window's colors over the views, drift included.
 
     Args:
-        found: of `look`, around `disparity`.
-        lab: the centre view in CIELAB, `[c, y, x]`.
+        found: result of `look` around `disparity`.
+        lab: the center view in CIELAB, `[c, y, x]`.
         disparity: px per view step, `[y, x]`.
         params: see `Measuring`.
-        passes: over the neighbourhood.
+        passes: passes over the neighborhood.
 
     Returns:
         Squared sRGB, `[y, x]`. Differentiable.
@@ -240,11 +241,11 @@ def mismatch(
 
 
 class _Unlike(NamedTuple):
-    """By what neighbours are told from those on the same surface.
+    """Features by which neighbors on the same surface are recognized.
 
     Attributes:
-        planes: disparity and colours, `[n, y, x]`.
-        scales: differences that tell, likewise.
+        planes: disparity and colors, `[n, y, x]`.
+        scales: significant differences of each plane, `[n, y, x]`.
     """
 
     planes: Array
@@ -258,7 +259,7 @@ def _uncertain(found: Look, params: Measuring) -> Array:
 
 
 def _unlike(lab: Array, disparity: Array, params: Measuring, variance: Array) -> _Unlike:
-    """What tells surfaces apart: disparities tell less where they are known less well."""
+    """Features of surfaces; the tolerance of disparity grows with its variance."""
     same = params.same_surface**2
     most = params.plain**2 * same
     apart = root(same + most * _over(variance, most + variance))
@@ -266,17 +267,17 @@ def _unlike(lab: Array, disparity: Array, params: Measuring, variance: Array) ->
 
 
 def _told_apart(lab: Array, disparity: Array, params: Measuring, apart: Array) -> _Unlike:
-    """What tells surfaces apart, the difference of disparities that does given."""
+    """Features of surfaces with a given tolerance of disparity."""
     colours = jnp.broadcast_to(params.same_colour, lab.shape)
     apart = jnp.broadcast_to(apart, (1, *disparity.shape))
     return _Unlike(jnp.concatenate([disparity[None], lab]), jnp.concatenate([apart, colours]))
 
 
 def _gather(own: _Tree, unlike: _Unlike, passes: int) -> _Tree:
-    """Sums over neighbours on the same surface.
+    """Sums over neighbors on the same surface.
 
-    Passes over 3x3 pixels, each twice as far apart as the one before: the window of the second is
-    7x7, that of the third 15x15, for 9 terms a pass.
+    Each pass sums over 3x3 pixels, twice as far apart as in the pass before: the window of the
+    second is 7x7, that of the third 15x15, for 9 terms a pass.
     """
     for i in range(passes):
         own = _gathered(own, unlike, spacing=2**i)
@@ -287,13 +288,13 @@ def _gathered(own: _Tree, unlike: _Unlike, spacing: int) -> _Tree:
     """One pass of `_gather`."""
     fields, tree = jax.tree.flatten(own)
     weights = _alike(unlike, spacing)
-    # Nothing is known beyond the border.
+    # There is no data beyond the border.
     total = weighted_sum(jnp.stack(fields), weights, spacing=spacing, mode="constant")
     return tree.unflatten(unstack(total))
 
 
 def _alike(unlike: _Unlike, spacing: int) -> Float[Array, "o y x"]:
-    """Weights of 3x3 neighbours by their likeness."""
+    """Weights of 3x3 neighbors by their similarity."""
     own, scales = unlike
     margin = (spacing, spacing)
     padded = jnp.pad(own, ((0, 0), margin, margin), mode="edge")

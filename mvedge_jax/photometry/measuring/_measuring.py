@@ -14,29 +14,29 @@ class Measurement(eqx.Module):
     """Disparity and standard error of every pixel around a map, from the views that show it.
 
     Attributes:
-        drift: how much more a drift of the colours from view to view must explain, around a
-            pixel, than it does of noise, for half of it to be believed; 0 believes every drift.
-        same_surface: neighbours whose disparity differs by much more than this do not take part in
-            a pixel's measurement.
-        plain: where nothing is known of disparities, those of one surface may differ this many
-            times more.
-        scatter: disparities of one surface, found pixel by pixel, differ by this many times what a
-            map's do: so much is allowed for where pixels' labels are averaged.
-        same_colour: nor do those whose CIELAB colour differs by much more than this.
-        outlier: residuals this many times larger than the noise stop counting.
-        error_floor: smallest standard error: what interpolation and the pixels' own sampling make
-            of an outline is alike in many views, so that neither noise nor their number tells it.
-        surest: evidence for a drift below this share of what half of the drift needs counts alike.
-        least_noise: standard errors never take noise for less than this many times that of
-            rounding.
-        least_share: where the signal is a smaller share of the information than this, it does not
-            move the map.
-        largest_step: a measurement moves by at most this.
+        drift: ratio of the variance that a drift of the colors explains around a pixel to what it
+            explains of noise, at which half of the drift is accepted; 0 accepts every drift.
+        same_surface: neighbors whose disparity differs by much more than this have no weight in a
+            pixel's measurement.
+        plain: factor of `same_surface` where disparities are undetermined.
+        scatter: factor of `same_surface` where labels of pixels are averaged, because they scatter
+            more than a map.
+        same_colour: neighbors whose CIELAB color differs by much more than this have no weight
+            either.
+        outlier: residuals this many times larger than the noise lose their weight.
+        error_floor: smallest standard error. Errors of interpolation and of the sampling of
+            outlines are common to many views, so the residual does not contain them.
+        surest: lower bound of the evidence for a drift, as a share of the evidence at which half
+            of the drift is accepted.
+        least_noise: lower bound of the noise in standard errors, in multiples of the rounding
+            error.
+        least_share: least share of the signal in the information at which the map moves.
+        largest_step: largest step of a measurement.
         slant: differences of disparity below this are slant, not occlusion.
-        radius: how far occluders are looked for, px.
-        passes: over the neighbors whose measurements are shared, see `labels`.
-        views: which of them labels are measured in: `"crosshair"`, or, in two more solves at the
-            end, `"all"`.
+        radius: largest distance of occluders, px.
+        passes: passes over the neighborhood, see `labels`.
+        views: the views to measure labels in: `"crosshair"`, or `"all"`, in two more solves at the
+            end.
     """
 
     drift: Float[Array, ""] = number(0.7, "noise variances")
@@ -61,17 +61,16 @@ class Measurement(eqx.Module):
 
 
 class Measuring(Measurement):
-    """The same in views of a certain noise, which may hide the colours of surfaces.
+    """Parameters of a measurement in views of a given noise.
 
     Attributes:
-        stiffness: how sure it is from the start that colours do not drift: 1 says nothing; larger
-            where noise would pass for drift.
-        noise: standard deviation of the images' noise, quantisation and interpolation included, in
-            units of sRGB; the floor of what residuals are taken to mean.
-        rounding: standard deviation of what the images were rounded by, as much larger as they
-            were made brighter, sRGB. No residual means less, and standard errors know noise no
-            better than `least_noise` says: over many views the mean of a window is finer than the
-            step of a single colour.
+        stiffness: factor of the prior against drift, 1 without noise; larger where noise looks
+            like drift.
+        noise: standard deviation of the images' noise, quantization and interpolation included, in
+            units of sRGB; a lower bound of residuals.
+        rounding: standard deviation of the rounding error, scaled by the brightening, sRGB: a
+            lower bound of residuals. `least_noise` bounds the noise in standard errors, because
+            the mean of a window over many views is finer than the step of a single color.
         gradient_noise: energy of an image's derivative per variance of its noise, 1/px². For white
             noise and cubic splines it is 2.49; blurred views have less.
     """

@@ -1,4 +1,4 @@
-"""How far along the crosshair a pixel stays visible, from a disparity map alone."""
+"""Visible range of view steps of every pixel, from a disparity map alone."""
 
 import jax.numpy as jnp
 from jax import lax
@@ -17,7 +17,7 @@ def occlusion_reach(
 
     Args:
         disparity: px per view step, `[y, x]`, larger is nearer.
-        radius: how many pixels to look to either side: the number of view steps times the largest
+        radius: largest distance of occluders, px: the number of view steps times the largest
             difference of disparities.
         step: differences of disparity below this, px, are slant, not occlusion.
 
@@ -37,7 +37,7 @@ def occlusion_reach(
     width = disparity.shape[1]
     least = jnp.asarray(step, disparity.dtype)
     never = jnp.full_like(disparity, jnp.inf)
-    # Padding with the farthest surface: what lies outside of the image hides nothing.
+    # Padding with the farthest surface: pixels outside of the image hide nothing.
     padded = jnp.pad(disparity, ((0, 0), (radius, radius)), constant_values=-jnp.inf)
 
     def look(found: tuple[Array, Array], distance: Array) -> tuple[tuple[Array, Array], None]:

@@ -1,4 +1,4 @@
-"""Views in any places: posed photographs, or those of a light field; where they show a pixel."""
+"""Views at any positions (photographs or light fields), and where they show a pixel."""
 
 from ._parallax import (
     GridShift as GridShift,

@@ -1,4 +1,4 @@
-"""Where the other views show a pixel: by a step of a grid, or by a homography and an epipole."""
+"""Positions of a pixel in other views: by a grid step, or by a homography and an epipole."""
 
 from typing import NamedTuple, Protocol, runtime_checkable
 
@@ -8,21 +8,21 @@ from jaxtyping import Array, Bool, Float
 
 from mvedge_jax._root import root
 
-# Guards divisions: what views show that look almost across the line of sight is not worth one.
+# Guards divisions for views that see a surface almost edge-on.
 _BEHIND = 1e-3
 
 
 @runtime_checkable
 class Parallax(Protocol):
-    """Where a view, or each of a stack of views, shows the pixels of the reference view.
+    """Positions of the reference view's pixels in a view, or in each view of a stack.
 
-    A pytree of arrays; with a leading axis for a stack, of which loops take one view at a time.
-    Differentiable but for `seen`.
+    A pytree of arrays, with a leading axis for a stack; loops take one view at a time. All results
+    but `seen` are differentiable.
     """
 
     @property
     def apart(self) -> Float[Array, "*s"]:
-        """Distance from the reference view, in view steps or likewise; 0 for the reference."""
+        """Distance from the reference view, in view steps or baselines; 0 for the reference."""
         ...
 
     def positions(self, disparity: Float[Array, "y x"]) -> tuple[Array, Array]:
@@ -30,21 +30,21 @@ class Parallax(Protocol):
         ...
 
     def steps(self, disparity: Float[Array, "y x"]) -> tuple[Array, Array]:
-        """How far the pixel itself would have to move to move as a change of disparity does."""
+        """Movement of the pixel itself that is equivalent to a change of disparity by 1."""
         ...
 
     def pulled(
         self, disparity: Float[Array, "y x"], slopes: tuple[Array, Array]
     ) -> tuple[Array, Array]:
-        """Derivatives along the view's axes as such along the reference view's."""
+        """Converts derivatives along the view's axes to those along the reference view's."""
         ...
 
     def seen(
         self, disparity: Float[Array, "y x"], radius: int, *, slant: Float[Array, ""] | float = 0.05
     ) -> Bool[Array, "y x"]:
-        """Pixels that the view shows: within its frame, not behind others up to `radius` px away.
+        """Pixels within the view's frame that no other pixel within `radius` px hides.
 
-        Differences of disparity below `slant`, px, hide nothing.
+        Differences of disparity below `slant`, px, are not occlusions.
         """
         ...
 
@@ -85,9 +85,10 @@ class GridShift(NamedTuple):
     ) -> Bool[Array, "y x"]:
         """See `Parallax`.
 
-        What lies `j` px away against the direction of the view's step hides a pixel if it is nearer
-        by `j` over the length of the step; half a pixel and half a step are the pixels' own size.
-        `slant` is not needed: that size is more.
+        A pixel `j` px away, against the direction of the view's step, hides another if its
+        disparity is larger by `j` over the length of the step, with a tolerance of half a pixel
+        and half a step for the size of pixels. `slant` is not needed, because this tolerance is
+        larger.
         """
         del slant
         disparity, step = lax.stop_gradient(disparity), self.step
@@ -114,7 +115,7 @@ class PlaneParallax(NamedTuple):
     `H = K R K_r^-1` and `e = K t / s`, where `d` is `s` times the inverse depth.
 
     Attributes:
-        homography: `H`, for what is infinitely far away.
+        homography: `H`, for points at infinity.
         epipole: `e`: times the disparity, where the reference view's camera is seen.
     """
 
@@ -127,7 +128,7 @@ class PlaneParallax(NamedTuple):
         return root(jnp.sum(self.epipole**2, axis=-1))
 
     def positions(self, disparity: Float[Array, "y x"]) -> tuple[Array, Array]:
-        """See `Parallax`; what is behind the view's camera is far outside of its frame."""
+        """See `Parallax`; points behind the view's camera are far outside of its frame."""
         (x, y), depth = self._homogeneous(disparity)
         ahead = depth > _BEHIND
         safe = jnp.where(ahead, depth, 1)
@@ -138,7 +139,7 @@ class PlaneParallax(NamedTuple):
         """See `Parallax`: not the movement in the view, which is turned and magnified."""
         (xx, xy, yx, yy), (along_x, along_y) = self._jacobian(disparity)
         determinant = xx * yy - xy * yx
-        # Where a view sees the pixels from behind, or edge-on, it tells nothing.
+        # A view from behind a surface, or edge-on, has no information.
         usable = jnp.abs(determinant) > _BEHIND
         safe = jnp.where(usable, determinant, 1)
         x, y = (yy * along_x - xy * along_y) / safe, (xx * along_y - yx * along_x) / safe
@@ -157,10 +158,10 @@ class PlaneParallax(NamedTuple):
     ) -> Bool[Array, "y x"]:
         """See `Parallax`.
 
-        Nearer is what is nearer to the view's own camera: seen from elsewhere, larger disparities
-        may be farther away. All pixels are drawn into the view, which keeps the nearest; gaps of a
-        pixel are closed from both sides. Differences below `slant`, px, are no occlusion. `radius`
-        is not needed: any pixel may hide any other.
+        Nearness is relative to the view's own camera, from which larger disparities may be farther
+        away. All pixels are drawn into the view, which keeps the nearest; gaps of a pixel are
+        closed from both sides. Differences below `slant`, px, are not occlusions. `radius` is not
+        needed, because any pixel may hide any other.
         """
         disparity = lax.stop_gradient(disparity)
         height, width = disparity.shape
@@ -177,7 +178,7 @@ class PlaneParallax(NamedTuple):
         _, (along_x, along_y) = self._jacobian(disparity)
         length = jnp.maximum(jnp.abs(along_x), jnp.abs(along_y))
         slack = 0.5 / (length + 0.5) + slant
-        # From the same place, everything is seen.
+        # From the same position, everything is visible.
         return ahead & ~(((shown - near) * depth > slack) & (length > 0))
 
     def _homogeneous(self, disparity: Array) -> tuple[tuple[Array, Array], Array]:
@@ -217,8 +218,8 @@ def shown_at(
     """Whether the pixels nearest to positions show the scene.
 
     Args:
-        shown: of a photograph, 1 or 0.
-        x: columns, px; those outside of the frame are moved to its border.
+        shown: opacity of a photograph, 1 or 0.
+        x: columns, px, clipped to the frame.
         y: rows.
 
     Returns:
@@ -233,6 +234,6 @@ def shown_at(
 
 
 def _closed(front: Float[Array, "y x"]) -> Float[Array, "y x"]:
-    """An image without gaps of one pixel along its rows: both sides of a gap are nearer."""
+    """Closes gaps of one pixel along the rows, where both sides are nearer."""
     padded = jnp.pad(front, ((0, 0), (1, 1)), constant_values=-jnp.inf)
     return jnp.maximum(front, jnp.minimum(padded[:, :-2], padded[:, 2:]))

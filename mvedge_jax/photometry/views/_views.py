@@ -1,4 +1,4 @@
-"""Views in any places, the reference among them."""
+"""Views at any positions, the reference among them."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -17,9 +17,9 @@ class ViewSet(NamedTuple):
     """Views of one size, the reference first: posed photographs, or all views of a light field.
 
     Attributes:
-        planes: sRGB, as they came or what is left of them, `[s, c, y, x]`.
-        parallax: where each of them shows the reference's pixels.
-        available: those that are to be read.
+        planes: sRGB, raw or calibrated, `[s, c, y, x]`.
+        parallax: positions of the reference's pixels in each view.
+        available: which views are read.
         shown: 1 where a view shows the scene, 0 where it is transparent; None for everywhere.
     """
 
@@ -39,19 +39,19 @@ class ViewSet(NamedTuple):
         return jax.tree.map(lambda leaf: leaf[1:], self)
 
     def mapped(self, function: Callable[[Array], Array]) -> "ViewSet":
-        """The same with a function's values for the planes."""
+        """The same with a function applied to the planes."""
         return self._replace(planes=function(self.planes))
 
     def readable(
         self, x: Array, y: Array, shape: tuple[int, ...], own: Array | None
     ) -> Bool[Array, "*p"]:
-        """Whether one view, taken from a set, shows something of the scene at positions.
+        """Whether a single view of a set shows the scene at given positions.
 
         Args:
             x: columns, px.
             y: rows, px.
             shape: of the views, px.
-            own: what of the pixels the reference shows, where views are transparent in places.
+            own: opacity of the reference's pixels, if views are partly transparent.
         """
         there = inside(x, y, shape) & self.available
         if self.shown is None or own is None:
@@ -60,7 +60,7 @@ class ViewSet(NamedTuple):
 
 
 def views_of(light_field: LightField) -> ViewSet:
-    """All views of a light field, the centre view first.
+    """All views of a light field, the center view first.
 
     Args:
         light_field: the views.
