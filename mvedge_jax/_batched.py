@@ -4,11 +4,13 @@ import functools
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jax.extend.core import ClosedJaxpr, Jaxpr, JaxprEqn, Literal, jaxpr_as_fun
+from jax.sharding import Mesh, PartitionSpec
 
 from ._compiler import LeanJit, lean_jit
 
@@ -19,7 +21,12 @@ _MOST = 8
 _NUMBERS = 1 << 17
 
 
-def batched(function: Callable[..., Any], *, together: int | None = None) -> LeanJit[..., Any]:
+def batched(
+    function: Callable[..., Any],
+    *,
+    together: int | None = None,
+    devices: Sequence[Any] | None = None,
+) -> LeanJit[..., Any]:
     """Calls a function for many settings: `jax.vmap` of its first argument, a few rows at a time.
 
     Steps of the function that depend on no row are computed once, and their memory does not grow
@@ -30,14 +37,16 @@ def batched(function: Callable[..., Any], *, together: int | None = None) -> Lea
         function: maps a pytree of arrays, and whatever comes after it, to a pytree of arrays.
         together: number of rows computed together; memory grows with it. By default
             at most eight: fewer on the CPU where arrays are large.
+        devices: JAX devices, each of which computes an equal share of the rows, and for itself what
+            depends on no row; None for the default device alone.
 
     Returns:
         A function of the rows, stacked on the leading axis of every leaf, and of the other
         arguments, which gives results stacked alike. Compiled as by `lean_jit`; differentiable.
 
     Raises:
-        ValueError: `together` is below 1; when it is called, rows have no leaf, or their leaves
-            differ in their leading axis.
+        ValueError: `together` is below 1 or there are no `devices`; when it is called, rows have
+            no leaf, or their leaves differ in their leading axis.
 
     Example:
         >>> squares = batched(lambda row, shift: row**2 + shift)
@@ -46,12 +55,48 @@ def batched(function: Callable[..., Any], *, together: int | None = None) -> Lea
     """
     if together is not None and together < 1:
         raise ValueError(f"`together` must be at least 1, got {together}.")
+    if devices is not None and not devices:
+        raise ValueError("`devices` must have one device at least, got none.")
 
     @functools.wraps(function)
     def many(rows: Any, *shared: Any) -> Any:
-        return _mapped(lambda row: function(row, *shared), rows, together)
+        arrays, static = eqx.partition(shared, eqx.is_array)
+
+        def mapped(rows: Any, arrays: Any) -> Any:
+            given = eqx.combine(arrays, static)
+            return _mapped(lambda row: function(row, *given), rows, together)
+
+        if devices is None:
+            return mapped(rows, arrays)
+        return _spread(mapped, rows, arrays, devices)
 
     return lean_jit(many)
+
+
+def _spread(
+    mapped: Callable[[Any, Any], Any], rows: Any, shared: Any, devices: Sequence[Any]
+) -> Any:
+    """Rows on several devices; the last one fills up the shares."""
+    size, count = _size_of(jax.tree.leaves(rows)), len(devices)
+    order = np.minimum(np.arange(-(-size // count) * count), max(size - 1, 0))
+    mesh = Mesh(np.asarray(devices), ("rows",))
+    split, whole = PartitionSpec("rows"), PartitionSpec()
+    # The check of varying axes rejects loops that start from constants, as those of the chain do.
+    run = jax.shard_map(
+        mapped, mesh=mesh, in_specs=(split, whole), out_specs=split, check_vma=False
+    )
+    found = run(jax.tree.map(lambda leaf: leaf[order], rows), shared)
+    return jax.tree.map(lambda leaf: leaf[:size], found)
+
+
+def _size_of(leaves: Sequence[Any]) -> int:
+    """Number of rows, if all leaves have the same."""
+    sizes = {jnp.shape(leaf)[:1] for leaf in leaves}
+    if len(sizes) != 1 or () in sizes:
+        shapes = [jnp.shape(leaf) for leaf in leaves]
+        raise ValueError(f"`rows` must have one leading axis in all of its leaves, got {shapes}.")
+    ((size,),) = sizes
+    return size
 
 
 class _Later:
@@ -69,11 +114,7 @@ class _Step(NamedTuple):
 
 def _mapped(function: Callable[[Any], Any], rows: Any, together: int | None) -> Any:
     leaves, structure = jax.tree.flatten(rows)
-    sizes = {jnp.shape(leaf)[:1] for leaf in leaves}
-    if len(sizes) != 1 or () in sizes:
-        shapes = [jnp.shape(leaf) for leaf in leaves]
-        raise ValueError(f"`rows` must have one leading axis in all of its leaves, got {shapes}.")
-    ((size,),) = sizes
+    size = _size_of(leaves)
     if size == 0:
         return jax.vmap(function)(rows)
     one = [jax.ShapeDtypeStruct(leaf.shape[1:], leaf.dtype) for leaf in leaves]

@@ -1,5 +1,7 @@
 """Many settings: equal to the loop, once what no row reaches, in the memory of a few."""
 
+import subprocess
+import sys
 from typing import Any
 
 import jax
@@ -109,3 +111,38 @@ def test_rows_of_other_lengths_are_told(rows):
 def test_none_together_is_told():
     with pytest.raises(ValueError, match="`together` must be at least 1, got 0"):
         batched(lambda row: row, together=0)
+
+
+SPREAD = """
+import jax
+import jax.numpy as jnp
+
+jax.config.update("jax_num_cpu_devices", 2)
+from mvedge_jax import batched
+
+
+def grown(row, shared, name):
+    assert name == "a"
+    return {"row": jax.lax.fori_loop(0, 3, lambda i, x: x + row, shared), "shared": shared.sum()}
+
+
+shared = jnp.linspace(0.0, 1.0, 7)
+for size in (1, 4, 5):
+    rows = jnp.arange(float(size))
+    found = batched(grown, devices=jax.devices())(rows, shared, "a")
+    assert size % 2 or len(found["row"].sharding.device_set) == 2
+    alone = batched(grown)(rows, shared, "a")
+    for a, b in zip(jax.tree.leaves(found), jax.tree.leaves(alone), strict=True):
+        assert a.shape == b.shape
+        assert bool((a == b).all())
+"""
+
+
+def test_rows_on_two_devices_are_those_on_one():
+    ran = subprocess.run([sys.executable, "-c", SPREAD], capture_output=True, text=True)
+    assert ran.returncode == 0, ran.stderr
+
+
+def test_no_devices():
+    with pytest.raises(ValueError, match="`devices` must have one device at least, got none"):
+        batched(lambda row: row, devices=[])

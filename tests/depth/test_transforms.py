@@ -128,9 +128,7 @@ import jax
 import jax.numpy as jnp
 
 jax.config.update("jax_num_cpu_devices", 2)
-from jax.sharding import PartitionSpec as P
-
-from mvedge_jax import EdgeDepth
+from mvedge_jax import EdgeDepth, batched
 from mvedge_jax.datasets import synthetic
 
 scene = synthetic.scene("edges")
@@ -142,15 +140,8 @@ def one(stiffness):
     return model.replace({"refine.stiffness": stiffness})(field).disparity
 
 
-def maps(stiffness):
-    return jax.lax.map(one, stiffness)
-
-
-mesh = jax.make_mesh((2,), ("settings",))
-split = P("settings")
-spread = jax.shard_map(maps, mesh=mesh, in_specs=split, out_specs=split, check_vma=False)
 values = jnp.asarray([0.5, 5.0, 50.0, 500.0])
-found = jax.jit(spread)(jax.device_put(values, jax.NamedSharding(mesh, split)))
+found = batched(one, devices=jax.devices())(values)
 assert len(found.sharding.device_set) == 2
 in_turn = jnp.stack([one(value) for value in values])
 assert float(abs(in_turn[0] - in_turn[-1]).max()) > 0.1
