@@ -4,9 +4,11 @@
 
 A scheduler and its workers are started by hand, each worker with a processor core of its own. Three
 runs over the same light fields: one worker, two workers, and two of which one is killed in the
-middle. The cache of programs is shared, and filled by the first run; seconds are those between the
-first result and the last, so that no compilation counts. Estimations are counted in the workers'
-own logs, results in the folder.
+middle. The cache of programs is shared, and filled by the first run. Rates are those after two
+results per worker, so that neither compilation nor the reading of programs counts. On a machine
+that does other work the rates of two runs cannot be compared: the load and the workers' CPU seconds
+per light field stand beside them. Estimations are counted in the workers' own logs, results in the
+folder.
 """
 
 import argparse
@@ -25,6 +27,7 @@ from pathlib import Path
 from typing import Any
 
 import jax
+import psutil
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
@@ -53,7 +56,7 @@ def main() -> None:
             rows[-1]["ratio to one worker"] = (
                 rows[-1]["light fields per s"] / (rows[0]["light fields per s"])
             )
-            print(rows[-1].pop("log"))
+            print(rows[-1].pop("log"), flush=True)
             print_table(rows, title=f"{arguments.count} light fields, {arguments.shape}")
     write_json(arguments.out / "batch_machines.json", rows)
 
@@ -78,17 +81,27 @@ def _run(
         with (folder / "log").open("w") as log:
             command = [sys.executable, "-m", "mvedge", *words]
             batch = subprocess.Popen(command, cwd=ROOT, stdout=log, stderr=log)
+            spent, warm = {}, None
             while batch.poll() is None:
-                if killed and len(_finished(out)) >= len(scenes) // 2:
+                for process in processes[1:]:
+                    with contextlib.suppress(psutil.Error):
+                        used = psutil.Process(process.pid).cpu_times()
+                        spent[process.pid] = used.user + used.system
+                count = len(_finished(out))
+                if warm is None and count >= 2 * workers:
+                    warm = count, sum(spent.values()), os.getloadavg()[0]
+                if killed and count >= len(scenes) // 2:
                     processes[-1].kill()
                     killed = False
                 time.sleep(0.1)
+    assert warm is not None, (folder / "log").read_text()
     log = (folder / "log").read_text()
     done = collections.Counter(re.findall(r"(?m)^(\S+): done by", log))
     again = re.findall(r"(?m)^(\S+: done by \S+, attempt [2-9].*)$", log)
     told = "".join(path.read_text() for path in folder.glob("worker*"))
     estimated = collections.Counter(re.findall(r"done estimating depth of (\S+)", told))
     ends = _finished(out)
+    left, seconds = len(ends) - warm[0], ends[-1] - ends[warm[0] - 1]
     return {
         "workers": workers,
         "killed": int(len(processes) > 1 and processes[-1].returncode == -9),
@@ -99,8 +112,10 @@ def _run(
         "told twice": sum(count > 1 for count in done.values()),
         "estimated twice": sum(count > 1 for count in estimated.values()),
         "second attempts": len(again),
-        "s": ends[-1] - ends[0],
-        "light fields per s": (len(ends) - 1) / (ends[-1] - ends[0]),
+        "s": seconds,
+        "light fields per s": left / seconds,
+        "CPU s per light field": (sum(spent.values()) - warm[1]) / left,
+        "load": (warm[2] + os.getloadavg()[0]) / 2,
         "log": "\n".join([*again, *log.splitlines()[-1:]]),
     }
 
