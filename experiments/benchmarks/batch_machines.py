@@ -32,6 +32,7 @@ import psutil
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from experiments._report import ROOT, print_table, write_json
+from mvedge_jax.cli._output import MARKER
 from mvedge_jax.datasets import synthetic, write_hci
 
 DASK = [sys.executable, "-m", "dask"]
@@ -122,7 +123,7 @@ def _run(
 
 def _finished(out: Path) -> list[float]:
     """When each complete result was written, in order."""
-    return sorted(path.stat().st_mtime for path in out.glob("s*/.mvedge.json"))
+    return sorted(path.stat().st_mtime for path in out.glob(f"s*/{MARKER}"))
 
 
 @contextlib.contextmanager

@@ -15,7 +15,7 @@ from datasets.layouts import write_hci
 
 from mvedge_jax._settings import of_preset
 from mvedge_jax.cli import _batch_scene, _main
-from mvedge_jax.cli._cluster import outcomes
+from mvedge_jax.cli._cluster import connected, outcomes
 
 distributed = pytest.importorskip("distributed")
 NAMES = ("broken", "corrupt", "fine", "flaky", "other")
@@ -137,6 +137,14 @@ def test_the_script_for_slurm_runs_the_same_command(scenes, tmp_path, capsys, mo
     model = ["--preset", "full", *words[-2:], "--seed", "0"]
     assert command == [*paths, *words[:-2], *model]
     assert not (tmp_path / "out").exists()
+
+
+def test_a_scheduler_without_workers_is_told(capsys):
+    with (
+        distributed.LocalCluster(n_workers=0, processes=False, dashboard_address=None) as empty,
+        connected(0, empty.scheduler_address),
+    ):
+        assert "has no workers yet; waiting for the first" in capsys.readouterr().err
 
 
 @pytest.mark.slow
