@@ -27,7 +27,7 @@ if __name__ == "__main__":
         walltime="02:00:00",
         # queue="gpu",
         # job_extra_directives=["--gres=gpu:1"],  # a worker per device
-        # job_script_prologue=["export MVEDGE_CACHE=/shared/mvedge"],
+        # job_script_prologue=["export MVEDGE_CACHE=/scratch/mvedge"],
     )
     with cluster:
         cluster.scale(jobs=JOBS)
