@@ -1,51 +1,19 @@
 """`mvedge batch`: depth of many light fields."""
 
 import csv
-import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any
 
-import jax
 import tyro
 
-from mvedge_jax.depth import DepthResult, EdgeDepth, estimate_depth
-from mvedge_jax.edges import scene_range
-from mvedge_jax.lightfield import LightField
-
-from ._common import compiled, finite, missing_views, note, stage, warn
-from ._depth import depth_report, score_depth, write_depth
-from ._model import FULL, ModelArg, ModelOptions, reads_all_views
-from ._output import MARKER, output_folder, refuse_inputs, write_json
+from ._batch_scene import SCORES, Kind, Options, estimate_of, make, row_of, survey
+from ._cluster import connected, outcomes, reason_of
+from ._common import finite, note, warn
+from ._model import FULL, ModelArg
+from ._output import MARKER, refuse_inputs, write_json
 from ._paths import scenes_and_out
-from ._source import read_json, read_scene, source_of
-
-_SCORES = ("mse", "q25", "bad_01", "bad_03", "bad_07")
-
-
-class _Kind(NamedTuple):
-    """Light fields that share a program: shape, precision and extent of their views.
-
-    Attributes:
-        shape: shape of the views.
-        dtype: dtype of the views.
-        farthest: see `LightField.farthest`; None for a regular grid.
-    """
-
-    shape: tuple[int, ...]
-    dtype: str
-    farthest: int | None
-
-
-class _Options(NamedTuple):
-    """Options of reading and estimating light fields."""
-
-    views: int | None
-    scale: float
-    all_views: bool
-    video: bool
-    model: ModelOptions
-    seed: int
+from ._slurm import slurm_script
 
 
 def batch(
@@ -60,10 +28,13 @@ def batch(
     all_views: bool = False,
     video: bool = False,
     again: bool = False,
+    workers: int = 0,
+    scheduler: str | None = None,
+    slurm: bool = False,
     options: ModelArg = FULL,
     seed: int = 0,
 ) -> int:
-    """Estimates depth of many light fields, one after the other.
+    """Estimates depth of many light fields, one after the other or on a Dask cluster.
 
     OUT gets a folder for each light field, with the files of `mvedge depth`, and summary.csv and
     summary.json over all. Light fields of one shape share a program, over the disparity range of
@@ -79,6 +50,10 @@ def batch(
         video: the light fields are the frames of one video, in order. The range is measured in the
             first frame, and again if a later map has problems.
         again: replace existing results.
+        workers: processes of a Dask cluster on this machine; 0 for none.
+        scheduler: address of a Dask scheduler to use instead, such as tcp://host:8786; its workers
+            must see the light fields and OUT under the same paths.
+        slurm: only print a script that runs this command on a SLURM cluster.
         options: options of the model.
         seed: seed of the random search of preset thesis.
 
@@ -89,37 +64,86 @@ def batch(
     names = _names(scenes)
     _check(views, scale, range)
     options.check(all_views=all_views)
+    elsewhere = bool(workers) or scheduler is not None
+    if video and (elsewhere or slurm) or slurm and elsewhere:
+        raise ValueError("--video, --slurm, and --workers or --scheduler exclude each other.")
     for name in names:
         refuse_inputs((out / name).resolve(), scenes)
     if out.exists() and not out.is_dir():
         raise FileExistsError(f"{out} is a file, expected a folder to write into.")
-    out.mkdir(parents=True, exist_ok=True)
     # A given range is kept.
-    asked = _Options(views, scale, all_views, video and range is None, options, seed)
-    rows: dict[str, dict[str, Any]] = {}
-    kinds: dict[_Kind, list[tuple[str, Path]]] = {}
-    ranges: dict[_Kind, tuple[float, float]] = {}
+    asked = Options(views, scale, range, all_views, video and range is None, again, options, seed)
+    if slurm:
+        note(slurm_script(_words(scenes, out, asked)))
+        return 0
+    left, rows = {}, {}
     for name, scene in zip(names, scenes, strict=True):
         if not again and (out / name / MARKER).exists():
-            rows[name] = _row(out / name / "report.json", "there already")
-            continue
-        try:
-            with stage(f"reading {scene}"):
-                found = read_scene(scene, views=views, scale=scale)[0].without_truth()
-            farthest = None if found.positions is None else found.farthest
-            kind = _Kind(found.views.shape, str(found.views.dtype), farthest)
-            ends = range or (ranges.get(kind) if asked.video else None) or scene_range(found)
-        except (ValueError, OSError, MemoryError) as reason:
-            rows[name] = {"state": "failed", "reason": str(reason)}
-            continue
-        low, high = ranges.get(kind, ends)
-        ranges[kind] = min(low, ends[0]), max(high, ends[1])
-        kinds.setdefault(kind, []).append((name, scene))
-    for kind, members in kinds.items():
-        _run(members, kind, ranges[kind], rows, out, asked)
-        # A program holds some 1300 memory maps, of which Linux allows 65530.
-        jax.clear_caches()
+            rows[name] = row_of(out / name / "report.json", "there already")
+        else:
+            left[name] = scene
+    with connected(workers, scheduler) as client:
+        out.mkdir(parents=True, exist_ok=True)
+        if client is not None:  # workers have folders of their own to start from
+            left, out = {name: scene.resolve() for name, scene in left.items()}, out.resolve()
+        if left:
+            rows |= _run(client, left, out, asked)
     return _summary({name: rows[name] for name in names}, out)
+
+
+def _run(
+    client: Any, scenes: Mapping[str, Path], out: Path, options: Options
+) -> dict[str, dict[str, Any]]:
+    """Rows of the summary: light fields of one kind after those of another."""
+    rows: dict[str, dict[str, Any]] = {}
+    kinds: dict[str, Kind] = {}
+    ranges: dict[Kind, tuple[float, float]] = {}
+    # Frames are read in turn, each with the ranges of those before.
+    known = ranges if options.video else {}
+    calls = {name: (scene, options, known) for name, scene in scenes.items()}
+    for name, found, _ in outcomes(client, survey, calls):
+        if isinstance(found, Exception):
+            rows[name] = _failed(found)
+            continue
+        kinds[name], ends = found
+        low, high = ranges.get(kinds[name]) or ends
+        ranges[kinds[name]] = min(low, ends[0]), max(high, ends[1])
+    order = {kind: place for place, kind in enumerate(dict.fromkeys(kinds.values()))}
+    calls = {
+        name: (name, scenes[name], out, kinds[name], ranges[kinds[name]], options)
+        for name in sorted(kinds, key=lambda name: order[kinds[name]])
+    }
+    try:
+        for name, row, workers in outcomes(client, make, calls):
+            rows[name] = _failed(row) if isinstance(row, Exception) else row
+            if workers:
+                rows[name] |= {"worker": workers[-1], "attempt": len(workers)}
+                note(f"{name}: {rows[name]['state']} by {workers[-1]}, attempt {len(workers)}")
+    finally:
+        estimate_of.cache_clear()
+    return rows
+
+
+def _failed(reason: Exception) -> dict[str, Any]:
+    return {"state": "failed", "reason": reason_of(reason)}
+
+
+def _words(scenes: Sequence[Path], out: Path, options: Options) -> list[str]:
+    """The command line of a batch, with paths that hold in every folder."""
+    words = ["batch", *(str(path.resolve()) for path in (*scenes, out))]
+    if options.views is not None:
+        words += ["--views", str(options.views)]
+    if options.scale != 1:
+        words += ["--scale", str(options.scale)]
+    if options.range is not None:
+        words += ["--range", *map(str, options.range)]
+    words += ["--all-views"] * options.all_views + ["--again"] * options.again
+    words += ["--preset", options.model.preset]
+    if options.model.learned is not None:
+        words += ["--model", str(options.model.learned.resolve())]
+    for setting in options.model.set:
+        words += ["--set", setting]
+    return [*words, "--seed", str(options.seed)]
 
 
 def _check(views: int | None, scale: float, ends: tuple[float, float] | None) -> None:
@@ -131,97 +155,6 @@ def _check(views: int | None, scale: float, ends: tuple[float, float] | None) ->
     finite(range=ends)
     if ends is not None and not ends[0] < ends[1]:
         raise ValueError(f"--range must be lowest and highest disparity, got {ends}.")
-
-
-def _run(
-    members: Sequence[tuple[str, Path]],
-    kind: _Kind,
-    ends: tuple[float, float],
-    rows: dict[str, dict[str, Any]],
-    out: Path,
-    options: _Options,
-) -> None:
-    """Light fields of one shape, through one program."""
-    estimate = _Estimate(kind, options, ends)
-    for name, scene in members:
-        try:
-            with stage(f"reading {scene}"):
-                found, said = read_scene(scene, views=options.views, scale=options.scale)
-            result, model, seconds = estimate(found, name)
-            # `output_folder` refuses anything but an earlier result.
-            with output_folder(out / name, inputs=[scene], overwrite=True) as folder:
-                report = depth_report(found, result, seconds)
-                report |= options.model.described(model) | {"seed": options.seed}
-                write_depth(folder, found, result)
-                report["scores"] = score_depth(folder, found.truth, result)
-                report["source"] = source_of(scene, views=options.views, scale=options.scale)
-                report["warnings"] = [
-                    *said,
-                    *result.problems(),
-                    *(missing_views(found) if reads_all_views(model) else []),
-                ]
-                write_json(folder / "report.json", report)
-            rows[name] = _row(out / name / "report.json", "done")
-        except (ValueError, OSError, MemoryError) as reason:
-            rows[name] = {"state": "failed", "reason": str(reason)}
-
-
-class _Estimate:
-    """Depth of light fields of one kind; compiled for the first, and again for wider ranges."""
-
-    def __init__(self, kind: _Kind, options: _Options, ends: tuple[float, float]):
-        self._kind, self._options, self._ends = kind, options, ends
-        self._key = jax.random.key(options.seed)
-        self._program: tuple[Any, EdgeDepth] | None = None
-
-    def __call__(
-        self, light_field: LightField, name: str
-    ) -> tuple[DepthResult, EdgeDepth, dict[str, float]]:
-        """Depth, its model, and the seconds of the estimate."""
-        views = _anonymous(light_field)
-        start = time.perf_counter()
-        program, model = self._compiled(views)
-        ready = time.perf_counter()
-        with stage(f"estimating depth of {name}"):
-            result = jax.block_until_ready(program(views, model, key=self._key))
-        seconds = {"compilation": ready - start, "estimation": time.perf_counter() - ready}
-        if self._options.video and result.problems() and self._widened(views, name):
-            result, model, more = self(light_field, name)
-            seconds = {key: seconds[key] + more[key] for key in seconds}
-        return result, model, {key: round(value, 3) for key, value in seconds.items()}
-
-    def _compiled(self, views: LightField) -> tuple[Any, EdgeDepth]:
-        if self._program is None:
-            with stage(f"compiling for views {'x'.join(map(str, self._kind.shape[:4]))}"):
-                asked = self._options
-                model = asked.model.model(_over(views, self._ends), all_views=asked.all_views)
-                self._program = compiled(estimate_depth, views, model, key=self._key), model
-        return self._program
-
-    def _widened(self, views: LightField, name: str) -> bool:
-        """Whether a frame has disparities beyond the range of the previous frames."""
-        with stage(f"measuring the range of {name}"):
-            low, high = scene_range(views)
-        before = self._ends
-        self._ends = min(low, before[0]), max(high, before[1])
-        if self._ends == before:
-            return False
-        self._program = None
-        return True
-
-
-def _over(light_field: LightField, ends: tuple[float, float]) -> LightField:
-    return LightField(
-        light_field.views,
-        available=light_field.available,
-        positions=light_field.positions,
-        disparity_range=ends,
-    )
-
-
-def _anonymous(light_field: LightField) -> LightField:
-    """Views alone, because names, cameras and ranges would compile another program."""
-    return light_field.bare()
 
 
 def _names(scenes: Sequence[Path]) -> list[str]:
@@ -238,26 +171,11 @@ def _names(scenes: Sequence[Path]) -> list[str]:
         depth += 1
 
 
-def _row(report: Path, state: str) -> dict[str, Any]:
-    """The row of a finished light field in the summary."""
-    try:
-        content = read_json(report)
-        scores = content["scores"].get("crop 0", {})
-        return {
-            "state": state,
-            "seconds": content["seconds"]["estimation"],
-            "compilation": content["seconds"]["compilation"],
-            "converged": content["converged"],
-            "warnings": content.get("warnings", []),
-            **{name: scores.get(name) for name in _SCORES},
-        }
-    except (OSError, ValueError, KeyError, TypeError, AttributeError):
-        return {"state": state, "reason": f"{report} is not readable"}
-
-
 def _summary(rows: dict[str, dict[str, Any]], out: Path) -> int:
     first = ("name", "state", "seconds", "compilation", "converged")
-    columns = [*first, *_SCORES, "warnings", "reason"]
+    columns = [*first, *SCORES, "warnings", "reason"]
+    if any("worker" in row for row in rows.values()):
+        columns += ["worker", "attempt"]
     with (out / "summary.csv").open("w", newline="", encoding="utf-8") as file:
         writer = csv.DictWriter(file, fieldnames=columns)
         writer.writeheader()

@@ -1,9 +1,8 @@
 """`mvedge sweep`: the parameters that score best on some scenes."""
 
-import contextlib
 import csv
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -12,9 +11,9 @@ import tyro
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from mvedge_jax._cache import compilation_cache
 from mvedge_jax.datasets import load_light_field
 
+from ._cluster import connected, extra
 from ._common import note
 from ._model import FULL, ModelArg, ModelOptions, read_value, settings_of
 from ._output import output_folder, write_json
@@ -68,13 +67,11 @@ def sweep(
         overwrite: replace OUT if it is an earlier result of mvedge, with nothing else in it.
         options: of the model; --set holds what is not varied.
     """
-    with _extra("a sweep needs", "sweep"):
+    with extra("a sweep needs", "sweep"):
         import optuna
 
         from mvedge_jax.sweep import Space, plot_sweep, sweep as search
     scenes, out = scenes_and_out(paths)
-    if workers < 0:
-        raise ValueError(f"--workers must not be negative, got {workers}.")
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     space = Space(dict(map(_interval, vary)), dict(map(_choice, choose)))
     space.check(options.check())
@@ -82,7 +79,7 @@ def sweep(
     journal = out.with_name(f"{out.name}.journal") if journal is None else journal
     before = time.perf_counter()
     with output_folder(out, inputs=scenes, overwrite=overwrite) as folder:
-        with _executor(workers, scheduler) as submit, progress_bar() as bar:
+        with connected(workers, scheduler) as client, progress_bar() as bar:
             task = bar.add_task("settings", total=trials)
             found = search(
                 [scene.resolve() for scene in scenes],
@@ -97,7 +94,7 @@ def sweep(
                 sampler=optuna.samplers.TPESampler(seed=seed, constant_liar=True),
                 pruner=optuna.pruners.MedianPruner() if prune else None,
                 threads=threads,
-                submit=submit,
+                submit=None if client is None else client.submit,
                 progress=lambda done, best: bar.update(
                     task, completed=done, description=f"best {objective} {best:.4g}"
                 ),
@@ -116,15 +113,6 @@ def _check_truth(scenes: Sequence[Path]) -> None:
     for scene in scenes:
         if load_light_field(scene).truth is None:
             raise ValueError(f"{scene} has no ground truth, by which a sweep scores.")
-
-
-@contextlib.contextmanager
-def _extra(who: str, name: str) -> Iterator[None]:
-    """Imports from an extra, with a sentence where it is not installed."""
-    try:
-        yield
-    except ModuleNotFoundError as missing:
-        raise ValueError(f"{who} {missing.name}: pip install 'mvedge_jax[{name}]'.") from missing
 
 
 def _write(
@@ -197,27 +185,3 @@ def _choice(text: str) -> tuple[str, tuple]:
     if not values:
         raise ValueError(f"--choose {text}: expected PATH=A,B,...")
     return name, tuple(map(read_value, values.split(",")))
-
-
-@contextlib.contextmanager
-def _executor(workers: int, scheduler: str | None) -> Iterator[Any]:
-    """`submit` of a Dask client, or None for this process."""
-    if not workers and scheduler is None:
-        yield None
-        return
-    with _extra("--workers and --scheduler need", "cluster"):
-        from distributed import Client, LocalCluster
-    with contextlib.ExitStack() as stack:
-        address: Any = scheduler
-        if address is None:
-            # XLA has threads of its own: one task at a time in a process.
-            cluster = LocalCluster(
-                n_workers=workers, threads_per_worker=1, dashboard_address=":0", processes=True
-            )
-            address = stack.enter_context(cluster)
-        try:
-            client = stack.enter_context(Client(address))
-        except OSError as reason:
-            raise ValueError(f"no Dask scheduler answers at {address}: {reason}") from reason
-        client.run(compilation_cache)
-        yield client.submit

@@ -7,7 +7,7 @@ from cli.scenes import RANGE
 from datasets.layouts import write_hci
 from scipy import ndimage
 
-from mvedge_jax.cli import _batch, _main
+from mvedge_jax.cli import _batch, _batch_scene, _main
 from mvedge_jax.cli._paths import scenes_and_out
 from mvedge_jax.cli._source import scene_of
 from mvedge_jax.datasets import read_pfm
@@ -38,13 +38,13 @@ def _summary(out):
 @pytest.fixture
 def compilations(monkeypatch):
     """What was compiled: the arguments of every call."""
-    calls, compiled = [], _batch.compiled
+    calls, compiled = [], _batch_scene.compiled
 
     def counted(function, *arguments, **options):
         calls.append(arguments)
         return compiled(function, *arguments, **options)
 
-    monkeypatch.setattr(_batch, "compiled", counted)
+    monkeypatch.setattr(_batch_scene, "compiled", counted)
     return calls
 
 
@@ -102,13 +102,13 @@ def test_twenty_light_fields_one_corrupt_and_one_of_another_shape(tmp_path, caps
 
 @pytest.mark.slow
 def test_frames_take_their_range_from_the_frame_before(tmp_path, monkeypatch, compilations):
-    measured, measure = [], _batch.scene_range
+    measured, measure = [], _batch_scene.scene_range
 
     def counted(light_field):
         measured.append(light_field)
         return measure(light_field)
 
-    monkeypatch.setattr(_batch, "scene_range", counted)
+    monkeypatch.setattr(_batch_scene, "scene_range", counted)
     depths = [0.2, 0.25, 1.6, 1.5]
     frames = [_plane(tmp_path / f"f{i}", d, seed=i) for i, d in enumerate(depths)]
     out = tmp_path / "out"
