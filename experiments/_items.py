@@ -263,6 +263,13 @@ ITEMS = (
         "A small network that learns where smoothness ends",
     ),
     Item(
+        "learned_parts",
+        "learned_parts.py",
+        None,
+        "",
+        "Numbers and networks learned from random scenes",
+    ),
+    Item(
         "second_order",
         "second_order.py",
         None,
@@ -283,6 +290,20 @@ ITEMS = (
         "--only ours --sizes 128 --contrasts 1 1e6 --no-real",
         "",
         "Seconds of one diffusion",
+    ),
+    Item(
+        "benchmark_large",
+        "benchmarks/large.py",
+        "--sizes 256 --memory 1.2",
+        "--sizes 512 1024 2048",
+        "Seconds and memory of large images, in tiles",
+    ),
+    Item(
+        "benchmark_batch_machines",
+        "benchmarks/batch_machines.py",
+        None,
+        "",
+        "Many light fields on two workers, one of which is killed",
     ),
     Item(
         "benchmark_sweep",
