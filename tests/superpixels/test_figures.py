@@ -79,7 +79,7 @@ def test_a_sweep_varies_what_its_rows_say(figure, method, program, monkeypatch):
     rows = figure._swept(f"{method}.color", ["3", "5"], size=12.0)
     for label, kind, params in rows:
         assert label.startswith(f"{method}, color ")
-        figure._cut(kind, case, 12.0, params)
+        figure.cut(kind, case, 12.0, params)
     assert [float(params.color) for params in given] == [3, 5]
 
 
