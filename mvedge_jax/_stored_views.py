@@ -85,6 +85,11 @@ class StoredViews:
         return *self.grid, height, width
 
     @property
+    def size(self) -> int:
+        """Bytes of all views."""
+        return sum(plane.nbytes for plane in self.planes.values())
+
+    @property
     def available(self) -> Bool[np.ndarray, "v u"]:
         """Which views are there."""
         there = np.zeros(self.grid, bool)

@@ -57,7 +57,7 @@ def measured(arguments: argparse.Namespace, size: int) -> dict[str, float]:
         key=jax.random.key(0),
     )
     rendered = peak_memory()
-    tiling = Tiling.within(1e9 * arguments.memory)
+    tiling = Tiling.within(1e9 * arguments.memory, views=stored)
     ends = [time.perf_counter()]
     result = depth_in_tiles(
         stored, tiling=tiling, progress=lambda done, total: ends.append(time.perf_counter())

@@ -24,7 +24,7 @@ from ._model import FULL, ModelArg, reads_all_views
 from ._output import output_folder, write_json
 from ._points import valid_points, write_points
 from ._source import read_scene, source_of
-from ._tiles import estimate_tiles, read_stored, tiling_of
+from ._tiles import estimate_tiles, in_tiles, read_stored
 from ._view import show
 
 _COLUMNS = {
@@ -88,12 +88,12 @@ def depth(
         seed: seed of the random search of preset thesis.
     """
     options.check(all_views=all_views)
-    tiling = tiling_of(tile, memory, all_views=all_views, scale=scale, view=view)
+    tiled = in_tiles(tile, memory, all_views=all_views, scale=scale, view=view)
     order: dict[str, Any] = {"flip_u": flip_u, "flip_v": flip_v, "swap_axes": swap_axes}
     order["positions"] = None if positions is None else str(positions.resolve())
     key = jax.random.key(seed)
     with stage(f"reading {scene}"):
-        if tiling is not None:
+        if tiled:
             light_field, truth, said = read_stored(scene, views=views, range=range, **order)
         else:
             light_field, said = read_scene(scene, views=views, scale=scale, **order)
@@ -102,7 +102,7 @@ def depth(
                 light_field = _within(light_field, range)
     with output_folder(out, inputs=[scene], overwrite=overwrite) as folder:
         if isinstance(light_field, StoredViews):
-            model, result, seconds = estimate_tiles(light_field, tiling, options, key=key)
+            model, result, seconds = estimate_tiles(light_field, tile, memory, options, key=key)
         else:
             blind = light_field.without_truth()
             with stage("choosing sizes"):

@@ -19,23 +19,23 @@ from ._common import stage
 from ._model import ModelOptions
 
 
-def tiling_of(
+def in_tiles(
     tile: int | None, memory: float | None, *, all_views: bool, scale: float, view: bool
-) -> Tiling | None:
-    """The tiles that the options ask for; None without them.
+) -> bool:
+    """Whether the options ask for tiles.
 
     Args:
         tile: side of the tiles, px.
         memory: gigabytes.
-        all_views: of the command, as are all others.
-        scale: which tiles do not have.
-        view: likewise.
+        all_views: option of the command.
+        scale: option of the command, which tiles do not have.
+        view: option of the command, which tiles do not have.
 
     Raises:
         ValueError: options contradict each other, or no tile fits.
     """
     if tile is None and memory is None:
-        return None
+        return False
     given = f"--tile {tile}" if memory is None else f"--memory {memory:g}"
     if tile is not None and memory is not None:
         raise ValueError("--tile and --memory both say how large tiles are; leave out one.")
@@ -45,11 +45,14 @@ def tiling_of(
                 f"{given} estimates depth in tiles of the views of the crosshair at their full "
                 f"size, for which there is no {name}; leave out one of both."
             )
-    tiling = Tiling() if tile is None else Tiling(side=tile)
+    _tiling(tile, memory, None).of(1, 1)
+    return True
+
+
+def _tiling(tile: int | None, memory: float | None, stored: StoredViews | None) -> Tiling:
     if memory is not None:
-        tiling = Tiling.within(1e9 * memory)
-    tiling.of(1, 1)
-    return tiling
+        return Tiling.within(1e9 * memory, views=stored)
+    return Tiling() if tile is None else Tiling(side=tile)
 
 
 def read_stored(
@@ -72,17 +75,23 @@ def read_stored(
 
 
 def estimate_tiles(
-    stored: StoredViews, tiling: Tiling | None, options: ModelOptions, *, key: PRNGKeyArray
+    stored: StoredViews,
+    tile: int | None,
+    memory: float | None,
+    options: ModelOptions,
+    *,
+    key: PRNGKeyArray,
 ) -> tuple[EdgeDepth, DepthResult, dict[str, float]]:
     """The model, the depth, and the seconds it took, compilation included.
 
     Args:
         stored: the views.
-        tiling: the tiles; None for those of the default size.
+        tile: side of the tiles, px; None for as large as `memory` allows.
+        memory: gigabytes; None with `tile`.
         options: of the model.
         key: of parts that draw.
     """
-    tiling = Tiling() if tiling is None else tiling
+    tiling = _tiling(tile, memory, stored)
     start = time.perf_counter()
     with stage("choosing sizes"):
         stored = with_range(stored)

@@ -5,11 +5,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mvedge_jax._stored_views import Window
+from mvedge_jax._stored_views import StoredViews, Window
 
 # Bytes that preset `full` takes on a CPU per pixel of a tile, and for all else: measured with 9x9
 # views and 30 hypotheses, see `experiments/benchmarks/large.py`.
 _PER_PIXEL, _LEAST = 3300, 0.8e9
+# Bytes per pixel of the whole image: its centre view in floating point, and the maps twice.
+_WHOLE = 36
 
 
 class Tile(NamedTuple):
@@ -41,11 +43,12 @@ class Tiling(NamedTuple):
     overlap: int = 96
 
     @staticmethod
-    def within(memory: float, *, overlap: int = 96) -> "Tiling":
+    def within(memory: float, *, views: StoredViews | None = None, overlap: int = 96) -> "Tiling":
         """Tiles whose depth takes no more than some memory.
 
         Args:
             memory: bytes, that of Python and its libraries included.
+            views: the views of the whole image, which count as well, with its maps.
             overlap: see `Tiling`.
 
         Returns:
@@ -54,9 +57,13 @@ class Tiling(NamedTuple):
         Raises:
             ValueError: nothing fits.
         """
-        side = 64 * int(math.sqrt(max(memory - _LEAST, 0) / _PER_PIXEL) // 64)
+        least = _LEAST
+        if views is not None:
+            _, _, height, width = views.shape
+            least += views.size + _WHOLE * height * width
+        side = 64 * int(math.sqrt(max(memory - least, 0) / _PER_PIXEL) // 64)
         if side < 2 * overlap:
-            need = (_LEAST + _PER_PIXEL * (2 * overlap) ** 2) / 1e9
+            need = (least + _PER_PIXEL * (2 * overlap) ** 2) / 1e9
             raise ValueError(
                 f"`memory` must be at least {need:.2g} GB for tiles that overlap by {overlap} px, "
                 f"got {memory / 1e9:.3g} GB."

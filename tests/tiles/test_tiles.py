@@ -44,7 +44,10 @@ def test_tilings_that_cannot_be():
         Tiling(side=64, overlap=48).of(100, 100)
     with pytest.raises(ValueError, match="`memory` must be at least .* got 0.5 GB"):
         Tiling.within(0.5e9)
-    assert Tiling.within(4e9).side > Tiling.within(2e9).side
+    image = np.zeros((4000, 4000, 3), np.uint8)
+    views = StoredViews({(0, u): image for u in range(3)}, (1, 3))
+    sides = [Tiling.within(2e9), Tiling.within(4e9, views=views), Tiling.within(4e9)]
+    assert sides[0].side < sides[1].side < sides[2].side
 
 
 def test_windows_hold_what_the_light_field_holds(scene):
