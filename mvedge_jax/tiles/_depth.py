@@ -24,6 +24,7 @@ from ._layout import Tile, Tiling
 
 # Tiles in which noise is looked for between views; of several, the middle one counts.
 _SAMPLES = 5
+_MAPS = ("disparity", "error", "depth_edge")
 
 
 def depth_in_tiles(
@@ -40,8 +41,8 @@ def depth_in_tiles(
     a light field of its own; tiles overlap, and the map is cut in the middle of what they share.
     All of them run one compiled program. On the host: neither differentiable nor traced.
 
-    What a tile does not show, its map does not know: where surfaces are plain beyond the overlap,
-    the map may differ from that of the whole image, and have a seam.
+    A tile knows less than the whole image does: where a surface is plain over more than the
+    overlap, the map may differ from that of the whole image, and have a seam.
 
     Args:
         views: the crosshair; `datasets.load_stored_views` reads one that takes little memory.
@@ -76,7 +77,7 @@ def depth_in_tiles(
     results = []
     for index, tile in enumerate(tiles):
         own = None if key is None else jax.random.fold_in(key, index)
-        results.append(_of_tile(stored, model, known, tile, own))
+        results.append(_core_of(_of_tile(stored, model, known, tile, own), tile))
         if progress is not None:
             progress(index + 1, len(tiles))
     whole = _joined(tiles, results, stored.shape[2:])
@@ -159,32 +160,40 @@ def _between(
     return between_views_variance(views, tried, finer=finer)
 
 
+def _core_of(result: DepthResult, tile: Tile) -> DepthResult:
+    """What counts of a tile: maps of its core, and points there at their place in the image."""
+    window, core = tile
+    inner = core._replace(top=core.top - window.top, left=core.left - window.left)
+    own, surface = result.points, result.surface
+    xy = own.xy + np.asarray([window.left, window.top], own.xy.dtype)
+    place = np.floor(xy + 0.5) - (core.left, core.top)
+    keep = own.valid & (place >= 0).all(-1) & (place < (core.width, core.height)).all(-1)
+
+    def kept(values: Any) -> np.ndarray:
+        return np.asarray(values)[keep]
+
+    sides: Any = surface._replace(length=None)
+    return result._replace(
+        **{name: inner.of(np.asarray(getattr(result, name))).copy() for name in _MAPS},
+        points=jax.tree.map(kept, eqx.tree_at(lambda points: points.xy, own, xy)),
+        surface=jax.tree.map(kept, sides)._replace(length=surface.length),
+    )
+
+
 def _joined(
     tiles: Sequence[Tile], results: Sequence[DepthResult], shape: tuple[int, int]
 ) -> DepthResult:
-    """The maps and the points of all tiles, each where it counts."""
-    maps = {name: np.empty(shape, np.float32) for name in ("disparity", "error", "depth_edge")}
-    points, surfaces = [], []
+    """The maps and the points of all tiles."""
+    maps = {name: np.empty(shape, np.float32) for name in _MAPS}
     for tile, result in zip(tiles, results, strict=True):
-        window, core = tile
-        inner = core._replace(top=core.top - window.top, left=core.left - window.left)
         for name, image in maps.items():
-            core.of(image)[...] = inner.of(np.asarray(getattr(result, name)))
-        own = result.points
-        xy = own.xy + np.asarray([window.left, window.top], own.xy.dtype)
-        place = np.floor(xy + 0.5) - (core.left, core.top)
-        keep = own.valid & (place >= 0).all(-1) & (place < (core.width, core.height)).all(-1)
-        moved = eqx.tree_at(lambda p: p.xy, own, xy)
-        points.append(jax.tree.map(lambda values, keep=keep: np.asarray(values)[keep], moved))
-        surface = result.surface._replace(length=np.zeros(keep.shape))
-        surfaces.append(jax.tree.map(lambda values, keep=keep: np.asarray(values)[keep], surface))
-    every, sides = (
-        jax.tree.map(lambda *parts: np.concatenate(parts), *trees) for trees in (points, surfaces)
-    )
-    stats = _summed([result.stats for result in results], len(every.valid))
-    sides = sides._replace(length=results[0].surface.length)
+            tile.core.of(image)[...] = getattr(result, name)
+    length = results[0].surface.length
+    parts = [(result.points, result.surface._replace(length=None)) for result in results]
+    points, sides = jax.tree.map(lambda *each: np.concatenate(each), *parts)
+    stats = _summed([result.stats for result in results], len(points.valid))
     whole = {name: jnp.asarray(image) for name, image in maps.items()}
-    return DepthResult(**whole, points=every, surface=sides, stats=stats)
+    return DepthResult(**whole, points=points, surface=sides._replace(length=length), stats=stats)
 
 
 def _summed(stats: Sequence[DepthStats], valid: int) -> DepthStats:
