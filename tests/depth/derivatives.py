@@ -24,8 +24,7 @@ class Row(NamedTuple):
         forward: by `jax.jvp`.
         numeric: by central differences, the mean of the first two steps of the ladder that agree.
         spread: difference of those two, relative to the slope or to `least`.
-        sides: the one-sided differences at the step of at most 1e-6 at which they differ most: a
-            kink may lie beside the point rather than in it.
+        sides: the one-sided differences at the last step that was tried.
         least: slopes below this are lost in the rounding of the differences.
     """
 
@@ -123,9 +122,7 @@ def rows(
             step = relative * size
             above, below = at(step), at(-step)
             slope = (above - below) / (2 * step)
-            both = ((above - centre) / step, (centre - below) / step)
-            if relative <= 1e-6 and abs(both[0] - both[1]) > abs(sides[0] - sides[1]):
-                sides = both
+            sides = ((above - centre) / step, (centre - below) / step)
             for other in slopes:
                 spread = abs(slope - other) / max(abs(slope), abs(other), least)
                 if spread < agree:
@@ -178,21 +175,19 @@ def check_rows(
     *,
     directions: int,
     sometimes: Set[str] = frozenset(),
-    limits: Set[str] = frozenset(),
 ):
     """Right to 1e-3 in both modes, or exactly zero and known to be; a kink is told from an error.
 
     Of `zero`, the derivative is always 0, of `sometimes`, in some scenes. At a kink the derivative
-    may be that of either side, or lie between them. Views have kinks, and leaves in `limits`, which
-    some of many quantities are clipped to: every one that begins or ceases to be is a kink.
+    may be that of either side, or lie between them.
     """
     found = rows(loss, tree, views, agree=3e-4, directions=directions, key=jax.random.key(1))
     report = table(found)
     print(report)  # noqa: T201 (`pytest -s` shows the table)
-    wrong = [r.name for r in found if r.error > 1e-3 and not (r.kink > r.error and r.between)]
+    wrong = [r.name for r in found if r.error > 1e-3 and not (r.kink > 1e-2 and r.between)]
     assert not wrong, f"{wrong}\n{report}"
     kinks = [r.name for r in found if r.error > 1e-3]
-    assert all(k.startswith("views") or k in limits for k in kinks), f"{kinks}\n{report}"
+    assert all(k.startswith("views") for k in kinks), f"{kinks}\n{report}"
     still = {r.name for r in found if r.zero}
     assert zero <= still <= zero | sometimes, f"{still ^ zero}\n{report}"
 

@@ -47,10 +47,6 @@ SOMETIMES = {
     "smoothness.floor",
 }
 
-# Drifts of many windows are clipped to the one; the other moves many points over the borders of
-# pixels, whose shares of a label are linear between them.
-LIMITS = {"calibration.matching.drift", "sides.vote.offset"}
-
 
 def _problem(name, size, preset, *, dtype: type = np.float64, **choices):
     blind = noisy_scene(name, size, dtype=dtype)
@@ -75,8 +71,7 @@ def _check(name, size, preset, *, directions=2, unread=frozenset(), **choices):
     loss, model, views = _problem(name, size, preset, **choices)
     thresholds = {row.path for row in describe(model) if row.threshold}
     zero = thresholds | UNREAD[preset] | unread
-    known = {"sometimes": SOMETIMES, "limits": LIMITS}
-    check_rows(loss, model, views, zero, directions=directions, **known)
+    check_rows(loss, model, views, zero, directions=directions, sometimes=SOMETIMES)
 
 
 SCENES = pytest.mark.parametrize("name", ["edges", "demo"])
