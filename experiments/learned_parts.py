@@ -23,6 +23,7 @@ from _report import peak_memory, print_table, write_csv, write_json
 
 from mvedge_jax import EdgeDepth, lean_jit
 from mvedge_jax.datasets import synthetic
+from mvedge_jax.datasets.synthetic import random_scenes
 from mvedge_jax.depth import PointLabels
 from mvedge_jax.depth.solves import Labels
 from mvedge_jax.learn import Learned, Progress, learn, of_one_range, plot_learning
@@ -152,8 +153,8 @@ def trained(arguments: Arguments, seed: int) -> Learned:
     """A run."""
     shape = (arguments.views, arguments.views, arguments.size, arguments.size)
     key = jax.random.key(0)
-    scenes = synthetic.random_light_fields(shape=shape, count=arguments.scenes, key=key)
-    held = synthetic.random_light_fields(
+    scenes = random_scenes.random_light_fields(shape=shape, count=arguments.scenes, key=key)
+    held = random_scenes.random_light_fields(
         shape=shape, split="validation", count=arguments.held, key=key
     )
     plain = EdgeDepth.for_light_field(scenes[0].without_truth(), preset="edges")
@@ -182,7 +183,7 @@ def trained(arguments: Arguments, seed: int) -> Learned:
 def judged(arguments: Arguments, found: list[Learned]) -> list[dict[str, Any]]:
     """Rows of scores on scenes that were never used."""
     shape = (arguments.views, arguments.views, arguments.size, arguments.size)
-    fields = synthetic.random_light_fields(
+    fields = random_scenes.random_light_fields(
         shape=shape, split="test", count=arguments.held, key=jax.random.key(0)
     )
     named = [

@@ -15,6 +15,7 @@ from _report import print_table, write_json
 from matplotlib.figure import Figure
 
 from mvedge_jax.datasets import synthetic
+from mvedge_jax.datasets.synthetic import random_scenes
 from mvedge_jax.lightfield import LightField
 
 
@@ -47,7 +48,7 @@ def main() -> None:
     for number in range(arguments.count):
         key = jax.random.fold_in(jax.random.key(arguments.seed), number)
         start = time.perf_counter()
-        scene = synthetic.random_scene(split=arguments.split, key=key)
+        scene = random_scenes.random_scene(split=arguments.split, key=key)
         field = synthetic.render(scene, shape=shape, samples=2, key=key)
         fields.append(field)
         low, high = np.asarray(scene.disparity_range).tolist()

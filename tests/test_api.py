@@ -307,13 +307,7 @@ def test_what_is_tuned_in_the_chain_is_a_number_of_a_part():
 
 # Names that a package, or a room in it, gives away. What needs more is two rooms.
 _MOST = 14
-_MORE = {
-    "plotting": 17,
-    "depth": 17,
-    "edges/sides": 16,
-    "datasets": 15,
-    "datasets/synthetic": 17,
-}
+_MORE = {"plotting": 17, "depth": 17, "edges/sides": 16}
 
 
 def test_packages_give_away_few_names():

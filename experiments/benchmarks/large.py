@@ -22,6 +22,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 from experiments._report import peak_memory, print_table, write_json
 from mvedge_jax import EdgeDepth, plotting
 from mvedge_jax.datasets import synthetic
+from mvedge_jax.datasets.stored import render_stored
 from mvedge_jax.depth import estimate_depth
 from mvedge_jax.metrics import depth_scores
 from mvedge_jax.tiles import Tiling, Window, depth_in_tiles
@@ -50,7 +51,7 @@ def main() -> None:
 
 def measured(arguments: argparse.Namespace, size: int) -> dict[str, float]:
     """One size: seconds, memory, scores; the map as a picture."""
-    stored, truth = synthetic.render_stored(
+    stored, truth = render_stored(
         synthetic.scene(arguments.scene),
         shape=(9, 9, size, size),
         samples=arguments.samples,

@@ -12,7 +12,8 @@ import numpy as np
 import optax
 import tyro
 
-from mvedge_jax.datasets import load_light_field, synthetic
+from mvedge_jax.datasets import load_light_field
+from mvedge_jax.datasets.synthetic.random_scenes import random_light_fields
 from mvedge_jax.learn import (
     Learned,
     Progress,
@@ -156,12 +157,10 @@ def _random(
     key: jax.Array,
 ) -> tuple[_Fields, _Fields | None]:
     """Random scenes to learn from, and others that are held out."""
-    fields = synthetic.random_light_fields(
-        shape=shape, count=count, disparity_range=limits, key=key
-    )
+    fields = random_light_fields(shape=shape, count=count, disparity_range=limits, key=key)
     if not held:
         return fields, None
-    others = synthetic.random_light_fields(
+    others = random_light_fields(
         shape=shape, split="validation", count=held, disparity_range=limits, key=key
     )
     return fields, others

@@ -10,7 +10,8 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from mvedge_jax._stored_views import StoredViews
-from mvedge_jax.datasets import load_ground_truth, load_stored_views, open_source
+from mvedge_jax.datasets import load_ground_truth, open_source
+from mvedge_jax.datasets.stored import load_stored_views
 from mvedge_jax.depth import DepthResult, EdgeDepth
 from mvedge_jax.lightfield import GroundTruth
 from mvedge_jax.tiles import Tiling, depth_in_tiles, with_range

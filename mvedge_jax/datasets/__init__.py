@@ -1,7 +1,7 @@
 """Light fields from files and from formulas.
 
 Subpackages: `synthetic` (rendered scenes), `photographs` (posed photographs), `exchange` (formats
-    of other tools).
+    of other tools), `stored` (large light fields, in the bits of their files).
 """
 
 from mvedge_jax._export import register
@@ -15,7 +15,6 @@ from ._load import (
     load_ground_truth as load_ground_truth,
     load_light_field as load_light_field,
 )
-from ._load_stored import load_stored_views as load_stored_views
 from ._open import open_source as open_source
 from ._pfm import read_pfm as read_pfm, write_pfm as write_pfm
 from ._stanford import CameraSpacing as CameraSpacing, camera_spacing as camera_spacing

@@ -45,7 +45,7 @@ def depth_in_tiles(
     overlap, the map may differ from that of the whole image, and have a seam.
 
     Args:
-        views: the crosshair; `datasets.load_stored_views` reads one that takes little memory.
+        views: the crosshair; `datasets.stored` reads one that takes little memory.
         model: made for light fields of the shape of a tile; None for preset `"full"`. Its labels
             are measured in the crosshair.
         tiling: size and overlap of the tiles; None for tiles of 768 px.

@@ -10,7 +10,7 @@ import pytest
 from scipy.ndimage import map_coordinates, maximum_filter, minimum_filter
 
 from mvedge_jax.datasets import synthetic
-from mvedge_jax.datasets.synthetic import _trace
+from mvedge_jax.datasets.synthetic import _trace, random_scenes
 
 pytestmark = pytest.mark.usefixtures("optimised")
 SHAPE = (3, 3, 40, 44)
@@ -21,7 +21,7 @@ renderer: Any = _trace.trace_view
 
 
 def scene_of(number, **options):
-    return synthetic.random_scene(key=jax.random.key(number), **options)
+    return random_scenes.random_scene(key=jax.random.key(number), **options)
 
 
 def render(scene, number=0):
@@ -118,7 +118,7 @@ def test_further_lamps_brighten_and_cast_no_shadow():
 
 
 def test_light_fields_are_rendered_when_they_are_read():
-    fields = synthetic.random_light_fields(
+    fields = random_scenes.random_light_fields(
         shape=SHAPE, split="test", count=100, disparity_range=(-1.0, 1.0), key=jax.random.key(5)
     )
     assert len(fields) == 100
@@ -131,16 +131,16 @@ def test_light_fields_are_rendered_when_they_are_read():
 
 
 def test_mistakes_are_named():
-    plain: Any = inspect.unwrap(synthetic.random_scene)
+    plain: Any = inspect.unwrap(random_scenes.random_scene)
     with pytest.raises(ValueError, match=r"`split` must be one of .*, got 'val'"):
         plain(split="val", key=jax.random.key(0))
     for limits in ((1.0, 1.0), (0.0, float("nan"))):
         with pytest.raises(ValueError, match=r"`disparity_range` must be \(low, high\), finite"):
             scene_of(0, disparity_range=limits)
     with pytest.raises(ValueError, match="`count` must be at least 1, got 0"):
-        synthetic.random_light_fields(shape=SHAPE, count=0, key=jax.random.key(0))
+        random_scenes.random_light_fields(shape=SHAPE, count=0, key=jax.random.key(0))
     with pytest.raises(ValueError, match="`shape` must have odd numbers of view rows"):
-        synthetic.random_light_fields(shape=(4, 4, 9, 9), count=1, key=jax.random.key(0))
+        random_scenes.random_light_fields(shape=(4, 4, 9, 9), count=1, key=jax.random.key(0))
 
 
 def test_double_precision_reaches_the_views():

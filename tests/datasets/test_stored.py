@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from datasets.layouts import write_hci
 
-from mvedge_jax.datasets import load_light_field, load_stored_views
+from mvedge_jax.datasets import load_light_field
+from mvedge_jax.datasets.stored import load_stored_views
 from mvedge_jax.tiles import Window
 
 

@@ -6,7 +6,7 @@ import optax
 import pytest
 
 from mvedge_jax import EdgeDepth
-from mvedge_jax.datasets import synthetic
+from mvedge_jax.datasets.synthetic import random_scenes
 from mvedge_jax.learn import RobustLoss, learn
 
 SMALL = {"refine.sharpen.levels": 6, "refine.sharpen.radius": 2, "refine.slopes": None}
@@ -15,7 +15,7 @@ SMALL = {"refine.sharpen.levels": 6, "refine.sharpen.radius": 2, "refine.slopes"
 @pytest.mark.slow
 def test_numbers_of_the_chain_learn():
     key = jax.random.key(0)
-    scenes = synthetic.random_light_fields(
+    scenes = random_scenes.random_light_fields(
         shape=(3, 3, 24, 28), count=3, disparity_range=(-1.0, 1.0), key=key
     )
     model = EdgeDepth.for_light_field(scenes[0].without_truth(), preset="edges", choices=SMALL)

@@ -41,7 +41,8 @@ def render_stored(
     Example:
         >>> import jax
         >>> from mvedge_jax.datasets import synthetic
-        >>> stored, truth = synthetic.render_stored(
+        >>> from mvedge_jax.datasets.stored import render_stored
+        >>> stored, truth = render_stored(
         ...     synthetic.scene("crossing"), shape=(3, 3, 16, 16), samples=1, key=jax.random.key(0)
         ... )
         >>> len(stored.planes), truth.shape

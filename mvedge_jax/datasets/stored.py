@@ -1,4 +1,4 @@
-"""`load_stored_views`: the crosshair of a light field, in the bits of its files."""
+"""The crosshair of large light fields, in the bits of their files: read, or rendered."""
 
 import os
 from concurrent.futures import ThreadPoolExecutor
@@ -16,6 +16,7 @@ from ._open import open_source
 from ._positions import view_positions, with_positions
 from ._read import differs
 from ._source import Source
+from .synthetic._render_stored import render_stored as render_stored
 
 # Dead views show in pictures of this size.
 _SMALL = 256
