@@ -36,7 +36,6 @@ if _typing.TYPE_CHECKING:
         model as model,
         plotting as plotting,
         posed as posed,
-        tiles as tiles,
     )
     from .datasets import load_light_field as load_light_field
     from .model import (
@@ -66,7 +65,7 @@ _LATER = {
     "ByReprojection": "model.approaches",
     "Growth": "model.optimisation",
 }
-_FOLDERS = ("datasets", "losses", "model", "plotting", "posed", "tiles")
+_FOLDERS = ("datasets", "losses", "model", "plotting", "posed")
 
 _register(__name__)
 
