@@ -115,10 +115,18 @@ def commit() -> str:
 
 
 def command() -> str:
-    """How this process was started, from the top of the repository."""
-    script = Path(sys.argv[0]).resolve()
-    place = script.relative_to(ROOT) if script.is_relative_to(ROOT) else script
-    return shlex.join(["python", str(place), *sys.argv[1:]])
+    """How this process was started, with paths from the top of the repository."""
+    script, *words = sys.argv
+    return shlex.join(
+        ["python", _from_the_top(str(Path(script).resolve())), *map(_from_the_top, words)]
+    )
+
+
+def _from_the_top(word: str) -> str:
+    """A path near the repository without the folders of this machine; other words as they are."""
+    path = Path(word)
+    near = path.is_absolute() and path.is_relative_to(ROOT.parent)
+    return Path(os.path.relpath(path, ROOT)).as_posix() if near else word
 
 
 def code_of(text: str) -> str:

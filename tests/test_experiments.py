@@ -25,6 +25,20 @@ def script(monkeypatch):
     return importlib.import_module
 
 
+def test_a_recorded_command_has_no_folder_of_this_machine(monkeypatch):
+    data = _report.ROOT.parent / "shared" / "data"
+    words = [
+        str(_report.ROOT / "experiments" / "table_edges.py"),
+        "--data",
+        str(data),
+        "--size",
+        "64",
+    ]
+    monkeypatch.setattr("sys.argv", words)
+    wish = "python experiments/table_edges.py --data ../shared/data --size 64"
+    assert _report.command() == wish
+
+
 def test_results_tell_commit_and_command_and_are_shown_on_the_page(tmp_path, monkeypatch):
     script = Path(_report.__file__).parent / "table_edges.py"
     monkeypatch.setattr(sys, "argv", [str(script), "--scenes", "edges", "--out", "a folder"])
