@@ -234,6 +234,10 @@ class LightField(eqx.Module):
         """Copy without ground truth."""
         return eqx.tree_at(lambda s: s.truth, self, None, is_leaf=lambda leaf: leaf is None)
 
+    def with_range(self, low: float, high: float) -> "LightField":
+        """Copy with another disparity range, px per view step, which is checked."""
+        return self._with(disparity_range=(low, high))
+
     def renamed(self, name: str) -> "LightField":
         """The same light field by another name."""
         # Values are not checked again: those on a device would have to be read back.

@@ -150,7 +150,8 @@ class _Estimate:
         self, light_field: LightField, name: str
     ) -> tuple[DepthResult, EdgeDepth, dict[str, float]]:
         """Depth, the model it was found with, and the seconds it took."""
-        views = _anonymous(light_field)
+        # Names, cameras and ranges would make a program of their own.
+        views = light_field.bare()
         start = time.perf_counter()
         program, model = self._compiled(views)
         ready = time.perf_counter()
@@ -166,7 +167,7 @@ class _Estimate:
         if self._program is None:
             with stage(f"compiling for views {'x'.join(map(str, self._kind.shape[:4]))}"):
                 asked = self._options
-                model = asked.model.model(_over(views, self._ends), all_views=asked.all_views)
+                model = asked.model.model(views.with_range(*self._ends), all_views=asked.all_views)
                 self._program = compiled(estimate_depth, views, model, key=self._key), model
         return self._program
 
@@ -184,17 +185,3 @@ class _Estimate:
 
 # The program of a kind, kept by the process until another kind comes.
 estimate_of = functools.lru_cache(maxsize=1)(_Estimate)
-
-
-def _over(light_field: LightField, ends: tuple[float, float]) -> LightField:
-    return LightField(
-        light_field.views,
-        available=light_field.available,
-        positions=light_field.positions,
-        disparity_range=ends,
-    )
-
-
-def _anonymous(light_field: LightField) -> LightField:
-    """Views alone: names, cameras and ranges would make a program of their own."""
-    return light_field.bare()

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.text import Text
 
 from mvedge_jax._cpu import release_memory
@@ -47,6 +48,17 @@ def stage(name: str) -> Iterator[None]:
     with _PROGRESS.status(_Elapsed(name, start)):  # pyright: ignore
         yield
     _say(("done", "green"), f" {name} ({time.perf_counter() - start:.1f} s)")
+
+
+def progress_bar() -> Progress:
+    """What is done of what there is, and the time it took."""
+    return Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        console=Console(stderr=True),
+    )
 
 
 def positions_of(light_field: LightField | StoredViews) -> str:

@@ -99,7 +99,7 @@ def depth(
             light_field, said = read_scene(scene, views=views, scale=scale, **order)
             truth = light_field.truth
             if range is not None:
-                light_field = _within(light_field, range)
+                light_field = light_field.with_range(*range)
     with output_folder(out, inputs=[scene], overwrite=overwrite) as folder:
         if isinstance(light_field, StoredViews):
             model, result, seconds = estimate_tiles(light_field, tile, memory, options, key=key)
@@ -144,19 +144,6 @@ def _estimate(
         "compilation": round(start - before, 3),
         "estimation": round(time.perf_counter() - start, 3),
     }
-
-
-def _within(light_field: LightField, limits: tuple[float, float]) -> LightField:
-    """The light field with another disparity range, which is checked."""
-    return LightField(
-        light_field.views,
-        available=light_field.available,
-        positions=light_field.positions,
-        disparity_range=limits,
-        truth=light_field.truth,
-        camera=light_field.camera,
-        name=light_field.name,
-    )
 
 
 def write_depth(folder: Path, light_field: LightField | StoredViews, result: DepthResult) -> None:

@@ -61,14 +61,7 @@ def edges(
         )
         light_field = read.without_truth()
     if range is not None:
-        light_field = LightField(
-            light_field.views,
-            available=light_field.available,
-            positions=light_field.positions,
-            disparity_range=range,
-            camera=light_field.camera,
-            name=light_field.name,
-        )
+        light_field = light_field.with_range(*range)
     with output_folder(out, inputs=[scene], overwrite=overwrite) as folder:
         with stage("choosing sizes"):
             model, key = options.model(light_field), jax.random.key(seed)

@@ -24,11 +24,10 @@ from mvedge_jax.learn import (
 )
 from mvedge_jax.lightfield import LightField
 
-from ._common import note, stage
+from ._common import note, progress_bar, stage
 from ._model import FULL, ModelArg, settings_of
 from ._output import output_folder, write_json
 from ._paths import scenes_and_out
-from ._sweep import progress_bar
 
 _Fields = Sequence[LightField]
 

@@ -8,13 +8,11 @@ from typing import Annotated, Any
 
 import numpy as np
 import tyro
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from mvedge_jax.datasets import load_light_field
 
 from ._cluster import connected, extra
-from ._common import note
+from ._common import note, progress_bar
 from ._model import FULL, ModelArg, ModelOptions, read_value, settings_of
 from ._output import output_folder, write_json
 from ._paths import scenes_and_out
@@ -144,17 +142,6 @@ def _write(
         "journal": str(journal),
     }
     write_json(folder / "report.json", report)
-
-
-def progress_bar() -> Progress:
-    """What is done of what there is, and the time it took."""
-    return Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        console=Console(stderr=True),
-    )
 
 
 def _number(value: Any) -> str:

@@ -6,8 +6,6 @@ from pathlib import Path
 from typing import Any
 
 from jaxtyping import PRNGKeyArray
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from mvedge_jax._stored_views import StoredViews
 from mvedge_jax.datasets import load_ground_truth, open_source
@@ -16,7 +14,7 @@ from mvedge_jax.depth import DepthResult, EdgeDepth
 from mvedge_jax.lightfield import GroundTruth
 from mvedge_jax.tiles import Tiling, depth_in_tiles, with_range
 
-from ._common import stage
+from ._common import progress_bar, stage
 from ._model import ModelOptions
 
 
@@ -98,7 +96,7 @@ def estimate_tiles(
         stored = with_range(stored)
         first = tiling.of(*stored.shape[2:])[0]
         model = options.model(stored.window(first.window))
-    with _progress() as bar:
+    with progress_bar() as bar:
         task = bar.add_task("tiles", total=None)
 
         def advance(done: int, total: int) -> None:
@@ -106,13 +104,3 @@ def estimate_tiles(
 
         result = depth_in_tiles(stored, model=model, tiling=tiling, key=key, progress=advance)
     return model, result, {"estimation": round(time.perf_counter() - start, 3)}
-
-
-def _progress() -> Progress:
-    return Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeRemainingColumn(),
-        console=Console(stderr=True),
-    )

@@ -34,17 +34,12 @@ def of_one_range(light_fields: Sequence[LightField]) -> list[LightField]:
         raise ValueError("`light_fields` must have one at least, got none.")
     lows, highs = zip(*(scene_range(field) for field in light_fields), strict=True)
     widest = (min(lows), max(highs))
-    return [
-        LightField(
-            field.views,
-            available=field.available,
-            positions=field.positions,
-            disparity_range=widest,
-            truth=field.truth,
-            name=field.name,
-        )
-        for field in light_fields
-    ]
+    return [_without_camera(field.with_range(*widest)) for field in light_fields]
+
+
+def _without_camera(field: LightField) -> LightField:
+    """Scenes are stacked, of which one may have a camera and another none."""
+    return eqx.tree_at(lambda f: f.camera, field, None, is_leaf=lambda leaf: leaf is None)
 
 
 class Scenes:
