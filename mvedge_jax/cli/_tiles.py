@@ -12,7 +12,7 @@ from mvedge_jax.datasets import load_ground_truth, open_source
 from mvedge_jax.datasets.stored import load_stored_views
 from mvedge_jax.depth import DepthResult, EdgeDepth
 from mvedge_jax.lightfield import GroundTruth
-from mvedge_jax.tiles import Tiling, depth_in_tiles, with_range
+from mvedge_jax.tiles import Tiling, depth_in_tiles, with_measured_range
 
 from ._common import progress_bar, stage
 from ._model import ModelOptions
@@ -93,7 +93,7 @@ def estimate_tiles(
     tiling = _tiling(tile, memory, stored)
     start = time.perf_counter()
     with stage("choosing sizes"):
-        stored = with_range(stored)
+        stored = with_measured_range(stored)
         first = tiling.of(*stored.shape[2:])[0]
         model = options.model(stored.window(first.window))
     with progress_bar() as bar:

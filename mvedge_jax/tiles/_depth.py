@@ -66,7 +66,7 @@ def depth_in_tiles(
     """
     stored = StoredViews.of(views) if isinstance(views, LightField) else views
     tiles = (Tiling() if tiling is None else tiling).of(*stored.shape[2:])
-    stored = with_range(stored)
+    stored = with_measured_range(stored)
     if model is None:
         model = EdgeDepth.for_light_field(stored.window(tiles[0].window))
     elif model.measurement is not None and model.measurement.views == "all":
@@ -87,7 +87,7 @@ def depth_in_tiles(
     return jax.tree.map(jnp.asarray, whole)
 
 
-def with_range(stored: StoredViews) -> StoredViews:
+def with_measured_range(stored: StoredViews) -> StoredViews:
     """The same with a disparity range, which is measured in small pictures if it is not known.
 
     Args:
