@@ -183,7 +183,9 @@ def _guess(reference: _Reference, known: Array, new: Array, model: ViewDepth) ->
     # Half the resolution is enough for a guess and halves the disparities.
     arms = scene.arms.mapped(low_pass(scene.noise)).mapped(_halved)
     tried = low / 2 + (high - low) / 2 * jnp.linspace(0, 1, model.hypotheses, dtype=known.dtype)
-    half = hypotheses(arms, _halved(scene.lab), tried, model.matching, noise=scene.noise, window=2)
+    half = hypotheses(
+        arms, _halved(scene.lab), tried, model.matching, noise=scene.noise, window=2
+    ).disparity
     other = jnp.repeat(jnp.repeat(2 * half, 2, axis=0), 2, axis=1)
     height, width = known.shape
     other = jnp.pad(other, ((0, height % 2), (0, width % 2)), mode="edge")[:height, :width]

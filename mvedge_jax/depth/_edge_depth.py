@@ -313,5 +313,8 @@ def _outlined(
         disparity, error = (jnp.ravel(a)[shown] for a in (disparity, error))
     # `where` hides NaN parameters, so NaN is propagated explicitly.
     unknown = jnp.asarray(jnp.nan, disparity.dtype)
-    error = refine.error(error, disparity)
+    tried = views.hypotheses
+    error = refine.error(
+        error, disparity, None if tried is None else tried.variance_around(disparity)
+    )
     return jnp.where(fine, disparity, unknown), jnp.where(fine, error, unknown)

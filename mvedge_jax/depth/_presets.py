@@ -53,6 +53,7 @@ _PER_STEP = (
     "refine.sharpen.slack",
     "refine.outline.step",
     "refine.error.half",
+    "refine.error.rival",
     "refine.error.step",
 )
 

@@ -31,6 +31,8 @@ class StandardError(eqx.Module):
             number, that of a window of 7x7 pixels. With fewer labels, the width of the searched
             range is used.
         forgotten: distance from any label beyond which the error is the spread of the map.
+        rival: spread of the posterior over hypotheses up to which a pixel has no rivals. For 9x9
+            views; larger for fewer.
     """
 
     most: Float[Array, ""] = number(2.5)
@@ -40,15 +42,21 @@ class StandardError(eqx.Module):
     misplaced: Float[Array, ""] = number(0.5, "px")
     alike: Float[Array, ""] = number(49.0, "perfect labels")
     forgotten: Float[Array, ""] = number(55.0, "px")
+    rival: Float[Array, ""] = number(0.125, "px")
 
     def __call__(
-        self, of_labels: Float[Array, "y x"], disparity: Float[Array, "y x"]
+        self,
+        of_labels: Float[Array, "y x"],
+        disparity: Float[Array, "y x"],
+        around: Float[Array, "y x"] | None = None,
     ) -> Float[Array, "y x"]:
         """Standard error of a map.
 
         Args:
             of_labels: standard error of the labels that a pixel is made from, px; 0 without labels.
             disparity: the map, px.
+            around: second moment around the map of the posterior over hypotheses, px²: the labels'
+                own errors do not contain rival hypotheses. None without hypotheses.
 
         Returns:
             px; infinite without labels. Differentiable.
@@ -60,6 +68,8 @@ class StandardError(eqx.Module):
         bend = sharpest(disparity)
         bent = params.bent * bend / (1 + bend / params.step)
         square = labels**2 + bent**2 + (params.misplaced * bend) ** 2
+        if around is not None:
+            square = square + jnp.maximum(root(around) - params.rival, 0) ** 2
         return jnp.where(known, jnp.sqrt(square), jnp.inf)
 
     def spread(self, disparity: Array, weight: Array, span: Array) -> Array:

@@ -19,7 +19,7 @@ from .brightness._denoise import blur_of, denoised, low_pass, passed, soften
 from .brightness._exposure import Exposure, expose
 from .brightness._noise import Known, Noise, measure_noise
 from .brightness._uncalibrated import Uncalibrated
-from .matching._cost import Matching, hypotheses
+from .matching._cost import Hypotheses, Matching, hypotheses
 from .matching._unexplained import between_views_variance
 from .measuring._grid import ViewSplines
 from .measuring._look import CrosshairSplines, Look
@@ -37,7 +37,8 @@ class CalibratedViews(NamedTuple):
         noise: noise of these views, in their units.
         guide: the reference view, denoised, `[c, y, x]`.
         lab: the same in CIELAB.
-        first: per pixel, the disparity at which the views agree best; None after `recentred`.
+        hypotheses: per pixel, the disparity at which the views agree best, and how ambiguous it is;
+            None after `recentred`.
         lit: 0 in and around the vignette mask or transparent pixels of the reference, 1 elsewhere;
             None for 1 everywhere.
     """
@@ -47,8 +48,13 @@ class CalibratedViews(NamedTuple):
     noise: Noise
     guide: Float[Array, "c y x"]
     lab: Float[Array, "c y x"]
-    first: Float[Array, "y x"] | None
+    hypotheses: Hypotheses | None
     lit: Float[Array, "y x"] | None = None
+
+    @property
+    def first(self) -> Float[Array, "y x"] | None:
+        """The first map; None after `recentred`."""
+        return None if self.hypotheses is None else self.hypotheses.disparity
 
     @property
     def arms(self) -> Crosshair:
@@ -103,6 +109,9 @@ def occluder_radius(span: float, steps: int, shape: tuple[int, int]) -> int:
     return max(1, min(math.ceil(steps * span), max(shape)))
 
 
+_Searched = tuple[Exposure, Hypotheses]
+
+
 def prepare(
     views: Uncalibrated,
     disparities: Float[Array, " d"],
@@ -142,26 +151,28 @@ def prepare(
     @staged
     def searched(
         own: Crosshair | ViewSet, lab: Array, noise: Noise, params: Matching
-    ) -> Float[Array, "y x"]:
+    ) -> Hypotheses:
         sigma = jnp.clip(0.4 + 30 * noise.deviation, 0.5, 1.0)
         soft = own.mapped(lambda planes: soften(planes, noise, sigma))
         return hypotheses(soft, lab, disparities, params, noise=noise, window=window)
 
-    def measured(state: tuple[Exposure, Array]) -> tuple[Exposure, Array]:
+    def measured(state: _Searched) -> _Searched:
         here = _evened(scene, views, state[0])
-        first = searched(here.views, here.lab, noise, params)
-        return views.exposure_along(here.exposure.scale, first, brightness), first
+        found = searched(here.views, here.lab, noise, params)
+        return views.exposure_along(here.exposure.scale, found.disparity, brightness), found
 
-    def again(state: tuple[Exposure, Array], start: Array) -> tuple[tuple[Exposure, Array], None]:
+    def again(state: _Searched, start: Array) -> tuple[_Searched, None]:
         return lax.cond(start | state[0].uneven, measured, lambda state: state, state), None
 
     if known is not None:
-        first = searched(scene.views, scene.lab, noise, params)
-        return scene._replace(first=first, lit=views.lit(brightness))
-    # A loop, so that the search is traced once; without vignettes the second search is skipped.
-    start = exposure, jnp.zeros_like(scene.guide[0])
-    (exposure, first), _ = lax.scan(recomputed(again), start, jnp.asarray([True, False]))
-    return _evened(scene, views, exposure)._replace(first=first, lit=views.lit(brightness))
+        found = searched(scene.views, scene.lab, noise, params)
+    else:
+        # A loop, so that the search is traced once; without vignettes the second one is skipped.
+        nothing = jnp.zeros_like(scene.guide[0])
+        start = exposure, Hypotheses(nothing, nothing, nothing)
+        (exposure, found), _ = lax.scan(recomputed(again), start, jnp.asarray([True, False]))
+        scene = _evened(scene, views, exposure)
+    return scene._replace(hypotheses=found, lit=views.lit(brightness))
 
 
 def _evened(scene: CalibratedViews, views: Uncalibrated, exposure: Exposure) -> CalibratedViews:

@@ -17,6 +17,7 @@ from mvedge_jax.edges.sides import Sides, SurfaceVectors
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.photometry import CalibratedViews, Evidence
 from mvedge_jax.photometry.brightness import Exposure, Noise
+from mvedge_jax.photometry.matching import Hypotheses
 from mvedge_jax.photometry.measuring import PhotometricLabels
 
 SHAPE, COUNT = (12, 14), 24
@@ -45,9 +46,9 @@ def given(seed: int = 0) -> Given:
     lab = jnp.moveaxis(srgb_to_lab(field.centre_view), -1, 0)
     map_ = jnp.asarray(near + 0.05 * rng.normal(size=SHAPE))
     one = jnp.ones(())
-    calibrated = CalibratedViews(
-        crosshair(field), Exposure(one, jnp.ones((3, 3))), Noise.of(0.01 * one), guide, lab, map_
-    )
+    exposure, noise = Exposure(one, jnp.ones((3, 3))), Noise.of(0.01 * one)
+    hypotheses = Hypotheses(map_, map_, 0 * map_)
+    calibrated = CalibratedViews(crosshair(field), exposure, noise, guide, lab, hypotheses)
     variance = jnp.asarray(rng.uniform(1e-4, 1e-2, SHAPE))
     evidence = Evidence(calibrated, None, PhotometricLabels(map_, variance, variance))
 

@@ -33,7 +33,7 @@ def test_hypotheses_find_both_sides_of_an_occlusion_edge():
     truth = np.where((x >= 12) & (x < 28) & (y >= 8) & (y < 24), 1.0, -0.5)
     lab = 100 * jnp.moveaxis(jnp.asarray(views[2, 2]), -1, 0)
     tried = jnp.linspace(-1, 1.5, 11)
-    found = hypotheses(arms, lab, tried, Matching(), window=2)
+    found = hypotheses(arms, lab, tried, Matching(), window=2).disparity
     assert float(found.min()) >= -1
     assert float(found.max()) <= 1.5
     inner = (slice(4, -4), slice(4, -4))
@@ -55,7 +55,7 @@ def test_hypotheses_do_not_see_a_missing_view():
             tried,
             Matching(),
             window=1,
-        )
+        ).disparity
         for value in (0.0, 0.9)
     ]
     np.testing.assert_array_equal(found[0], found[1])
@@ -98,7 +98,9 @@ def test_a_plain_surface_follows_its_surroundings():
     planes = across.planes.at[hole].set(0.5), down.planes.at[..., 10:18, 6:14].set(0.5)
     arms = Crosshair(across._replace(planes=planes[0]), down._replace(planes=planes[1]))
     # Colours alike, so that nothing but the neighbours can fill the hole in the texture.
-    found = hypotheses(arms, jnp.zeros((3, 20, 28)), jnp.linspace(-1, 1, 9), Matching(), window=1)
+    found = hypotheses(
+        arms, jnp.zeros((3, 20, 28)), jnp.linspace(-1, 1, 9), Matching(), window=1
+    ).disparity
     assert float(jnp.median(jnp.abs(found[6:14, 10:18] - 0.5))) < 0.1
 
 
@@ -115,7 +117,7 @@ def test_gloss_does_not_move_the_best_hypothesis():
         # Costs saturate at what the faint texture differs by.
         truncation = jnp.asarray(4 * (1e-4 * 255) ** 2)
         params = Matching(drift=jnp.asarray(drift), truncation=truncation)
-        found = hypotheses(Crosshair(across, down), lab, tried, params, window=2)
+        found = hypotheses(Crosshair(across, down), lab, tried, params, window=2).disparity
         return float((jnp.abs(found - 0.5)[4:-4, 4:-4] > 0.07).mean())
 
     assert wrong(6.0 / 255) < 0.02
@@ -128,7 +130,9 @@ def test_no_drift_is_granted_beside_an_outline():
     lab = jnp.zeros((3, 20, 28)).at[0, ::4].set(1e4)
     tried = jnp.linspace(-1, 1, 9)
     found = [
-        hypotheses(Crosshair(across, down), lab, tried, Matching(drift=jnp.asarray(d)), window=1)
+        hypotheses(
+            Crosshair(across, down), lab, tried, Matching(drift=jnp.asarray(d)), window=1
+        ).disparity
         for d in (0.0, 6.0 / 255)
     ]
     np.testing.assert_allclose(found[0], found[1], atol=1e-6)
@@ -143,7 +147,7 @@ def test_derivatives_of_the_hypotheses_match_differences():
     def loss(tree):
         planes, lab, params = tree
         arms = Crosshair(across._replace(planes=planes), down)
-        return jnp.sum(hypotheses(arms, lab, tried, params, window=1) ** 2)
+        return jnp.sum(hypotheses(arms, lab, tried, params, window=1).disparity ** 2)
 
     tree = (across.planes, lab, Matching())
     check_gradient(loss, tree, rtol=1e-4, step=1e-7, key=jax.random.key(3))

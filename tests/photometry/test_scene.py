@@ -47,7 +47,7 @@ def test_the_first_measurement_finds_a_plane():
 def test_a_scene_without_a_first_map_or_arms_is_told():
     scene, seen, _ = _prepared(plane(0.37), 0.0, 0.7)
     with pytest.raises(ValueError, match="`scene` has no first map; `prepare` finds one"):
-        first_labels(scene._replace(first=None), seen)
+        first_labels(scene._replace(hypotheses=None), seen)
     views = views_of(plane(0.37))
     with pytest.raises(ValueError, match="`prepared` must be views of a crosshair, got photogr"):
         first_labels(scene, seen._replace(splines=ViewSplines.of(views)))

@@ -1,10 +1,12 @@
 """Hypotheses: per pixel, the disparity at which the visible views agree best."""
 
 from functools import partial
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jax import lax
 from jaxtyping import Array, Float
 
 from mvedge_jax._crosshair import Crosshair
@@ -39,6 +41,8 @@ class Matching(eqx.Module):
             beside an outline shows as a change of mean color.
         least_noise: lower bound of the noise's standard deviation.
         pooling: pooling of the costs along surfaces in noisy views.
+        temperature: difference of summed costs at which a rival hypothesis is 1/e as likely as the
+            best one.
         outline_reach: radius in which gradients count, px: that of a window and of its drift.
     """
 
@@ -51,10 +55,29 @@ class Matching(eqx.Module):
     outline: Float[Array, ""] = number(2.0, "CIELAB/px")
     least_noise: Float[Array, ""] = number(1 / 255, "sRGB")
     pooling: Pooling = eqx.field(default_factory=Pooling)
+    temperature: Float[Array, ""] = number(0.2, "of a cost of at most 8")
     outline_reach: int = eqx.field(static=True, default=5)
 
     def __check_init__(self) -> None:
         at_least(self, outline_reach=1)
+
+
+class Hypotheses(NamedTuple):
+    """The best hypothesis of every pixel, and the moments of the posterior over all of them.
+
+    Attributes:
+        disparity: the best hypothesis, px per view step, `[y, x]`.
+        mean: mean of the posterior, `[y, x]`.
+        variance: variance of the posterior, px², `[y, x]`; large where rivals are as likely.
+    """
+
+    disparity: Float[Array, "y x"]
+    mean: Float[Array, "y x"]
+    variance: Float[Array, "y x"]
+
+    def variance_around(self, disparity: Float[Array, "y x"]) -> Float[Array, "y x"]:
+        """Second moment of the posterior around a map, px², `[y, x]`. Differentiable."""
+        return self.variance + (disparity - self.mean) ** 2
 
 
 @partial(jax.jit, static_argnames="window")
@@ -66,8 +89,8 @@ def hypotheses(
     *,
     window: int,
     noise: Noise | None = None,
-) -> Float[Array, "y x"]:
-    r"""Per pixel, the disparity at which the views agree best.
+) -> Hypotheses:
+    r"""Per pixel, the disparity at which the views agree best, and the posterior over all.
 
     A pixel beside a nearer surface is hidden in the views of one side of each arm. So only the
     half of each arm that agrees better counts:
@@ -81,7 +104,8 @@ def hypotheses(
 
     These costs are summed along paths through the image, so that pixels with little texture follow
     their surroundings; see `aggregate`. Noise makes jumps cheaper, softens the choice of the half,
-    and pools costs along surfaces first.
+    and pools costs along surfaces first. With the sums $C_d$ as energies, a hypothesis has the
+    posterior probability $p_d \propto e^{-C_d / T}$.
 
     Args:
         views: views, low-passed according to the noise.
@@ -92,13 +116,15 @@ def hypotheses(
         noise: noise of the views before any low-pass; None for none.
 
     Returns:
-        Disparity per pixel, between the hypotheses by a parabola. Differentiable in all but
-        `disparities`' number, at the hypothesis chosen.
+        Disparity per pixel, between the hypotheses by a parabola, and moments of the posterior.
+        Differentiable in all but `disparities`' number, at the hypothesis chosen.
     """
     params = cast(params, lab.dtype)
     noise = Noise.of(jnp.zeros((), lab.dtype)) if noise is None else noise
     costs = kept(_costs(views, lab, disparities, params, noise, window))
-    return cheapest(along_paths(costs, lab, noise, params), disparities)
+    total = along_paths(costs, lab, noise, params)
+    moments = _moments(total, disparities, params.temperature)
+    return Hypotheses(cheapest(total, disparities), *moments)
 
 
 @partial(jax.jit, static_argnames="window")
@@ -176,6 +202,27 @@ def shared_drift(noise: Noise, lab: Float[Array, "c y x"], params: Matching) -> 
     """Share of a window's drift that is allowed at every pixel, 0..1."""
     steepest = contrast(lab, radius=params.outline_reach)
     return (1 - noise.alpha) / (1 + (steepest / params.outline) ** 4)
+
+
+def _moments(
+    total: Float[Array, "d y x"], disparities: Float[Array, " d"], temperature: Float[Array, ""]
+) -> tuple[Float[Array, "y x"], Float[Array, "y x"]]:
+    """Mean and variance of the posterior over the hypotheses."""
+    least = lax.stop_gradient(jnp.min(total, axis=0))  # a common factor, which keeps floats finite
+    middle = 0.5 * (disparities[0] + disparities[-1])
+
+    # A loop over planes, which XLA on CPU vectorizes, unlike a sum over the first axis.
+    @jax.checkpoint
+    def add(sums: tuple[Array, Array, Array], one: tuple[Array, Array]) -> tuple[Any, None]:
+        cost, disparity = one
+        likely, place = jnp.exp((least - cost) / temperature), disparity - middle
+        powers = likely, likely * place, likely * place**2
+        return jax.tree.map(jnp.add, sums, powers), None
+
+    nothing = jnp.zeros_like(least)
+    (likely, first, second), _ = lax.scan(add, (nothing,) * 3, (total, disparities))
+    mean = first / likely
+    return middle + mean, jnp.maximum(second / likely - mean**2, 0)
 
 
 def cheapest(total: Float[Array, "d y x"], disparities: Float[Array, " d"]) -> Array:
