@@ -91,7 +91,7 @@ def release_memory() -> None:
         ctypes.CDLL("libc.so.6").malloc_trim(0)
 
 
-def fenced(function: Callable[..., Any], *arguments: Any) -> Any:
+def no_fuse(function: Callable[..., Any], *arguments: Any) -> Any:
     """Calls `function` so that its results are computed once and stored.
 
     XLA on the CPU fuses chains of stencils and recomputes every intermediate for each of its
@@ -162,11 +162,11 @@ def of_both(function: Callable[[_In], _Out], first: _In, second: _In) -> tuple[_
         second: a pytree of the same structure.
 
     Returns:
-        The results, in order, computed once and stored (`fenced`). Differentiable as `function` is.
+        The results, in order, computed once and stored (`no_fuse`). Differentiable.
     """
     pair = first, second
     if len({tuple(map(jax.typeof, jax.tree.leaves(of))) for of in pair}) > 1:
-        return fenced(function, first), fenced(function, second)
+        return no_fuse(function, first), no_fuse(function, second)
     stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *pair)
     found = lax.map(function, stacked)
     across, down = (jax.tree.map(lambda leaf, i=i: leaf[i], found) for i in range(2))

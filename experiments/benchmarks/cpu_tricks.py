@@ -97,13 +97,13 @@ def _plain(function: Callable[..., Any], *arguments: Any) -> Any:
 
 
 def _each(function: Callable[..., Any], first: Any, second: Any) -> tuple[Any, Any]:
-    return _cpu.fenced(function, first), _cpu.fenced(function, second)
+    return _cpu.no_fuse(function, first), _cpu.no_fuse(function, second)
 
 
 _TRICKS: dict[str, Off] = {
-    "fences": lambda: _replaced("fenced", _plain),
+    "fences": lambda: _replaced("no_fuse", _plain),
     **{
-        f"fences of {place}": lambda place=place: _replaced("fenced", _plain, place)
+        f"fences of {place}": lambda place=place: _replaced("no_fuse", _plain, place)
         for place in ("_coarsen", "_multigrid", "_median", "_arm", "_window", "_look")
     },
     "stages": lambda: _replaced("staged", recomputed),

@@ -21,7 +21,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array
 
-from mvedge_jax._cpu import fenced
+from mvedge_jax._cpu import no_fuse
 
 from ._pcg import Iterate
 from ._stencil import Coefficients, inner, largest, pad, product, spread
@@ -160,10 +160,10 @@ def _eliminate(coefficients: Coefficients, right: Array) -> tuple[_Eliminated, A
 
     def forward(front: _Front, column: tuple[Array, Array, Array, Array]) -> tuple[_Front, Any]:
         weight, ahead, within, data = column
-        tableau = fenced(_next_column, front, weight, ahead, within, data)
+        tableau = no_fuse(_next_column, front, weight, ahead, within, data)
         data = tableau[:, -1]
         for pivot in range(tableau.shape[0]):
-            tableau = fenced(partial(_sweep, pivot=pivot), tableau)
+            tableau = no_fuse(partial(_sweep, pivot=pivot), tableau)
         return _Front(tableau, ahead), (tableau[:, : tableau.shape[0]], data)
 
     height, batch = data.shape[1:]

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
-from mvedge_jax._cpu import fenced, plane_sum
+from mvedge_jax._cpu import no_fuse, plane_sum
 from mvedge_jax._linear_map import linear_map
 from mvedge_jax._root import root
 from mvedge_jax.image import highest
@@ -35,7 +35,7 @@ def weighted_sum(
     """
     # Unrolled, this is one fused pass over the images, three times as fast on a CPU as a scan over
     # the offsets, as long as no other operation is fused into the loop.
-    return fenced(partial(_summed, _Window(spacing, mode)), images, weights)
+    return no_fuse(partial(_summed, _Window(spacing, mode)), images, weights)
 
 
 @dataclass(frozen=True)

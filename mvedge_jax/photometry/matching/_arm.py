@@ -8,7 +8,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float
 
-from mvedge_jax._cpu import fenced, plane_sum, unstack
+from mvedge_jax._cpu import no_fuse, plane_sum, unstack
 from mvedge_jax._crosshair import Arm
 from mvedge_jax.interpolation import keys_taps
 
@@ -97,7 +97,7 @@ def arm_cost(arm: Swept, disparity: Float[Array, ""], limits: Limits) -> Float[A
         return _changes(shifted(half, disparity, (0, 0), size), half.steps, centre, disparity)
 
     # Stored, because both the drift and the cost read them.
-    changes = [fenced(moved, half, arm.centre, disparity) for half in arm.halves]
+    changes = [no_fuse(moved, half, arm.centre, disparity) for half in arm.halves]
     return _better_half(arm, changes, limits)
 
 
@@ -113,7 +113,7 @@ def moved_cost(
         limits: see `Limits`.
     """
     changes = [
-        fenced(_changes, parts, half.steps, arm.centre, disparity)
+        no_fuse(_changes, parts, half.steps, arm.centre, disparity)
         for parts, half in zip(moved, arm.halves, strict=True)
     ]
     return _better_half(arm, changes, limits)

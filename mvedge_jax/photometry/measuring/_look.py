@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float
 
-from mvedge_jax._cpu import fenced, plane_sum
+from mvedge_jax._cpu import no_fuse, plane_sum
 from mvedge_jax._crosshair import Arm, Crosshair
 from mvedge_jax._params import cast
 from mvedge_jax.image import box_mean
@@ -124,8 +124,8 @@ class CrosshairSplines(NamedTuple):
             return _sums(_arm_views(arm, disparity, params), arm)
 
         # Stored; otherwise the vertical arm is summed across the rows in memory.
-        turned = fenced(sums, self.vertical, disparity.T)
-        return self._joined(fenced(sums, self.horizontal, disparity), turned)
+        turned = no_fuse(sums, self.vertical, disparity.T)
+        return self._joined(no_fuse(sums, self.horizontal, disparity), turned)
 
     @jax.jit
     def look_with_weights(
@@ -150,8 +150,8 @@ class CrosshairSplines(NamedTuple):
             weights = jnp.insert(found.weight, arm.others.shape[0] // 2, found.own, axis=0)
             return _sums(found, arm), weights
 
-        across, own = fenced(arm_look, self.horizontal, disparity)
-        down, turned = fenced(arm_look, self.vertical, disparity.T)
+        across, own = no_fuse(arm_look, self.horizontal, disparity)
+        down, turned = no_fuse(arm_look, self.vertical, disparity.T)
         weights = jnp.concatenate([jnp.swapaxes(turned, 1, 2), own])
         return self._joined(across, down), weights
 
