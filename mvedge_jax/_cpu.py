@@ -120,7 +120,7 @@ def _as_a_branch(function: Callable[..., Any], *arguments: Any) -> Any:
     )
 
 
-def staged(function: Callable[..., Any]) -> Callable[..., Any]:
+def checkpoint_stage(function: Callable[..., Any]) -> Callable[..., Any]:
     """A stage of a long computation; reverse mode stores its arguments only.
 
     `jax.checkpoint` alone does not determine when a stage is recomputed: XLA on the CPU may

@@ -106,7 +106,7 @@ _TRICKS: dict[str, Off] = {
         f"fences of {place}": lambda place=place: _replaced("no_fuse", _plain, place)
         for place in ("_coarsen", "_multigrid", "_median", "_arm", "_window", "_look")
     },
-    "stages": lambda: _replaced("staged", recomputed),
+    "stages": lambda: _replaced("checkpoint_stage", recomputed),
     "loops over both arms": lambda: _replaced("of_both", _each),
     "plane sums": lambda: _replaced("plane_sum", lambda planes: jnp.sum(planes, axis=0)),
     "unstack": lambda: _replaced("unstack", list),

@@ -8,7 +8,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
-from mvedge_jax._cpu import staged
+from mvedge_jax._cpu import checkpoint_stage
 from mvedge_jax._product import product
 from mvedge_jax._recomputed import recomputed
 from mvedge_jax._root import root
@@ -104,7 +104,7 @@ def uncovered(
 
     def add(state: tuple[Samples, Array], view: Array) -> tuple[tuple[Samples, Array], None]:
         samples, count = state
-        found = staged(_measured_in)(samples, light_field, view, exposure, noise, model)
+        found = checkpoint_stage(_measured_in)(samples, light_field, view, exposure, noise, model)
         step = light_field.steps[view[0], view[1]]
         disparity, error, new = found
         new = new & ~_contradicted(samples, disparity, step)

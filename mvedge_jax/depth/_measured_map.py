@@ -10,7 +10,7 @@ from jax import lax
 from jax.typing import DTypeLike
 from jaxtyping import Array, Float
 
-from mvedge_jax._cpu import staged
+from mvedge_jax._cpu import checkpoint_stage
 from mvedge_jax._recomputed import kept, recomputed
 from mvedge_jax.photometry import PreparedViews
 from mvedge_jax.photometry.measuring import Look, PhotometricLabels, labels, mismatch
@@ -136,7 +136,7 @@ def _views(given: Given) -> PreparedViews:
 def _look(given: Given, disparity: Array) -> Look:
     """Accumulates the crosshair's or the photographs' normal equations around a map."""
 
-    @staged
+    @checkpoint_stage
     def look(disparity: Array) -> Look:
         found = _views(given).look(disparity).per_pixel()
         alone = _every(given) is None
@@ -185,7 +185,7 @@ def _solve(given: Given, found: Look, disparity: Array, turn: _Turn, parts: Part
     params, refine, sparse = _views(given).params, parts.refine, given.from_points
     assert parts.dense is not None
 
-    @staged
+    @checkpoint_stage
     def measured(found: Look, disparity: Array) -> PhotometricLabels:
         return labels(found, given.lab, disparity, params, passes=params.passes)
 

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float, Int
 
-from mvedge_jax._cpu import staged
+from mvedge_jax._cpu import checkpoint_stage
 from mvedge_jax._crosshair import Arm, Crosshair
 from mvedge_jax._params import cast
 from mvedge_jax._recomputed import recomputed
@@ -139,7 +139,7 @@ def prepare(
         own = views.exposed(exposure)
     scene = _guided(own, exposure, noise, brightness.noise)
 
-    @staged
+    @checkpoint_stage
     def searched(
         own: Crosshair | ViewSet, lab: Array, noise: Noise, params: Matching
     ) -> Float[Array, "y x"]:

@@ -7,7 +7,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from mvedge_jax._cpu import staged
+from mvedge_jax._cpu import checkpoint_stage
 from mvedge_jax._params import as_number, at_least, cast
 from mvedge_jax.color import srgb_to_gray
 from mvedge_jax.image import gradient_magnitude
@@ -187,7 +187,7 @@ def _voted(
     vote: SideVote,
     shape: tuple[int, int],
 ) -> SurfaceVectors:
-    @staged
+    @checkpoint_stage
     def vectors(
         points: EdgePoints, response: Array | None, first: Array | None, vote: SideVote
     ) -> SurfaceVectors:
@@ -205,7 +205,7 @@ def _both_ways(
 ) -> Bidirectional:
     gray = srgb_to_gray(jnp.moveaxis(evidence.calibrated.guide, 0, -1))
 
-    @staged
+    @checkpoint_stage
     def diffused(points: EdgePoints, gray: Array, params: DirectionalDiffusion) -> Bidirectional:
         return bidirectional(points, gray, params, respond=respond, confide=confide or respond)
 
