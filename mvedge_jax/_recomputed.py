@@ -8,11 +8,11 @@ from jax.ad_checkpoint import checkpoint_name
 from jax.extend.core import Primitive
 
 _Tree = TypeVar("_Tree")
-_KEPT = "mvedge_jax: kept"
+_SAVED = "mvedge_jax: saved"
 
 
 def recomputed(function: Callable[..., Any]) -> Callable[..., Any]:
-    """`jax.checkpoint` that saves linear solutions and arrays tagged by `kept`.
+    """`jax.checkpoint` that saves linear solutions and arrays tagged by `save_residual`.
 
     Args:
         function: maps pytrees of arrays to such.
@@ -23,7 +23,7 @@ def recomputed(function: Callable[..., Any]) -> Callable[..., Any]:
     return jax.checkpoint(function, policy=_is_small_but_dear)
 
 
-def kept(tree: _Tree) -> _Tree:
+def save_residual(tree: _Tree) -> _Tree:
     """Tags arrays that reverse mode stores within `recomputed`.
 
     Args:
@@ -32,8 +32,8 @@ def kept(tree: _Tree) -> _Tree:
     Returns:
         The same.
     """
-    return jax.tree.map(lambda array: checkpoint_name(array, _KEPT), tree)
+    return jax.tree.map(lambda array: checkpoint_name(array, _SAVED), tree)
 
 
 def _is_small_but_dear(primitive: Primitive, *_: Any, **params: Any) -> bool:
-    return primitive.name == "custom_linear_solve" or params.get("name") == _KEPT
+    return primitive.name == "custom_linear_solve" or params.get("name") == _SAVED

@@ -11,7 +11,7 @@ from jax.typing import DTypeLike
 from jaxtyping import Array, Float
 
 from mvedge_jax._cpu import checkpoint_stage
-from mvedge_jax._recomputed import kept, recomputed
+from mvedge_jax._recomputed import recomputed, save_residual
 from mvedge_jax.photometry import PreparedViews
 from mvedge_jax.photometry.measuring import Look, PhotometricLabels, labels, mismatch
 
@@ -42,7 +42,7 @@ def measured_map(given: Given, first: Float[Array, "y x"], parts: Parts) -> Map:
     # and the two maps that a sharpening compares are measured in steps of their own.
     def step(state: _State, turn: _Turn) -> tuple[_State, tuple[Array, Array, Array]]:
         if state.blurred is None:
-            found = kept(_look(given, state.disparity))
+            found = save_residual(_look(given, state.disparity))
         else:
             state, found = _sharpened(given, state, turn, parts)
         if every:
@@ -168,8 +168,8 @@ def _sharpened(
     def sharper(disparity: Array) -> Array:
         return parts.refine.sharpen(disparity, given.guide)
 
-    moved = kept(lax.cond(sharpens, sharper, lambda d: d, state.disparity))
-    found = kept(_look(given, moved))
+    moved = save_residual(lax.cond(sharpens, sharper, lambda d: d, state.disparity))
+    found = save_residual(_look(given, moved))
     compared = sharpens | (turn.kind == _BLURRED)
     differs = lax.cond(compared, disagreement, lambda _, d: jnp.zeros_like(d), found, moved)
     minds = sharpens & (differs > turn.slack * (state.blurred.mismatch + 2 * params.noise**2))
@@ -194,7 +194,7 @@ def _solve(given: Given, found: Look, disparity: Array, turn: _Turn, parts: Part
         alone = 1 - _share_of_all(disparity, refine)
         share = jnp.where(turn.kind == _AROUND, alone, 1)
         sparse = sparse._replace(weight=share * sparse.weight)
-    dense = kept(measured(found, disparity))
+    dense = save_residual(measured(found, disparity))
     both = parts.dense(sparse, dense, disparity, params, refine.precision, given.lit)
     solved, (iterations, converged) = diffused(
         both,

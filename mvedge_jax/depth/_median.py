@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 from mvedge_jax._cpu import no_fuse
 from mvedge_jax._linear_map import linear_map
 from mvedge_jax._params import accepts_numpy
-from mvedge_jax._recomputed import kept
+from mvedge_jax._recomputed import save_residual
 from mvedge_jax._root import LEAST_DIVISOR
 from mvedge_jax.color import Factored, factored, solved
 from mvedge_jax.image import window_sum
@@ -148,7 +148,7 @@ def _crossing(slices: _Slices, sliced: _Sliced, still: _Still) -> _Crossing:
 
 @_crossing.defjvp
 def _crossing_jvp(slices: _Slices, primals: Any, tangents: Any) -> tuple[_Crossing, _Crossing]:
-    found = kept(_search(slices, *primals))
+    found = save_residual(_search(slices, *primals))
 
     def pushed(fixed: Any, moving: _Sliced) -> tuple[Array, Array]:
         sliced, still, chosen = fixed

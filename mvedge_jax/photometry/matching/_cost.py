@@ -9,7 +9,7 @@ from jaxtyping import Array, Float
 
 from mvedge_jax._crosshair import Crosshair
 from mvedge_jax._params import at_least, cast, number
-from mvedge_jax._recomputed import kept
+from mvedge_jax._recomputed import save_residual
 from mvedge_jax.interpolation import vertex
 
 from .._window import colour_weights, contrast
@@ -97,7 +97,7 @@ def hypotheses(
     """
     params = cast(params, lab.dtype)
     noise = Noise.of(jnp.zeros((), lab.dtype)) if noise is None else noise
-    costs = kept(_costs(views, lab, disparities, params, noise, window))
+    costs = save_residual(_costs(views, lab, disparities, params, noise, window))
     return cheapest(along_paths(costs, lab, noise, params), disparities)
 
 
