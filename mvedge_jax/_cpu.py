@@ -18,8 +18,8 @@ import numpy as np
 from jax import Array, lax
 from jaxtyping import Float, Shaped
 
+from ._checkpoint import checkpoint
 from ._linear_map import linear_map
-from ._recomputed import recomputed
 
 _In = TypeVar("_In")
 _Out = TypeVar("_Out")
@@ -141,7 +141,7 @@ def checkpoint_stage(function: Callable[..., Any]) -> Callable[..., Any]:
         def of_arrays(arrays: Any) -> Any:
             return function(*eqx.combine(arrays, rest))
 
-        return _as_a_branch(recomputed(of_arrays), arrays)
+        return _as_a_branch(checkpoint(of_arrays), arrays)
 
     return stage
 

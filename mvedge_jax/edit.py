@@ -9,8 +9,8 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float
 
+from mvedge_jax._checkpoint import checkpoint
 from mvedge_jax._compiler import lean_jit
-from mvedge_jax._recomputed import recomputed
 from mvedge_jax.image import box_mean
 from mvedge_jax.interpolation import sample
 from mvedge_jax.lightfield import LightField
@@ -186,10 +186,10 @@ def remove(
             found = _between(views[which], x, y, beyond="edge")
             return jnp.where(clear[..., None], found, colour), None
 
-        colour, _ = lax.scan(recomputed(look), around, sources[order])
+        colour, _ = lax.scan(checkpoint(look), around, sources[order])
         return jnp.where(out[..., None], colour, view)
 
-    found = lax.map(recomputed(one), (views, maps, steps, gone))
+    found = lax.map(checkpoint(one), (views, maps, steps, gone))
     return _edited(light_field, found.reshape(light_field.views.shape))
 
 

@@ -29,7 +29,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from _report import print_table, write_json
 
 from mvedge_jax import _cpu, compiler_options
-from mvedge_jax._recomputed import recomputed
+from mvedge_jax._checkpoint import checkpoint
 from mvedge_jax.datasets import synthetic
 from mvedge_jax.depth import EdgeDepth
 
@@ -106,7 +106,7 @@ _TRICKS: dict[str, Off] = {
         f"fences of {place}": lambda place=place: _replaced("no_fuse", _plain, place)
         for place in ("_coarsen", "_multigrid", "_median", "_arm", "_window", "_look")
     },
-    "stages": lambda: _replaced("checkpoint_stage", recomputed),
+    "stages": lambda: _replaced("checkpoint_stage", checkpoint),
     "loops over both arms": lambda: _replaced("of_both", _each),
     "plane sums": lambda: _replaced("plane_sum", lambda planes: jnp.sum(planes, axis=0)),
     "unstack": lambda: _replaced("unstack", list),

@@ -8,9 +8,9 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
+from mvedge_jax._checkpoint import checkpoint
 from mvedge_jax._cpu import checkpoint_stage
 from mvedge_jax._product import product
-from mvedge_jax._recomputed import recomputed
 from mvedge_jax._root import root
 from mvedge_jax.diffusion import AutoSolver, System, diffuse
 from mvedge_jax.image import highest
@@ -111,7 +111,7 @@ def uncovered(
         return added(samples, disparity, error, new, step, count=count), None
 
     state = (samples, jnp.zeros((), jnp.int32))
-    return lax.scan(recomputed(add), state, outermost(light_field))[0]
+    return lax.scan(checkpoint(add), state, outermost(light_field))[0]
 
 
 def _measured_in(
@@ -165,7 +165,7 @@ def _measured_in(
         return (disparity, error, found), None
 
     more = jnp.arange(model.solves) < model.solves - 1
-    (disparity, error, _), _ = lax.scan(recomputed(solve), (guess, doubt, found), more)
+    (disparity, error, _), _ = lax.scan(checkpoint(solve), (guess, doubt, found), more)
     return disparity, error, new
 
 
@@ -197,7 +197,7 @@ def _guess(reference: _Reference, known: Array, new: Array, model: ViewDepth) ->
         few = 1 + _FEW / jnp.maximum(found.freedom, 0.1)
         return found, (differs + seen.params.noise**2) * few
 
-    found, residual = lax.map(recomputed(tried_at), jnp.stack([known, other]))
+    found, residual = lax.map(checkpoint(tried_at), jnp.stack([known, other]))
     better = new & (_CLEARLY * residual[1] < residual[0])
     # The chosen map has been measured already.
     found = jax.tree.map(lambda both: jnp.where(better, both[1], both[0]), found)

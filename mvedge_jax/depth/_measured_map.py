@@ -10,8 +10,8 @@ from jax import lax
 from jax.typing import DTypeLike
 from jaxtyping import Array, Float
 
+from mvedge_jax._checkpoint import checkpoint, save_residual
 from mvedge_jax._cpu import checkpoint_stage
-from mvedge_jax._recomputed import recomputed, save_residual
 from mvedge_jax.photometry import PreparedViews
 from mvedge_jax.photometry.measuring import Look, PhotometricLabels, labels, mismatch
 
@@ -65,7 +65,7 @@ def measured_map(given: Given, first: Float[Array, "y x"], parts: Parts) -> Map:
         unseen = jax.tree.map(lambda of: jnp.zeros(of.shape, of.dtype), shapes)
         state = state._replace(blurred=_Blurred(unseen, nothing))
     turns = _turns(kinds, parts.refine, first.dtype)
-    state, (iterations, converged, labeled) = lax.scan(recomputed(step), state, turns)
+    state, (iterations, converged, labeled) = lax.scan(checkpoint(step), state, turns)
     solves = np.flatnonzero(kinds != _BLURRED)
     return Map(
         state.disparity, state.error, iterations[solves], jnp.all(converged), labeled[solves[-1]]

@@ -8,10 +8,10 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
+from mvedge_jax._checkpoint import save_residual
 from mvedge_jax._cpu import no_fuse
 from mvedge_jax._linear_map import linear_map
 from mvedge_jax._params import accepts_numpy
-from mvedge_jax._recomputed import save_residual
 from mvedge_jax._root import LEAST_DIVISOR
 from mvedge_jax.color import Factored, factored, solved
 from mvedge_jax.image import window_sum

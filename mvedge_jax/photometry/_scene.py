@@ -7,10 +7,10 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float, Int
 
+from mvedge_jax._checkpoint import checkpoint
 from mvedge_jax._cpu import checkpoint_stage
 from mvedge_jax._crosshair import Arm, Crosshair
 from mvedge_jax._params import cast
-from mvedge_jax._recomputed import recomputed
 from mvedge_jax.color import srgb_to_lab
 from mvedge_jax.lightfield import LightField
 
@@ -160,7 +160,7 @@ def prepare(
         return scene._replace(first=first, lit=views.lit(brightness))
     # A loop, so that the search is traced once; without vignettes the second search is skipped.
     start = exposure, jnp.zeros_like(scene.guide[0])
-    (exposure, first), _ = lax.scan(recomputed(again), start, jnp.asarray([True, False]))
+    (exposure, first), _ = lax.scan(checkpoint(again), start, jnp.asarray([True, False]))
     return _evened(scene, views, exposure)._replace(first=first, lit=views.lit(brightness))
 
 

@@ -7,9 +7,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from mvedge_jax._checkpoint import save_residual
 from mvedge_jax._crosshair import Crosshair
 from mvedge_jax._params import at_least, cast, number
-from mvedge_jax._recomputed import save_residual
 from mvedge_jax.interpolation import vertex
 
 from .._window import colour_weights, contrast

@@ -11,7 +11,7 @@ _Tree = TypeVar("_Tree")
 _SAVED = "mvedge_jax: saved"
 
 
-def recomputed(function: Callable[..., Any]) -> Callable[..., Any]:
+def checkpoint(function: Callable[..., Any]) -> Callable[..., Any]:
     """`jax.checkpoint` that saves linear solutions and arrays tagged by `save_residual`.
 
     Args:
@@ -20,11 +20,11 @@ def recomputed(function: Callable[..., Any]) -> Callable[..., Any]:
     Returns:
         The same function. Differentiable as it is, in both modes.
     """
-    return jax.checkpoint(function, policy=_is_small_but_dear)
+    return jax.checkpoint(function, policy=_saves)
 
 
 def save_residual(tree: _Tree) -> _Tree:
-    """Tags arrays that reverse mode stores within `recomputed`.
+    """Tags arrays that reverse mode stores within `checkpoint`.
 
     Args:
         tree: a pytree of arrays.
@@ -35,5 +35,5 @@ def save_residual(tree: _Tree) -> _Tree:
     return jax.tree.map(lambda array: checkpoint_name(array, _SAVED), tree)
 
 
-def _is_small_but_dear(primitive: Primitive, *_: Any, **params: Any) -> bool:
+def _saves(primitive: Primitive, *_: Any, **params: Any) -> bool:
     return primitive.name == "custom_linear_solve" or params.get("name") == _SAVED
