@@ -20,7 +20,7 @@ from mvedge_jax.edges.sides import (
 from mvedge_jax.edges.sides._evidence import map_evidence, neighbour_evidence
 from mvedge_jax.edges.sides._profile import profiles
 from mvedge_jax.edges.sides._surface import along_edge, choose
-from mvedge_jax.photometry.measuring import occlusion_reach
+from mvedge_jax.photometry.measuring import visible_view_range
 
 SHAPE = (24, 32)
 EDGE = 16  # first column of the near surface in `square_wave`
@@ -217,7 +217,7 @@ def test_reach_agrees_with_brute_force():
     rng = np.random.default_rng(1)
     disparity = np.repeat(rng.uniform(-1, 1, (6, 8)), 4, axis=1)
     radius, least = 9, 0.05
-    negative, positive = occlusion_reach(jnp.asarray(disparity), radius=radius, step=least)
+    negative, positive = visible_view_range(jnp.asarray(disparity), radius=radius, step=least)
     expected = np.full((2, *disparity.shape), np.inf)
     for y, x in np.ndindex(disparity.shape):
         for j in range(1, radius + 1):

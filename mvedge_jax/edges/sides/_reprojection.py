@@ -6,7 +6,7 @@ from jaxtyping import Array, Float
 
 from mvedge_jax._crosshair import Arm
 from mvedge_jax.interpolation import sample
-from mvedge_jax.photometry.measuring import occlusion_reach
+from mvedge_jax.photometry.measuring import visible_view_range
 
 from .._points import EdgePoints
 
@@ -49,7 +49,7 @@ def reprojection_score(
 
 
 def _arm_error(arm: Arm, disparity: Array, radius: int) -> tuple[Array, Array]:
-    negative, positive = occlusion_reach(disparity, radius=radius)
+    negative, positive = visible_view_range(disparity, radius=radius)
     width, channels = disparity.shape[1], arm.planes.shape[1]
     columns = jnp.arange(width, dtype=disparity.dtype)[None, :]
 

@@ -7,4 +7,4 @@ from ._measuring import (
     Measurement as Measurement,
     Measuring as Measuring,
 )
-from ._reach import occlusion_reach as occlusion_reach
+from ._visible_range import visible_view_range as visible_view_range

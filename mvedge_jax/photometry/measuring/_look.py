@@ -14,7 +14,7 @@ from mvedge_jax.image import box_mean
 from mvedge_jax.interpolation import cubic_taps, spline_coefficients
 
 from ._measuring import Measuring
-from ._reach import occlusion_reach
+from ._visible_range import visible_view_range
 
 
 class ArmSplines(NamedTuple):
@@ -179,7 +179,7 @@ class _ArmViews(NamedTuple):
 
 
 def _arm_views(arm: ArmSplines, disparity: Array, params: Measuring) -> _ArmViews:
-    negative, positive = occlusion_reach(disparity, radius=params.radius, step=params.slant)
+    negative, positive = visible_view_range(disparity, radius=params.radius, step=params.slant)
     columns = jnp.arange(disparity.shape[1], dtype=disparity.dtype)[None, :]
     last = disparity.shape[1] - 1
     centre, slopes = _sample_whole(arm.centre)

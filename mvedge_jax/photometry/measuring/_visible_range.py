@@ -5,7 +5,7 @@ from jax import lax
 from jaxtyping import Array, Float
 
 
-def occlusion_reach(
+def visible_view_range(
     disparity: Float[Array, "y x"], *, radius: int, step: Float[Array, ""] | float = 0.05
 ) -> tuple[Float[Array, "y x"], Float[Array, "y x"]]:
     r"""View steps along x beyond which a nearer pixel of the same row hides each pixel.
@@ -29,7 +29,7 @@ def occlusion_reach(
 
     Example:
         >>> import jax.numpy as jnp
-        >>> left, right = occlusion_reach(jnp.array([[0.0, 0.0, 0.0, 1.0]]), radius=3)
+        >>> left, right = visible_view_range(jnp.array([[0.0, 0.0, 0.0, 1.0]]), radius=3)
         >>> left[0].tolist(), right[0].tolist()
         ([2.5, 1.5, 0.5, inf], [inf, inf, inf, inf])
     """
