@@ -18,7 +18,7 @@ from mvedge_jax.lightfield import LightField
 from mvedge_jax.photometry import CalibratedViews, Noise, PreparedViews, prepare_views, recentred
 from mvedge_jax.photometry.brightness import Exposure, low_pass
 from mvedge_jax.photometry.matching import hypotheses
-from mvedge_jax.photometry.measuring import Look, labels, mismatch
+from mvedge_jax.photometry.measuring import Look, labels, residual_variance
 from mvedge_jax.smoothness import edge_smoothness
 
 from ._draw import STEP, decided, drawn
@@ -192,7 +192,7 @@ def _guess(reference: _Reference, known: Array, new: Array, model: ViewDepth) ->
     def tried_at(disparity: Array) -> tuple[Look, Array]:
         found = _look(reference, disparity)
         passes = seen.params.passes
-        differs = mismatch(found, scene.lab, disparity, seen.params, passes=passes)
+        differs = residual_variance(found, scene.lab, disparity, seen.params, passes=passes)
         # Agreement of few views is weak evidence.
         few = 1 + _FEW / jnp.maximum(found.freedom, 0.1)
         return found, (differs + seen.params.noise**2) * few

@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 from mvedge_jax._checkpoint import checkpoint, save_residual
 from mvedge_jax._cpu import checkpoint_stage
 from mvedge_jax.photometry import PreparedViews
-from mvedge_jax.photometry.measuring import Look, PhotometricLabels, labels, mismatch
+from mvedge_jax.photometry.measuring import Look, PhotometricLabels, labels, residual_variance
 
 from ._diffused import diffused
 from ._refine import Given, Map, Parts, Refine, cut_edges, labeled_share
@@ -92,7 +92,7 @@ class _Blurred(NamedTuple):
     """Measurement around a map before sharpening, and its residual variance."""
 
     found: Look
-    mismatch: Array
+    residual_variance: Array
 
 
 class _State(NamedTuple):
@@ -163,7 +163,7 @@ def _sharpened(
     sharpens, params = turn.kind == _SHARPENED, _views(given).params
 
     def disagreement(found: Look, disparity: Array) -> Array:
-        return mismatch(found, given.lab, disparity, params, passes=params.passes)
+        return residual_variance(found, given.lab, disparity, params, passes=params.passes)
 
     def sharper(disparity: Array) -> Array:
         return parts.refine.sharpen(disparity, given.guide)
@@ -172,7 +172,9 @@ def _sharpened(
     found = save_residual(_look(given, moved))
     compared = sharpens | (turn.kind == _BLURRED)
     differs = lax.cond(compared, disagreement, lambda _, d: jnp.zeros_like(d), found, moved)
-    minds = sharpens & (differs > turn.slack * (state.blurred.mismatch + 2 * params.noise**2))
+    minds = sharpens & (
+        differs > turn.slack * (state.blurred.residual_variance + 2 * params.noise**2)
+    )
     # The chosen map has been measured already.
     disparity, found = jax.tree.map(
         partial(jnp.where, minds), (state.disparity, state.blurred.found), (moved, found)

@@ -13,7 +13,7 @@ from mvedge_jax.photometry.measuring import (
     Measuring,
     PhotometricLabels,
     labels,
-    mismatch,
+    residual_variance,
 )
 from mvedge_jax.photometry.measuring._measure import shared
 
@@ -84,7 +84,7 @@ def test_a_small_step_parts_surfaces_only_where_disparities_are_known():
     def across(information):
         known = jnp.full((20, 28), information)
         found = around._replace(power=spike, freedom=jnp.ones((20, 28)), information=known)
-        shares = mismatch(found, PLAIN, disparity, params, passes=1)
+        shares = residual_variance(found, PLAIN, disparity, params, passes=1)
         return float(shares[10, 13] / shares[10, 15])
 
     assert across(1e6) < 0.01
@@ -118,7 +118,7 @@ def small_problem():
         arm = across._replace(centre=centre, others=others)
         around = look(arm, down, disparity, params, radius=2)
         found = labels(around, lab, disparity, params, passes=1)
-        residual = mismatch(around, lab, disparity, params, passes=1)
+        residual = residual_variance(around, lab, disparity, params, passes=1)
         sure = jnp.sum(1 / (1 + 1e4 * found.variance))
         return jnp.sum(found.disparity**2) + sure + jnp.sum(jnp.sqrt(residual + 1e-6))
 

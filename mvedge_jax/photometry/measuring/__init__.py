@@ -2,7 +2,11 @@
 
 from ._grid import ViewSplines as ViewSplines
 from ._look import CrosshairSplines as CrosshairSplines, Look as Look
-from ._measure import PhotometricLabels as PhotometricLabels, labels as labels, mismatch as mismatch
+from ._measure import (
+    PhotometricLabels as PhotometricLabels,
+    labels as labels,
+    residual_variance as residual_variance,
+)
 from ._measuring import (
     Measurement as Measurement,
     Measuring as Measuring,

@@ -116,7 +116,7 @@ class CrosshairSplines(NamedTuple):
             params: see `Measuring`.
 
         Returns:
-            Inputs of `labels` and `mismatch`. Differentiable.
+            Inputs of `labels` and `residual_variance`. Differentiable.
         """
         params = cast(params, disparity.dtype)
 

@@ -212,7 +212,7 @@ def shared(
 
 
 @partial(jax.jit, static_argnames="passes")
-def mismatch(
+def residual_variance(
     found: Look,
     lab: Float[Array, "c y x"],
     disparity: Float[Array, "y x"],
