@@ -23,7 +23,7 @@ from .matching._cost import Matching, hypotheses
 from .matching._unexplained import between_views_variance
 from .measuring._grid import ViewSplines
 from .measuring._look import CrosshairSplines, Look
-from .measuring._measure import PhotometricLabels, labels, shared
+from .measuring._measure import PhotometricLabels, average_over_surface, labels
 from .measuring._measuring import Measurement, Measuring
 from .views import ViewSet, views_of
 
@@ -295,4 +295,4 @@ def first_labels(
         raise ValueError("`prepared` must be views of a crosshair, got photographs.")
     found, weights = prepared.splines.look_with_weights(first, params)
     measured = labels(found, lab, first, params, passes=params.passes)
-    return shared(measured, lab, params, passes=params.passes), weights
+    return average_over_surface(measured, lab, params, passes=params.passes), weights

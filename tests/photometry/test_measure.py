@@ -15,7 +15,7 @@ from mvedge_jax.photometry.measuring import (
     labels,
     residual_variance,
 )
-from mvedge_jax.photometry.measuring._measure import shared
+from mvedge_jax.photometry.measuring._measure import average_over_surface
 
 # Of one colour, so that no neighbour is left out for its own.
 PLAIN = jnp.zeros((3, 20, 28))
@@ -99,7 +99,7 @@ def test_labels_are_shared_across_small_steps_only_however_little_is_known(varia
         disparity = jnp.broadcast_to(0.3 + jnp.where(jnp.arange(28) < 14, 0, step), (20, 28))
         known = jnp.full_like(disparity, variance)
         measured = PhotometricLabels(disparity, known, jnp.zeros_like(disparity))
-        averaged = shared(measured, PLAIN, params, passes=2).disparity
+        averaged = average_over_surface(measured, PLAIN, params, passes=2).disparity
         return float(averaged[10, 13] - 0.3) / step
 
     assert beside(params.same_surface) > 0.2

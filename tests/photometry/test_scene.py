@@ -23,7 +23,7 @@ from mvedge_jax.photometry.measuring import (
     PhotometricLabels,
     ViewSplines,
 )
-from mvedge_jax.photometry.measuring._measure import shared
+from mvedge_jax.photometry.measuring._measure import average_over_surface
 from mvedge_jax.photometry.views import views_of
 
 
@@ -63,7 +63,7 @@ def test_neighbours_share_labels_on_their_surface_only():
     noisy = noisy.at[:, 3].add(0.02 * jax.random.normal(key[1], (20,)))
     lab = jnp.zeros((3, 20, 24))
     labels = PhotometricLabels(noisy, variance, variance)
-    found = shared(labels, lab, Measuring(), passes=2)
+    found = average_over_surface(labels, lab, Measuring(), passes=2)
     before, after = (np.abs(np.asarray(d - truth)) for d in (noisy, found.disparity))
     assert after.mean() < 0.5 * before.mean()
     # An uncertain label follows the others, and none crosses the step.

@@ -181,7 +181,7 @@ def _dot(a: tuple[Array, Array], b: tuple[Array, Array]) -> Array:
 
 
 @partial(jax.jit, static_argnames="passes")
-def shared(
+def average_over_surface(
     measured: PhotometricLabels,
     lab: Float[Array, "c y x"],
     params: Measuring,
