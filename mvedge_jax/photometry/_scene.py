@@ -209,7 +209,7 @@ def measuring_in(noise: Noise, scale: Float[Array, ""], params: Measurement) -> 
     changed: dict[str, Any] = {
         # Noise looks like drift and hides the colors of surfaces.
         "stiffness": plain.stiffness / clear**2,
-        "same_colour": params.same_colour / clear,
+        "same_color": params.same_color / clear,
         "noise": jnp.maximum(jnp.sqrt(kept) * noise.deviation, plain.noise),
         "rounding": scale * noise.rounding,
         # The mean gradients of all views have less noise than the residual.

@@ -268,7 +268,7 @@ def _unlike(lab: Array, disparity: Array, params: Measuring, variance: Array) ->
 
 def _told_apart(lab: Array, disparity: Array, params: Measuring, apart: Array) -> _Unlike:
     """Features of surfaces with a given tolerance of disparity."""
-    colours = jnp.broadcast_to(params.same_colour, lab.shape)
+    colours = jnp.broadcast_to(params.same_color, lab.shape)
     apart = jnp.broadcast_to(apart, (1, *disparity.shape))
     return _Unlike(jnp.concatenate([disparity[None], lab]), jnp.concatenate([apart, colours]))
 
