@@ -12,7 +12,7 @@ from .._points import EdgePoints
 from .._raster import Raster
 
 
-def neighbour_evidence(
+def neighbor_evidence(
     points: EdgePoints,
     raster: Raster,
     *,

@@ -13,7 +13,7 @@ from mvedge_jax.image import nearest_pixels
 
 from .._points import EdgePoints
 from .._raster import rasterise
-from ._evidence import map_evidence, neighbour_evidence
+from ._evidence import map_evidence, neighbor_evidence
 
 
 class SideVote(eqx.Module):
@@ -82,7 +82,7 @@ def surface_vectors(
     """
     params = cast(params, points.disparity.dtype)
     raster = rasterise(points.xy, points.disparity, points.valid, shape)
-    score = params.neighbors * neighbour_evidence(
+    score = params.neighbors * neighbor_evidence(
         points, raster, radius=params.radius, cap=params.cap
     )
     if response is not None:
