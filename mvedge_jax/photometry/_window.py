@@ -125,7 +125,7 @@ def _summed_jvp(window: _Window, primals: Any, tangents: Any) -> tuple[Array, Ar
     return _summed(window, images, weights), along + turned
 
 
-def colour_weights(
+def color_weights(
     lab: Float[Array, "c y x"], scale: Float[Array, ""], *, reach: int, spacing: int = 1
 ) -> Float[Array, "o y x"]:
     """Weights of the neighbors by the similarity of their colors.

@@ -12,7 +12,7 @@ from mvedge_jax._cpu import no_fuse, plane_sum, unstack
 from mvedge_jax._crosshair import Arm
 from mvedge_jax.interpolation import keys_taps
 
-from .._window import colour_weights, weighted_sum
+from .._window import color_weights, weighted_sum
 
 # First row and column of a part of an image.
 Corner = tuple[Array | int, Array | int]
@@ -77,8 +77,8 @@ def swept(arm: Arm, lab: Array, share: Array, same_color: Array, window: int) ->
     return Swept(
         arm.planes[arm.centre],
         halves_of(arm),
-        colour_weights(lab, same_color, reach=window),
-        colour_weights(lab, same_color, reach=window, spacing=2),
+        color_weights(lab, same_color, reach=window),
+        color_weights(lab, same_color, reach=window, spacing=2),
         share,
     )
 
