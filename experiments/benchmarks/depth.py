@@ -177,7 +177,7 @@ def _stages(measure: Any, light_field: LightField, model: EdgeDepth) -> None:
     params = Measuring(radius=measurement.radius, passes=measurement.passes)
     measured = measure(
         "dense labels",
-        lean_jit(lambda s, a, b, p: labels(s.look(b, p), a, b, p, passes=p.passes)),
+        lean_jit(lambda s, a, b, p: labels(s.accumulate(b, p), a, b, p, passes=p.passes)),
         CrosshairSplines.of(arms),
         lab,
         first,

@@ -18,7 +18,7 @@ from mvedge_jax.lightfield import LightField
 from mvedge_jax.photometry import CalibratedViews, Noise, PreparedViews, prepare_views, recentred
 from mvedge_jax.photometry.brightness import Exposure, low_pass
 from mvedge_jax.photometry.matching import hypotheses
-from mvedge_jax.photometry.measuring import Look, labels, residual_variance
+from mvedge_jax.photometry.measuring import NormalEquations, labels, residual_variance
 from mvedge_jax.smoothness import edge_smoothness
 
 from ._draw import STEP, decided, drawn
@@ -138,7 +138,7 @@ def _measured_in(
 
     guess, found = _guess(reference, known, new, model)
 
-    def solve(state: tuple[Array, Array, Look], more: Array) -> Any:
+    def solve(state: tuple[Array, Array, NormalEquations], more: Array) -> Any:
         disparity, _, found = state
         seen = reference.prepared.params
         measured = labels(found, reference.scene.lab, disparity, seen, passes=seen.passes)
@@ -161,7 +161,7 @@ def _measured_in(
         values, starts = jnp.stack([label, uncertain]), jnp.stack([disparity, uncertain])
         value, doubted = lax.map(diffused, (values, starts, tolerances))
         disparity, error = jnp.where(new, value, known), jnp.where(new, doubted, doubt)
-        found = lax.cond(more, lambda d: _look(reference, d), lambda _: found, disparity)
+        found = lax.cond(more, lambda d: _accumulate(reference, d), lambda _: found, disparity)
         return (disparity, error, found), None
 
     more = jnp.arange(model.solves) < model.solves - 1
@@ -169,11 +169,13 @@ def _measured_in(
     return disparity, error, new
 
 
-def _look(reference: _Reference, disparity: Array) -> Look:
-    return reference.prepared.look(disparity).per_pixel()
+def _accumulate(reference: _Reference, disparity: Array) -> NormalEquations:
+    return reference.prepared.accumulate(disparity).per_pixel()
 
 
-def _guess(reference: _Reference, known: Array, new: Array, model: ViewDepth) -> tuple[Array, Look]:
+def _guess(
+    reference: _Reference, known: Array, new: Array, model: ViewDepth
+) -> tuple[Array, NormalEquations]:
     """Initial disparity of new surfaces, and the normal equations there.
 
     New pixels continue the surface behind, unless the residual of a hypothesis is much smaller.
@@ -189,8 +191,8 @@ def _guess(reference: _Reference, known: Array, new: Array, model: ViewDepth) ->
     other = jnp.pad(other, ((0, height % 2), (0, width % 2)), mode="edge")[:height, :width]
     other = jnp.where(new, other, known)
 
-    def tried_at(disparity: Array) -> tuple[Look, Array]:
-        found = _look(reference, disparity)
+    def tried_at(disparity: Array) -> tuple[NormalEquations, Array]:
+        found = _accumulate(reference, disparity)
         passes = seen.params.passes
         differs = residual_variance(found, scene.lab, disparity, seen.params, passes=passes)
         # Agreement of few views is weak evidence.

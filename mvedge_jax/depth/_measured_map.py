@@ -13,7 +13,12 @@ from jaxtyping import Array, Float
 from mvedge_jax._checkpoint import checkpoint, save_residual
 from mvedge_jax._cpu import checkpoint_stage
 from mvedge_jax.photometry import PreparedViews
-from mvedge_jax.photometry.measuring import Look, PhotometricLabels, labels, residual_variance
+from mvedge_jax.photometry.measuring import (
+    NormalEquations,
+    PhotometricLabels,
+    labels,
+    residual_variance,
+)
 
 from ._diffused import diffused
 from ._refine import Given, Map, Parts, Refine, cut_edges, labeled_share
@@ -91,7 +96,7 @@ class _Turn(NamedTuple):
 class _Blurred(NamedTuple):
     """Measurement around a map before sharpening, and its residual variance."""
 
-    found: Look
+    found: NormalEquations
     residual_variance: Array
 
 
@@ -133,21 +138,23 @@ def _views(given: Given) -> PreparedViews:
     return given.views
 
 
-def _look(given: Given, disparity: Array) -> Look:
+def _look(given: Given, disparity: Array) -> NormalEquations:
     """Accumulates the crosshair's or the photographs' normal equations around a map."""
 
     @checkpoint_stage
-    def look(disparity: Array) -> Look:
-        found = _views(given).look(disparity).per_pixel()
+    def look(disparity: Array) -> NormalEquations:
+        found = _views(given).accumulate(disparity).per_pixel()
         alone = _every(given) is None
         return found if alone else found._replace(cross=jnp.zeros_like(disparity))
 
     return look(disparity)
 
 
-def _around(given: Given, found: Look, disparity: Array, *, parts: Parts) -> Look:
+def _around(
+    given: Given, found: NormalEquations, disparity: Array, *, parts: Parts
+) -> NormalEquations:
     """Mixes the normal equations of all views with those of the crosshair beside steps."""
-    whole = _every(given).look(disparity, _views(given).params)
+    whole = _every(given).accumulate(disparity, _views(given).params)
     share = _share_of_all(disparity, parts.refine)
     return jax.tree.map(lambda a, c: share * a + (1 - share) * c, whole.per_pixel(), found)
 
@@ -157,12 +164,12 @@ def _sharpened(
     state: _State,
     turn: _Turn,
     parts: Parts,
-) -> tuple[_State, Look]:
+) -> tuple[_State, NormalEquations]:
     """Sharpens the map where the residual allows it; also returns its normal equations."""
     assert state.blurred is not None
     sharpens, params = turn.kind == _SHARPENED, _views(given).params
 
-    def disagreement(found: Look, disparity: Array) -> Array:
+    def disagreement(found: NormalEquations, disparity: Array) -> Array:
         return residual_variance(found, given.lab, disparity, params, passes=params.passes)
 
     def sharper(disparity: Array) -> Array:
@@ -182,13 +189,15 @@ def _sharpened(
     return _State(disparity, state.error, _Blurred(found, differs)), found
 
 
-def _solve(given: Given, found: Look, disparity: Array, turn: _Turn, parts: Parts) -> Any:
+def _solve(
+    given: Given, found: NormalEquations, disparity: Array, turn: _Turn, parts: Parts
+) -> Any:
     """Diffuses dense labels together with those of the points."""
     params, refine, sparse = _views(given).params, parts.refine, given.from_points
     assert parts.dense is not None
 
     @checkpoint_stage
-    def measured(found: Look, disparity: Array) -> PhotometricLabels:
+    def measured(found: NormalEquations, disparity: Array) -> PhotometricLabels:
         return labels(found, given.lab, disparity, params, passes=params.passes)
 
     if _every(given) is not None:

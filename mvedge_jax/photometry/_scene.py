@@ -21,8 +21,8 @@ from .brightness._noise import Known, Noise, measure_noise
 from .brightness._uncalibrated import Uncalibrated
 from .matching._cost import Matching, hypotheses
 from .matching._unexplained import between_views_variance
+from .measuring._crosshair import CrosshairSplines, NormalEquations
 from .measuring._grid import ViewSplines
-from .measuring._look import CrosshairSplines, Look
 from .measuring._measure import PhotometricLabels, average_over_surface, labels
 from .measuring._measuring import Measurement, Measuring
 from .views import ViewSet, views_of
@@ -71,9 +71,9 @@ class PreparedViews(NamedTuple):
     params: Measuring
     every: ViewSplines | None = None
 
-    def look(self, disparity: Float[Array, "y x"]) -> Look:
+    def accumulate(self, disparity: Float[Array, "y x"]) -> NormalEquations:
         """Accumulates the normal equations around a map."""
-        return self.splines.look(disparity, self.params)
+        return self.splines.accumulate(disparity, self.params)
 
 
 def hypothesis_count(span: float, steps: int) -> int:
@@ -283,7 +283,7 @@ def first_labels(
 
     Returns:
         Labels, averaged over neighbors, and the weights of the views, see
-        `CrosshairSplines.look_with_weights`. Differentiable.
+        `CrosshairSplines.accumulate_with_weights`. Differentiable.
 
     Raises:
         ValueError: the scene has no first map, or is not that of a light field.
@@ -293,6 +293,6 @@ def first_labels(
         raise ValueError("`scene` has no first map; `prepare` finds one.")
     if not isinstance(prepared.splines, CrosshairSplines):
         raise ValueError("`prepared` must be views of a crosshair, got photographs.")
-    found, weights = prepared.splines.look_with_weights(first, params)
+    found, weights = prepared.splines.accumulate_with_weights(first, params)
     measured = labels(found, lab, first, params, passes=params.passes)
     return average_over_surface(measured, lab, params, passes=params.passes), weights

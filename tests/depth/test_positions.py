@@ -88,7 +88,7 @@ def test_the_gradient_in_the_positions():
 
     def mean(positions):
         moved = eqx.tree_at(lambda s: s.positions, light_field, positions)
-        found = CrosshairSplines.of(crosshair(moved)).look(first, params)
+        found = CrosshairSplines.of(crosshair(moved)).accumulate(first, params)
         found = labels(found, lab, first, params, passes=1)
         return jnp.mean(found.disparity[3:-3, 4:-4])
 

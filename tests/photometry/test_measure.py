@@ -5,12 +5,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from helpers import check_gradient, random_like, with_values
-from photometry.planes import look, photometric_labels, plane_arms, plane_splines
+from photometry.planes import accumulate, photometric_labels, plane_arms, plane_splines
 
 from mvedge_jax.photometry.measuring import (
     CrosshairSplines,
-    Look,
     Measuring,
+    NormalEquations,
     PhotometricLabels,
     labels,
     residual_variance,
@@ -78,7 +78,7 @@ def test_a_small_step_parts_surfaces_only_where_disparities_are_known():
     arms, params = plane_splines(0.3), Measuring()
     step = jnp.where(jnp.arange(28) < 14, 0, 2.5 * params.same_surface)
     disparity = jnp.broadcast_to(0.3 + step, (20, 28))
-    around = look(*arms, disparity, params, radius=1)
+    around = accumulate(*arms, disparity, params, radius=1)
     spike = jnp.zeros((20, 28)).at[10, 14].set(1.0)
 
     def across(information):
@@ -116,7 +116,7 @@ def small_problem():
     def loss(tree):
         (centre, others), lab, disparity, params = tree
         arm = across._replace(centre=centre, others=others)
-        around = look(arm, down, disparity, params, radius=2)
+        around = accumulate(arm, down, disparity, params, radius=2)
         found = labels(around, lab, disparity, params, passes=1)
         residual = residual_variance(around, lab, disparity, params, passes=1)
         sure = jnp.sum(1 / (1 + 1e4 * found.variance))
@@ -200,7 +200,7 @@ def test_elimination_equals_the_regression_with_all_unknowns():
         across, down = jax.tree.map(jnp.asarray, [tuple(arm) for arm in field])
         return across, down
 
-    found = Look(
+    found = NormalEquations(
         right=jnp.asarray(right),
         information=jnp.asarray(information),
         power=jnp.asarray(power),

@@ -78,7 +78,7 @@ def test_views_that_a_nearer_surface_hides_or_that_differ_weigh_little():
     truth = jnp.where(jnp.arange(64) < 30, 0.8, -0.6)[None] * jnp.ones((16, 1))
     truth = truth.astype(jnp.float32)
     assert isinstance(seen.splines, CrosshairSplines)
-    _, weights = seen.splines.look_with_weights(truth, seen.params)
+    _, weights = seen.splines.accumulate_with_weights(truth, seen.params)
     assert weights.shape == (18, 16, 64)
     # Right of the border, the near plane comes over the pixel in views of one side only.
     across = np.asarray(weights[9:, 4:12, 33]).mean(1)
@@ -89,7 +89,7 @@ def test_views_that_a_nearer_surface_hides_or_that_differ_weigh_little():
     spoilt = type(light_field)(painted, disparity_range=(-0.9, 1.1))
     _, seen, _ = _prepared(spoilt, -0.9, 1.1, radius=12)
     assert isinstance(seen.splines, CrosshairSplines)
-    weights = np.asarray(seen.splines.look_with_weights(truth, seen.params)[1])
+    weights = np.asarray(seen.splines.accumulate_with_weights(truth, seen.params)[1])
     inner = weights[9:, 4:12, 10:24].mean((1, 2))
     assert inner[0] < 0.3
     assert inner[1:].min() > 0.5

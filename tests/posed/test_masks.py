@@ -52,7 +52,7 @@ def test_what_is_transparent_is_read_in_no_photograph():
     for color in (0.0, 0.7):
         images = jnp.moveaxis(jnp.asarray(cut(color).images), -1, 1)
         views = ViewSet(images, parallax, jnp.ones(4, bool), inner.astype(jnp.float64))
-        both.append(ViewSplines.of(views).look(disparity, params))
+        both.append(ViewSplines.of(views).accumulate(disparity, params))
     for name in ("right", "information", "power", "freedom"):
         one, other = (np.asarray(getattr(each, name)) for each in both)
         assert np.isfinite(one).all()

@@ -104,7 +104,7 @@ def agreed_correction(
 
     def propose(half: Bool[Array, "k"]) -> tuple[Array, Array, Array]:
         part = splines._replace(available=splines.available & (half | centre))
-        found = part.look(disparity, measuring)
+        found = part.accumulate(disparity, measuring)
         measured = labels(found, lab, disparity, measuring, passes=passes)
         # A pixel without a measurement has weight 0, instead of a change of 0.
         known = jnp.where(clear, 1 / measured.variance, 0)

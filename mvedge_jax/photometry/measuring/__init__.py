@@ -1,7 +1,7 @@
 """The measurement: disparity and standard error of every pixel around a map."""
 
+from ._crosshair import CrosshairSplines as CrosshairSplines, NormalEquations as NormalEquations
 from ._grid import ViewSplines as ViewSplines
-from ._look import CrosshairSplines as CrosshairSplines, Look as Look
 from ._measure import (
     PhotometricLabels as PhotometricLabels,
     labels as labels,

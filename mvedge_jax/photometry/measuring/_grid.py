@@ -14,7 +14,7 @@ from mvedge_jax.interpolation import cubic_taps, spline_coefficients
 
 from ..views import ViewSet
 from ..views._parallax import GridShift, Parallax, shown_at
-from ._look import Look
+from ._crosshair import NormalEquations
 from ._measuring import Measuring
 
 # Margin of the four taps of a cubic spline beyond the pixel before a position.
@@ -66,8 +66,8 @@ class ViewSplines(NamedTuple):
         return ViewSplines(lax.map(one, views.planes), *views[1:])
 
     @jax.jit
-    def look(self, disparity: Float[Array, "y x"], params: Measuring) -> Look:
-        """See `CrosshairSplines.look`.
+    def accumulate(self, disparity: Float[Array, "y x"], params: Measuring) -> NormalEquations:
+        """See `CrosshairSplines.accumulate`.
 
         Steps of photographs differ from pixel to pixel: a step is the movement of the pixel itself
         that is equivalent to a change of disparity by 1.
@@ -117,15 +117,15 @@ class ViewSplines(NamedTuple):
 
         start = _Totals(*[zero] * 6, *[zeros] * 4)
         total, _ = lax.scan(add, start, (*seen, self.parallax))
-        return _look(total, gx, gy, jnp.sum(self.available.astype(disparity.dtype)))
+        return _equations(total, gx, gy, jnp.sum(self.available.astype(disparity.dtype)))
 
 
-def _look(total: _Totals, gx: Array, gy: Array, views: Array) -> Look:
+def _equations(total: _Totals, gx: Array, gy: Array, views: Array) -> NormalEquations:
     n, x, y, r = total.n, total.x, total.y, total.r
     xx, xy, yy = total.xx - x * x / n, total.xy - x * y / n, total.yy - y * y / n
     rx, ry = total.rx - (x / n)[None] * r, total.ry - (y / n)[None] * r
     along_x, along_y = xx[None] * gx + xy[None] * gy, xy[None] * gx + yy[None] * gy
-    return Look(
+    return NormalEquations(
         right=-plane_sum(gx * rx + gy * ry),
         information=plane_sum(gx * along_x + gy * along_y),
         power=plane_sum(total.rr - r * r / n[None]),

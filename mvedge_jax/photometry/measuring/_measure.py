@@ -15,7 +15,7 @@ from mvedge_jax._root import root
 from mvedge_jax.image import box_mean
 
 from .._window import weighted_sum
-from ._look import Look
+from ._crosshair import NormalEquations
 from ._measuring import Measuring
 
 _Tree = TypeVar("_Tree")
@@ -56,7 +56,7 @@ class PhotometricLabels(NamedTuple):
 
 @partial(jax.jit, static_argnames="passes")
 def labels(
-    found: Look,
+    found: NormalEquations,
     lab: Float[Array, "c y x"],
     disparity: Float[Array, "y x"],
     params: Measuring,
@@ -77,7 +77,7 @@ def labels(
     therefore subtracted from the information, so that plain surfaces have none.
 
     Args:
-        found: normal equations around `disparity`, see `CrosshairSplines.look`.
+        found: normal equations around `disparity`, see `CrosshairSplines.accumulate`.
         lab: the center view in CIELAB, `[c, y, x]`.
         disparity: the map to improve, px per view step, `[y, x]`.
         params: see `Measuring`.
@@ -117,7 +117,10 @@ def labels(
 
 
 def _stiffness(
-    total: Look, params: Measuring, floor: Array, wider: Callable[[_Pair], _Pair]
+    total: NormalEquations,
+    params: Measuring,
+    floor: Array,
+    wider: Callable[[_Pair], _Pair],
 ) -> Array:
     """Stiffness of the prior that holds the drift of every window at 0, in squared view steps.
 
@@ -138,7 +141,7 @@ def _stiffness(
     return params.stiffness + spread * doubt**4
 
 
-def _regressed(total: Look, stiffness: Array) -> tuple[Array, Array, Array]:
+def _regressed(total: NormalEquations, stiffness: Array) -> tuple[Array, Array, Array]:
     """Right-hand side, information and power of a window after elimination of the drift."""
     right, information, power = total.right, total.information, total.power
     for slope, trend in zip(
@@ -165,7 +168,9 @@ def _over(part: Array, whole: Array) -> Array:
     return part * (1 / whole)
 
 
-def _undrifted(total: Look, sums: tuple[Array, Array], stiffness: Array) -> tuple[Array, Array]:
+def _undrifted(
+    total: NormalEquations, sums: tuple[Array, Array], stiffness: Array
+) -> tuple[Array, Array]:
     """The drift, from sums over views times their steps."""
     xx, yy = (spread + stiffness for spread in total.spread)
     x, y = sums
@@ -213,7 +218,7 @@ def average_over_surface(
 
 @partial(jax.jit, static_argnames="passes")
 def residual_variance(
-    found: Look,
+    found: NormalEquations,
     lab: Float[Array, "c y x"],
     disparity: Float[Array, "y x"],
     params: Measuring,
@@ -223,7 +228,7 @@ def residual_variance(
     """Residual variance of every window's colors over the views, drift included.
 
     Args:
-        found: result of `look` around `disparity`.
+        found: result of `accumulate` around `disparity`.
         lab: the center view in CIELAB, `[c, y, x]`.
         disparity: px per view step, `[y, x]`.
         params: see `Measuring`.
@@ -252,7 +257,7 @@ class _Unlike(NamedTuple):
     scales: Array
 
 
-def _uncertain(found: Look, params: Measuring) -> Array:
+def _uncertain(found: NormalEquations, params: Measuring) -> Array:
     """Variance of the disparity by the 3x3 pixels around; large on plain surfaces, but finite."""
     information, noise = 9 * box_mean(found.information, 1), params.noise**2
     return _over(noise, information + 1e-6 * noise)

@@ -43,7 +43,7 @@ class ArmSplines(NamedTuple):
         return ArmSplines(planes[own], others(planes), others(arm.steps), others(arm.available))
 
 
-class Look(NamedTuple):
+class NormalEquations(NamedTuple):
     """Normal equations of every pixel around a map: sums over views, which windows add up.
 
     Let `k = (k_x, k_y)` be the steps of the views minus their weighted mean, `r` the colors and
@@ -74,7 +74,7 @@ class Look(NamedTuple):
     slope: tuple[tuple[Array, ...], ...]
     trend: tuple[tuple[Array, ...], ...]
 
-    def per_pixel(self) -> "Look":
+    def per_pixel(self) -> "NormalEquations":
         """The same with `views` per pixel, so that two of them can be mixed by pixel."""
         return self._replace(views=jnp.broadcast_to(self.views, self.right.shape))
 
@@ -108,7 +108,7 @@ class CrosshairSplines(NamedTuple):
         return CrosshairSplines(*map(ArmSplines.of, arms))
 
     @jax.jit
-    def look(self, disparity: Float[Array, "y x"], params: Measuring) -> Look:
+    def accumulate(self, disparity: Float[Array, "y x"], params: Measuring) -> NormalEquations:
         """Accumulates colors and gradients of all views around a map.
 
         Args:
@@ -120,7 +120,7 @@ class CrosshairSplines(NamedTuple):
         """
         params = cast(params, disparity.dtype)
 
-        def sums(arm: ArmSplines, disparity: Array) -> Look:
+        def sums(arm: ArmSplines, disparity: Array) -> NormalEquations:
             return _sums(_arm_views(arm, disparity, params), arm)
 
         # Stored; otherwise the vertical arm is summed across the rows in memory.
@@ -128,38 +128,38 @@ class CrosshairSplines(NamedTuple):
         return self._joined(no_fuse(sums, self.horizontal, disparity), turned)
 
     @jax.jit
-    def look_with_weights(
+    def accumulate_with_weights(
         self, disparity: Float[Array, "y x"], params: Measuring
-    ) -> tuple[Look, Float[Array, "s y x"]]:
-        """`look`, and the weight of each view at every pixel.
+    ) -> tuple[NormalEquations, Float[Array, "s y x"]]:
+        """`accumulate`, and the weight of each view at every pixel.
 
         Args:
             disparity: px per view step, `[y, x]`.
             params: see `Measuring`.
 
         Returns:
-            The result of `look`; the weights of the views, those of the vertical arm first, in [0,
-            1]: 0 where a nearer surface of the map hides a pixel or the image ends, less than one
-            half where colors differ more from the other views than these from each other.
+            The result of `accumulate`; the weights of the views, those of the vertical arm first,
+            in [0, 1]: 0 where a nearer surface of the map hides a pixel or the image ends, less
+            than one half where colors differ more from the other views than these from each other.
             Differentiable at the occlusions found.
         """
         params = cast(params, disparity.dtype)
 
-        def arm_look(arm: ArmSplines, disparity: Array) -> tuple[Look, Array]:
+        def sums(arm: ArmSplines, disparity: Array) -> tuple[NormalEquations, Array]:
             found = _arm_views(arm, disparity, params)
             weights = jnp.insert(found.weight, arm.others.shape[0] // 2, found.own, axis=0)
             return _sums(found, arm), weights
 
-        across, own = no_fuse(arm_look, self.horizontal, disparity)
-        down, turned = no_fuse(arm_look, self.vertical, disparity.T)
+        across, own = no_fuse(sums, self.horizontal, disparity)
+        down, turned = no_fuse(sums, self.vertical, disparity.T)
         weights = jnp.concatenate([jnp.swapaxes(turned, 1, 2), own])
         return self._joined(across, down), weights
 
     @staticmethod
-    def _joined(across: Look, down: Look) -> Look:
+    def _joined(across: NormalEquations, down: NormalEquations) -> NormalEquations:
         """The sums of both arms, of which the vertical one is transposed."""
         down = jax.tree.map(jnp.transpose, down)
-        return Look(
+        return NormalEquations(
             *(a + d for a, d in zip(across[:5], down[:5], strict=True)),
             spread=across.spread + down.spread,
             cross=None,
@@ -247,7 +247,7 @@ def _trusted(
     return own, lax.map(jax.checkpoint(one), (seen, *values))
 
 
-def _sums(seen: _ArmViews, arm: ArmSplines) -> Look:
+def _sums(seen: _ArmViews, arm: ArmSplines) -> NormalEquations:
     """The sums of one arm, whose steps have one axis, per pixel."""
     moments = _moments(seen.weight, arm.steps, seen.relative, seen.gradients, seen.own, seen.slopes)
     mean_step = moments.step / moments.weight
@@ -265,7 +265,7 @@ def _sums(seen: _ArmViews, arm: ArmSplines) -> Look:
     # Half of them, because the sums of both arms are added.
     views = 0.5 * (1 + jnp.sum(arm.available.astype(power.dtype)))
     freedom, trend = moments.weight - 1, tuple(trends)
-    return Look(
+    return NormalEquations(
         right, contrast * spread, power, freedom, views, (spread,), None, (slope,), (trend,)
     )
 
