@@ -24,7 +24,7 @@ from .matching._unexplained import between_views_variance
 from .measuring._crosshair import CrosshairSplines, NormalEquations
 from .measuring._grid import ViewSplines
 from .measuring._measure import PhotometricLabels, average_over_surface, labels
-from .measuring._measuring import Measurement, Measuring
+from .measuring._measuring import AdaptedMeasurement, Measurement
 from .views import ViewSet, views_of
 
 
@@ -68,7 +68,7 @@ class PreparedViews(NamedTuple):
     """
 
     splines: CrosshairSplines | ViewSplines
-    params: Measuring
+    params: AdaptedMeasurement
     every: ViewSplines | None = None
 
     def accumulate(self, disparity: Float[Array, "y x"]) -> NormalEquations:
@@ -190,10 +190,12 @@ def prepare_views(
     if every is not None:
         whole = views_of(expose(every, scene.exposure))
         around = ViewSplines.of(whole.mapped(low_pass(scene.noise)))
-    return PreparedViews(of, measuring_in(scene.noise, scene.exposure.scale, params), around)
+    return PreparedViews(of, adapted_measurement(scene.noise, scene.exposure.scale, params), around)
 
 
-def measuring_in(noise: Noise, scale: Float[Array, ""], params: Measurement) -> Measuring:
+def adapted_measurement(
+    noise: Noise, scale: Float[Array, ""], params: Measurement
+) -> AdaptedMeasurement:
     """Parameters of a measurement in views of a given noise.
 
     Args:
@@ -204,7 +206,7 @@ def measuring_in(noise: Noise, scale: Float[Array, ""], params: Measurement) -> 
     Returns:
         Parameters for `labels`. Differentiable.
     """
-    plain, clear = cast(Measuring(), scale.dtype), 1 - noise.alpha
+    plain, clear = cast(AdaptedMeasurement(), scale.dtype), 1 - noise.alpha
     kept, grain = passed(noise, blur_of(noise))
     changed: dict[str, Any] = {
         # Noise looks like drift and hides the colors of surfaces.
@@ -215,7 +217,7 @@ def measuring_in(noise: Noise, scale: Float[Array, ""], params: Measurement) -> 
         # The mean gradients of all views have less noise than the residual.
         "gradient_noise": plain.gradient_noise * grain * (1 - 0.6 * noise.alpha**4),
     }
-    return Measuring(**(vars(params) | changed))
+    return AdaptedMeasurement(**(vars(params) | changed))
 
 
 def recentred(

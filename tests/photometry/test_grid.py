@@ -13,8 +13,8 @@ from scipy import ndimage
 from mvedge_jax._crosshair import crosshair
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.photometry.measuring import (
+    AdaptedMeasurement,
     CrosshairSplines,
-    Measuring,
     ViewSplines,
     labels,
 )
@@ -24,7 +24,7 @@ SHAPE = (14, 17)
 LAB = jnp.zeros((3, *SHAPE))
 # Nothing is an outlier, nothing is noise, and steps are not limited.
 PLAIN = with_values(
-    Measuring,
+    AdaptedMeasurement,
     outlier=1e12,
     gradient_noise=0.0,
     largest_step=1e6,
@@ -89,11 +89,11 @@ def test_equals_a_regression_with_all_unknowns():
 def test_finds_a_plane_better_than_the_crosshair_does():
     truth, start = 0.31, jnp.full((20, 28), 0.28)
     field = plane_views(truth, noise=0.01)
-    found = accumulate_around(grid(field), start, Measuring(), radius=2)
+    found = accumulate_around(grid(field), start, AdaptedMeasurement(), radius=2)
     lab = jnp.zeros((3, 20, 28))
-    every = labels(found, lab, start, Measuring(), passes=2)
+    every = labels(found, lab, start, AdaptedMeasurement(), passes=2)
     arms = CrosshairSplines.of(crosshair(field))
-    cross = photometric_labels(*arms, lab, start, Measuring(), radius=2, passes=2)
+    cross = photometric_labels(*arms, lab, start, AdaptedMeasurement(), radius=2, passes=2)
     inner = (slice(4, -4), slice(4, -4))
     errors = [float(jnp.sqrt(jnp.mean((m.disparity - truth)[inner] ** 2))) for m in (every, cross)]
     assert errors[0] < 0.8 * errors[1]
@@ -110,7 +110,7 @@ def test_a_drift_of_colours_is_not_taken_for_parallax():
     field = LightField(jnp.clip(field.views + steps[:, :, None, None, None] * change, 0, 1))
     start, inner, errors = jnp.full((20, 28), truth), (slice(4, -4), slice(4, -4)), []
     for stiffness in (1.0, 1e9):
-        params = with_values(Measuring, stiffness=stiffness)
+        params = with_values(AdaptedMeasurement, stiffness=stiffness)
         found = accumulate_around(grid(field), start, params, radius=2)
         label = labels(found, jnp.zeros((3, 20, 28)), start, params, passes=2)
         errors.append(float(jnp.sqrt(jnp.mean((label.disparity - truth)[inner] ** 2))))
@@ -180,7 +180,9 @@ def test_gradients_in_both_modes():
         label = labels(found, lab, disparity, params, passes=1)
         return jnp.sum(label.disparity**2) + jnp.sum(1 / (1 + 1e4 * label.variance))
 
-    check_modes(loss, (made.planes, rows, Measuring()), rtol=1e-4, step=1e-6, key=jax.random.key(2))
+    check_modes(
+        loss, (made.planes, rows, AdaptedMeasurement()), rtol=1e-4, step=1e-6, key=jax.random.key(2)
+    )
 
 
 def test_jit_and_single_precision_change_little():
@@ -189,8 +191,10 @@ def test_jit_and_single_precision_change_little():
     start = jnp.full(SHAPE, 0.28)
 
     def disparity(views, start):
-        found = accumulate_around(views, start, Measuring(), radius=2)
-        return labels(found, LAB.astype(start.dtype), start, Measuring(), passes=2).disparity
+        found = accumulate_around(views, start, AdaptedMeasurement(), radius=2)
+        return labels(
+            found, LAB.astype(start.dtype), start, AdaptedMeasurement(), passes=2
+        ).disparity
 
     exact = disparity(made, start)
     np.testing.assert_allclose(exact, jax.jit(disparity)(made, start), atol=1e-12)

@@ -8,8 +8,8 @@ from helpers import check_gradient, random_like, with_values
 from photometry.planes import accumulate, photometric_labels, plane_arms, plane_splines
 
 from mvedge_jax.photometry.measuring import (
+    AdaptedMeasurement,
     CrosshairSplines,
-    Measuring,
     NormalEquations,
     PhotometricLabels,
     labels,
@@ -32,7 +32,7 @@ def test_a_photometric_step_finds_the_plane_and_knows_how_well():
             PLAIN,
             jnp.full((20, 28), start),
             # These views sample a spline: what pixels do to an outline is not in them.
-            with_values(Measuring, noise=0.01, error_floor=0.0),
+            with_values(AdaptedMeasurement, noise=0.01, error_floor=0.0),
             radius=2,
             passes=2,
         )
@@ -47,7 +47,7 @@ def test_a_photometric_step_finds_the_plane_and_knows_how_well():
 def test_missing_views_take_no_part():
     across, down = plane_splines(0.2)
     there = across.available.at[0].set(False)
-    params = Measuring()
+    params = AdaptedMeasurement()
     disparity = jnp.full((20, 28), 0.15)
 
     def measure(planes):
@@ -68,14 +68,14 @@ def test_flat_images_leave_the_map_alone_and_say_so():
         for a in arms
     )
     labels = photometric_labels(
-        flat[0], flat[1], PLAIN, jnp.full((20, 28), 0.4), Measuring(), radius=2, passes=2
+        flat[0], flat[1], PLAIN, jnp.full((20, 28), 0.4), AdaptedMeasurement(), radius=2, passes=2
     )
     np.testing.assert_allclose(labels.disparity, 0.4, atol=1e-9)
     assert float(labels.variance.min()) > 1
 
 
 def test_a_small_step_parts_surfaces_only_where_disparities_are_known():
-    arms, params = plane_splines(0.3), Measuring()
+    arms, params = plane_splines(0.3), AdaptedMeasurement()
     step = jnp.where(jnp.arange(28) < 14, 0, 2.5 * params.same_surface)
     disparity = jnp.broadcast_to(0.3 + step, (20, 28))
     around = accumulate(*arms, disparity, params, radius=1)
@@ -93,7 +93,7 @@ def test_a_small_step_parts_surfaces_only_where_disparities_are_known():
 
 @pytest.mark.parametrize("variance", [1e-6, 1.0])
 def test_labels_are_shared_across_small_steps_only_however_little_is_known(variance):
-    params = Measuring()
+    params = AdaptedMeasurement()
 
     def beside(step):
         disparity = jnp.broadcast_to(0.3 + jnp.where(jnp.arange(28) < 14, 0, step), (20, 28))
@@ -122,7 +122,7 @@ def small_problem():
         sure = jnp.sum(1 / (1 + 1e4 * found.variance))
         return jnp.sum(found.disparity**2) + sure + jnp.sum(jnp.sqrt(residual + 1e-6))
 
-    return loss, ((across.centre, across.others), lab, disparity, Measuring())
+    return loss, ((across.centre, across.others), lab, disparity, AdaptedMeasurement())
 
 
 def test_gradient_of_the_measurement_matches_differences():
@@ -155,7 +155,7 @@ def test_drift_does_not_move_a_label():
     inner = (slice(4, -4), slice(4, -4))
     errors = []
     for stiffness in (1.0, 1e9):
-        params = with_values(Measuring, stiffness=stiffness)
+        params = with_values(AdaptedMeasurement, stiffness=stiffness)
         labels = photometric_labels(
             *arms, PLAIN, jnp.full((20, 28), truth), params, radius=2, passes=2
         )
@@ -172,7 +172,7 @@ def test_matt_surfaces_pay_nothing_for_drift():
     inner = (slice(8, -8), slice(8, -8))
 
     def error(**settings):
-        params = with_values(Measuring, **settings)
+        params = with_values(AdaptedMeasurement, **settings)
         start, plain = jnp.full((40, 48), truth), jnp.zeros((3, 40, 48))
         labels = photometric_labels(*arms, plain, start, params, radius=2, passes=1)
         return float(jnp.sqrt(jnp.mean((labels.disparity - truth)[inner] ** 2)))
@@ -212,7 +212,7 @@ def test_elimination_equals_the_regression_with_all_unknowns():
         trend=per_arm(trend),
     )
     exact = {"drift": 0.0, "error_floor": 0.0, "gradient_noise": 0.0}
-    params = with_values(Measuring, **exact, largest_step=1e6, stiffness=2.0)
+    params = with_values(AdaptedMeasurement, **exact, largest_step=1e6, stiffness=2.0)
     labels_ = labels(found, jnp.zeros((3, *shape)), jnp.zeros(shape), params, passes=1)
     taps = np.outer([0.5, 1, 0.5], [0.5, 1, 0.5])
 
@@ -245,7 +245,7 @@ def test_noise_is_no_information():
     weights = []
     for arms in (noisy, plain):
         found = photometric_labels(
-            *arms, PLAIN, disparity, with_values(Measuring, noise=0.02), radius=2, passes=2
+            *arms, PLAIN, disparity, with_values(AdaptedMeasurement, noise=0.02), radius=2, passes=2
         )
         weights.append(np.median(1 / (1 + np.asarray(found.variance)[4:-4, 4:-4] / 0.01**2)))
     textured, nothing = weights
@@ -259,7 +259,7 @@ def test_neighbours_of_another_colour_take_no_part():
 
     def measured(planes):
         arm = across._replace(centre=planes[0], others=planes[1])
-        params = Measuring()
+        params = AdaptedMeasurement()
         # The half that is looked at is far from what the other half's occlusions could reach.
         return photometric_labels(arm, down, lab, disparity, params, radius=2, passes=2).disparity[
             :, :12

@@ -17,9 +17,9 @@ from mvedge_jax.photometry import (
 from mvedge_jax.photometry.brightness import GridViews
 from mvedge_jax.photometry.matching import Matching, best_match
 from mvedge_jax.photometry.measuring import (
+    AdaptedMeasurement,
     CrosshairSplines,
     Measurement,
-    Measuring,
     PhotometricLabels,
     ViewSplines,
 )
@@ -63,7 +63,7 @@ def test_neighbours_share_labels_on_their_surface_only():
     noisy = noisy.at[:, 3].add(0.02 * jax.random.normal(key[1], (20,)))
     lab = jnp.zeros((3, 20, 24))
     labels = PhotometricLabels(noisy, variance, variance)
-    found = average_over_surface(labels, lab, Measuring(), passes=2)
+    found = average_over_surface(labels, lab, AdaptedMeasurement(), passes=2)
     before, after = (np.abs(np.asarray(d - truth)) for d in (noisy, found.disparity))
     assert after.mean() < 0.5 * before.mean()
     # An uncertain label follows the others, and none crosses the step.

@@ -8,7 +8,7 @@ from ._measure import (
     residual_variance as residual_variance,
 )
 from ._measuring import (
+    AdaptedMeasurement as AdaptedMeasurement,
     Measurement as Measurement,
-    Measuring as Measuring,
 )
 from ._visible_range import visible_view_range as visible_view_range

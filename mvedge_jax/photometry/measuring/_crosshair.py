@@ -13,7 +13,7 @@ from mvedge_jax._params import cast
 from mvedge_jax.image import box_mean
 from mvedge_jax.interpolation import cubic_taps, spline_coefficients
 
-from ._measuring import Measuring
+from ._measuring import AdaptedMeasurement
 from ._visible_range import visible_view_range
 
 
@@ -108,12 +108,14 @@ class CrosshairSplines(NamedTuple):
         return CrosshairSplines(*map(ArmSplines.of, arms))
 
     @jax.jit
-    def accumulate(self, disparity: Float[Array, "y x"], params: Measuring) -> NormalEquations:
+    def accumulate(
+        self, disparity: Float[Array, "y x"], params: AdaptedMeasurement
+    ) -> NormalEquations:
         """Accumulates colors and gradients of all views around a map.
 
         Args:
             disparity: px per view step, `[y, x]`.
-            params: see `Measuring`.
+            params: see `AdaptedMeasurement`.
 
         Returns:
             Inputs of `labels` and `residual_variance`. Differentiable.
@@ -129,13 +131,13 @@ class CrosshairSplines(NamedTuple):
 
     @jax.jit
     def accumulate_with_weights(
-        self, disparity: Float[Array, "y x"], params: Measuring
+        self, disparity: Float[Array, "y x"], params: AdaptedMeasurement
     ) -> tuple[NormalEquations, Float[Array, "s y x"]]:
         """`accumulate`, and the weight of each view at every pixel.
 
         Args:
             disparity: px per view step, `[y, x]`.
-            params: see `Measuring`.
+            params: see `AdaptedMeasurement`.
 
         Returns:
             The result of `accumulate`; the weights of the views, those of the vertical arm first,
@@ -178,7 +180,7 @@ class _ArmViews(NamedTuple):
     slopes: list[Array]
 
 
-def _arm_views(arm: ArmSplines, disparity: Array, params: Measuring) -> _ArmViews:
+def _arm_views(arm: ArmSplines, disparity: Array, params: AdaptedMeasurement) -> _ArmViews:
     negative, positive = visible_view_range(disparity, radius=params.radius, step=params.slant)
     columns = jnp.arange(disparity.shape[1], dtype=disparity.dtype)[None, :]
     last = disparity.shape[1] - 1
@@ -226,7 +228,7 @@ def _moments(
 
 
 def _trusted(
-    seen: Array, values: list[Array], moments: _Moments, params: Measuring
+    seen: Array, values: list[Array], moments: _Moments, params: AdaptedMeasurement
 ) -> tuple[Array, Array]:
     """Weights of the center view and of the others: outliers from the mean weigh less."""
     means = [c / moments.weight for c in moments.colour]

@@ -15,7 +15,7 @@ from mvedge_jax.interpolation import cubic_taps, spline_coefficients
 from ..views import ViewSet
 from ..views._parallax import GridShift, Parallax, shown_at
 from ._crosshair import NormalEquations
-from ._measuring import Measuring
+from ._measuring import AdaptedMeasurement
 
 # Margin of the four taps of a cubic spline beyond the pixel before a position.
 _BEFORE, _AFTER = 1, 2
@@ -66,7 +66,9 @@ class ViewSplines(NamedTuple):
         return ViewSplines(lax.map(one, views.planes), *views[1:])
 
     @jax.jit
-    def accumulate(self, disparity: Float[Array, "y x"], params: Measuring) -> NormalEquations:
+    def accumulate(
+        self, disparity: Float[Array, "y x"], params: AdaptedMeasurement
+    ) -> NormalEquations:
         """See `CrosshairSplines.accumulate`.
 
         Steps of photographs differ from pixel to pixel: a step is the movement of the pixel itself

@@ -16,7 +16,7 @@ from mvedge_jax.image import box_mean
 
 from .._window import weighted_sum
 from ._crosshair import NormalEquations
-from ._measuring import Measuring
+from ._measuring import AdaptedMeasurement
 
 _Tree = TypeVar("_Tree")
 _Pair = tuple[Array, Array]
@@ -37,7 +37,7 @@ class PhotometricLabels(NamedTuple):
     residual: Float[Array, "y x"]
 
     def weight(
-        self, params: Measuring, *, precision: Float[Array, ""], trust: Float[Array, ""]
+        self, params: AdaptedMeasurement, *, precision: Float[Array, ""], trust: Float[Array, ""]
     ) -> Float[Array, "y x"]:
         """Data weight of the labels by standard error and residual.
 
@@ -59,7 +59,7 @@ def labels(
     found: NormalEquations,
     lab: Float[Array, "c y x"],
     disparity: Float[Array, "y x"],
-    params: Measuring,
+    params: AdaptedMeasurement,
     *,
     passes: int,
 ) -> PhotometricLabels:
@@ -80,7 +80,7 @@ def labels(
         found: normal equations around `disparity`, see `CrosshairSplines.accumulate`.
         lab: the center view in CIELAB, `[c, y, x]`.
         disparity: the map to improve, px per view step, `[y, x]`.
-        params: see `Measuring`.
+        params: see `AdaptedMeasurement`.
         passes: passes over the neighborhood: 1 for 3x3 pixels, 2 for 7x7, 3 for 15x15.
 
     Returns:
@@ -118,7 +118,7 @@ def labels(
 
 def _stiffness(
     total: NormalEquations,
-    params: Measuring,
+    params: AdaptedMeasurement,
     floor: Array,
     wider: Callable[[_Pair], _Pair],
 ) -> Array:
@@ -189,7 +189,7 @@ def _dot(a: tuple[Array, Array], b: tuple[Array, Array]) -> Array:
 def average_over_surface(
     measured: PhotometricLabels,
     lab: Float[Array, "c y x"],
-    params: Measuring,
+    params: AdaptedMeasurement,
     *,
     passes: int,
 ) -> PhotometricLabels:
@@ -201,7 +201,7 @@ def average_over_surface(
     Args:
         measured: result of `labels`.
         lab: the center view in CIELAB, `[c, y, x]`.
-        params: see `Measuring`.
+        params: see `AdaptedMeasurement`.
         passes: passes over the neighborhood, see `labels`.
 
     Returns:
@@ -221,7 +221,7 @@ def residual_variance(
     found: NormalEquations,
     lab: Float[Array, "c y x"],
     disparity: Float[Array, "y x"],
-    params: Measuring,
+    params: AdaptedMeasurement,
     *,
     passes: int,
 ) -> Float[Array, "y x"]:
@@ -231,7 +231,7 @@ def residual_variance(
         found: result of `accumulate` around `disparity`.
         lab: the center view in CIELAB, `[c, y, x]`.
         disparity: px per view step, `[y, x]`.
-        params: see `Measuring`.
+        params: see `AdaptedMeasurement`.
         passes: passes over the neighborhood.
 
     Returns:
@@ -257,13 +257,13 @@ class _Unlike(NamedTuple):
     scales: Array
 
 
-def _uncertain(found: NormalEquations, params: Measuring) -> Array:
+def _uncertain(found: NormalEquations, params: AdaptedMeasurement) -> Array:
     """Variance of the disparity by the 3x3 pixels around; large on plain surfaces, but finite."""
     information, noise = 9 * box_mean(found.information, 1), params.noise**2
     return _over(noise, information + 1e-6 * noise)
 
 
-def _unlike(lab: Array, disparity: Array, params: Measuring, variance: Array) -> _Unlike:
+def _unlike(lab: Array, disparity: Array, params: AdaptedMeasurement, variance: Array) -> _Unlike:
     """Features of surfaces; the tolerance of disparity grows with its variance."""
     same = params.same_surface**2
     most = params.plain**2 * same
@@ -271,7 +271,7 @@ def _unlike(lab: Array, disparity: Array, params: Measuring, variance: Array) ->
     return _told_apart(lab, disparity, params, apart)
 
 
-def _told_apart(lab: Array, disparity: Array, params: Measuring, apart: Array) -> _Unlike:
+def _told_apart(lab: Array, disparity: Array, params: AdaptedMeasurement, apart: Array) -> _Unlike:
     """Features of surfaces with a given tolerance of disparity."""
     colours = jnp.broadcast_to(params.same_color, lab.shape)
     apart = jnp.broadcast_to(apart, (1, *disparity.shape))

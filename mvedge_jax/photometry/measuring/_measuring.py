@@ -60,7 +60,7 @@ class Measurement(eqx.Module):
         one_of(self, views=get_args(LabelViews))
 
 
-class Measuring(Measurement):
+class AdaptedMeasurement(Measurement):
     """Parameters of a measurement in views of a given noise.
 
     Attributes:
