@@ -7,7 +7,7 @@ from jaxtyping import Array, Float
 LEAST_DIVISOR = 1e-9
 
 
-def root(square: Float[Array, "*s"]) -> Float[Array, "*s"]:
+def safe_sqrt(square: Float[Array, "*s"]) -> Float[Array, "*s"]:
     """Square root with the derivative 0 at 0, where it has none: equal colors have no direction.
 
     Args:

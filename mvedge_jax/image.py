@@ -9,7 +9,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from mvedge_jax._linear_map import linear_map
 from mvedge_jax._params import accepts_numpy
-from mvedge_jax._root import root
+from mvedge_jax._root import safe_sqrt
 
 
 @accepts_numpy
@@ -184,7 +184,7 @@ def gradient_magnitude(image: Float[Array, "y x"]) -> Float[Array, "y x"]:
     Returns:
         Values per px, `[y, x]`. Differentiable.
     """
-    return root(gradient_square(image))
+    return safe_sqrt(gradient_square(image))
 
 
 @accepts_numpy

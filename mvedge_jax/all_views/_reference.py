@@ -11,7 +11,7 @@ from jaxtyping import Array, Bool, Float, Int
 from mvedge_jax._checkpoint import checkpoint
 from mvedge_jax._cpu import checkpoint_stage
 from mvedge_jax._product import product
-from mvedge_jax._root import root
+from mvedge_jax._root import safe_sqrt
 from mvedge_jax.diffusion import AutoSolver, System, diffuse
 from mvedge_jax.image import highest
 from mvedge_jax.lightfield import LightField
@@ -134,7 +134,7 @@ def _measured_in(
     new = drawing.hole | (samples.disparity[first.sample] - known > STEP)
     # Errors inflated by depth steps are capped; those of unmeasured pixels are kept.
     doubt = samples.error[drawing.sample]
-    doubt = jnp.minimum(doubt, jnp.maximum(root(jnp.var(known)), jnp.min(doubt)))
+    doubt = jnp.minimum(doubt, jnp.maximum(safe_sqrt(jnp.var(known)), jnp.min(doubt)))
 
     guess, found = _guess(reference, known, new, model)
 

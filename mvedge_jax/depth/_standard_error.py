@@ -5,7 +5,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from mvedge_jax._params import cast, number
-from mvedge_jax._root import root
+from mvedge_jax._root import safe_sqrt
 
 
 class StandardError(eqx.Module):
@@ -75,7 +75,7 @@ class StandardError(eqx.Module):
         """
         evidence = jnp.sum(weight)
         variance = evidence * jnp.var(disparity) + self.alike * span**2
-        return root(variance / (evidence + self.alike))
+        return safe_sqrt(variance / (evidence + self.alike))
 
 
 def steepest(disparity: Array) -> Array:

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from mvedge_jax._root import root
+from mvedge_jax._root import safe_sqrt
 from mvedge_jax.interpolation import vertex
 
 
@@ -49,7 +49,7 @@ def contrast(colour: Float[Array, "y x c"]) -> Float[Array, "2 y x"]:
         size = colour.shape[axis]
         ahead = jax.lax.slice_in_dim(padded, 2, size + 2, axis=axis)
         energy = ((ahead - jax.lax.slice_in_dim(padded, 0, size, axis=axis)) ** 2).sum(-1)
-        return root(energy)
+        return safe_sqrt(energy)
 
     return jnp.stack([along(1), along(0)])
 

@@ -9,7 +9,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from mvedge_jax._crosshair import view_steps
 from mvedge_jax._params import accepts_numpy
-from mvedge_jax._root import root
+from mvedge_jax._root import safe_sqrt
 
 from ._bank import FilterBank
 from ._response import bank_response
@@ -37,7 +37,7 @@ def _local_deviation(epi: Float[Array, "u x c"]) -> Float[Array, "u x c"]:
     rows, columns = epi.shape[:2]
     parts = [padded[j : j + rows, i : i + columns] for j in range(3) for i in range(3)]
     stack = jnp.stack(parts)
-    return root(((stack - stack.mean(0)[None]) ** 2).mean(0))
+    return safe_sqrt(((stack - stack.mean(0)[None]) ** 2).mean(0))
 
 
 @accepts_numpy

@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 from mvedge_jax._linear_map import linear_map
 from mvedge_jax._params import accepts_numpy
 from mvedge_jax._product import FULL
-from mvedge_jax._root import root
+from mvedge_jax._root import safe_sqrt
 
 from ._bank import FilterBank
 
@@ -126,6 +126,6 @@ def strongest_response(arm: Float[Array, "u y x c"], bank: FilterBank) -> Float[
         energy = (out**2).reshape(-1, channels, *out.shape[1:]).sum(1)
         best = jnp.argmax(energy, axis=-1)
         strongest = jnp.take_along_axis(energy, best[..., None], axis=-1)[..., 0]
-        return root(strongest)
+        return safe_sqrt(strongest)
 
     return in_row_blocks(block, jnp.transpose(padded, (1, 3, 2, 0)))

@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 
 from mvedge_jax._cpu import no_fuse, plane_sum
 from mvedge_jax._linear_map import linear_map
-from mvedge_jax._root import root
+from mvedge_jax._root import safe_sqrt
 from mvedge_jax.image import highest
 
 
@@ -150,7 +150,7 @@ def color_weights(
         square = jnp.zeros_like(lab[0])
         for own, other in zip(lab, others, strict=True):
             square = square + (other - own) ** 2
-        return jnp.exp(-root(square) / scale)
+        return jnp.exp(-safe_sqrt(square) / scale)
 
     # A loop, which compiles faster; unlike the sums, the weights are computed once.
     weights = lax.map(weight, jnp.arange(size * size))
@@ -174,7 +174,7 @@ def contrast(lab: Float[Array, "c y x"], *, radius: int) -> Float[Array, "y x"]:
         smooth = jnp.swapaxes(_smooth(smooth), 1, 2)
     wide = jnp.pad(smooth, ((0, 0), (1, 1), (1, 1)), mode="edge")
     across, down = wide[:, 1:-1, 2:] - wide[:, 1:-1, :-2], wide[:, 2:, 1:-1] - wide[:, :-2, 1:-1]
-    return highest(root(plane_sum(0.25 * (across**2 + down**2))), radius)
+    return highest(safe_sqrt(plane_sum(0.25 * (across**2 + down**2))), radius)
 
 
 def _smooth(image: Array) -> Array:

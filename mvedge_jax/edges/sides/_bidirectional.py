@@ -10,7 +10,7 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from mvedge_jax._params import accepts_numpy, cast, number, one_of
-from mvedge_jax._root import root
+from mvedge_jax._root import safe_sqrt
 from mvedge_jax.diffusion import AutoSolver, System, diffuse, edge_weights
 from mvedge_jax.image import gradient_magnitude, gradient_square
 
@@ -162,5 +162,5 @@ def image_smoothness(
     params = cast(params, gray.dtype)
     steep = gradient_square(gray)
     if params.form == "inverse":
-        steep = root(steep)
+        steep = safe_sqrt(steep)
     return jnp.maximum(1 / (1 + steep / params.gradient), params.floor)

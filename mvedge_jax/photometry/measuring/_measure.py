@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 
 from mvedge_jax._cpu import unstack
 from mvedge_jax._params import cast
-from mvedge_jax._root import root
+from mvedge_jax._root import safe_sqrt
 from mvedge_jax.image import box_mean
 
 from .._window import weighted_sum
@@ -267,7 +267,7 @@ def _unlike(lab: Array, disparity: Array, params: AdaptedMeasurement, variance: 
     """Features of surfaces; the tolerance of disparity grows with its variance."""
     same = params.same_surface**2
     most = params.plain**2 * same
-    apart = root(same + most * _over(variance, most + variance))
+    apart = safe_sqrt(same + most * _over(variance, most + variance))
     return _told_apart(lab, disparity, params, apart)
 
 
