@@ -2,7 +2,6 @@
 
 from math import erf, exp, sqrt
 
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -55,25 +54,3 @@ def absorption(
         absorbed = absorbed + term * thickness
         slope = slope + term * (1 - passage * thickness)
     return absorbed, slope, jnp.exp(-exit_passage * thickness), exit_passage
-
-
-def super_gaussian(
-    squared_distance: Float[Array, "..."], sigma: Float[Array, ""], order: int
-) -> Float[Array, "..."]:
-    r"""Data weight of a point: $\exp(-(r^2 / 2\sigma^2)^p)$.
-
-    The power is inside the exponential. The printed form is a Gaussian of width σ/√p, with which
-    points between pixels fade.
-
-    Args:
-        squared_distance: r², px².
-        sigma: σ_λ, px.
-        order: p.
-
-    Returns:
-        Values in [0, 1].
-
-    Source:
-        Thesis 7.1.2, Eq. 7.6, corrected.
-    """
-    return jnp.exp(-jax.lax.integer_pow(squared_distance / (2 * sigma**2), order))
