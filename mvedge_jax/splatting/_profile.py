@@ -1,26 +1,25 @@
 """Absorption and transmittance of one point along a ray."""
 
-from math import erf, exp, sqrt
+from math import erf, exp, pi, sqrt
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 
-def _quadrature(
-    *, samples: int = 8, spread: float = 3.0, in_front: float = 5.0
-) -> tuple[list[float], list[float], float]:
+def _quadrature() -> tuple[list[float], list[float], float]:
     """Weights and partial passages of the samples, and the passage behind the last one.
 
     The thesis samples a point at 8 depths spread evenly over ± 3 σ_Z, seen from 5 σ_Z in front.
     All are relative to the optical thickness of the full passage, so that σ_Z drops out.
     """
+    samples, spread, in_front = 8, 3.0, 5.0
     step = 2 * spread / (samples - 1)
     depths = [-spread + step * k for k in range(samples)]
 
     def passed(depth: float) -> float:
         return 0.5 * (erf(in_front / sqrt(2)) + erf(depth / sqrt(2)))
 
-    weights = [step / sqrt(2 * 3.141592653589793) * exp(-(z**2) / 2) for z in depths]
+    weights = [step / sqrt(2 * pi) * exp(-(z**2) / 2) for z in depths]
     return weights, [passed(z) for z in depths], passed(spread)
 
 

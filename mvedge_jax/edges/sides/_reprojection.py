@@ -27,14 +27,11 @@ def reprojection_score(
 
     Args:
         points: positions to compare at.
-        forward: map with the labels moved along the normals, `[y, x]`.
-        backward: map with the labels moved against the normals, `[y, x]`.
+        forward: map with the labels moved along the normals.
+        backward: map with the labels moved against the normals.
         horizontal: the horizontal arm.
         vertical: the vertical arm, transposed.
         radius: largest distance of occluders, px.
-
-    Returns:
-        Positive where the forward map reprojects better, `[n]`.
 
     Source: Thesis 6.2.4, "Diffusion Gradients as Self-supervised Loss", Tab. 6.2.
     """
