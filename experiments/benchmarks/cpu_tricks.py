@@ -104,7 +104,7 @@ _TRICKS: dict[str, Off] = {
     "fences": lambda: _replaced("no_fuse", _plain),
     **{
         f"fences of {place}": lambda place=place: _replaced("no_fuse", _plain, place)
-        for place in ("_coarsen", "_multigrid", "_median", "_arm", "_window", "_look")
+        for place in ("_coarsen", "_multigrid", "_median", "_arm", "_window", "_crosshair")
     },
     "stages": lambda: _replaced("checkpoint_stage", checkpoint),
     "loops over both arms": lambda: _replaced("of_both", _each),

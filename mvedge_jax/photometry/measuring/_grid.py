@@ -97,8 +97,8 @@ class ViewSplines(NamedTuple):
 
         zero, zeros = jnp.zeros_like(disparity), jnp.zeros_like(reference)
         itself = jnp.arange(self.splines.shape[0]) == 0
-        (count, colour, square, gx, gy), seen = lax.scan(read, (zero, *[zeros] * 4), (self, itself))
-        mean, gx, gy = (part / count[None] for part in (colour, gx, gy))
+        (count, color, square, gx, gy), seen = lax.scan(read, (zero, *[zeros] * 4), (self, itself))
+        mean, gx, gy = (part / count[None] for part in (color, gx, gy))
         spread = plane_sum(square / count[None] - mean**2)
         floor = reference.shape[0] * params.noise**2
         scale = params.outlier * jnp.maximum(box_mean(spread, 1), floor)

@@ -215,16 +215,7 @@ def inside(x: Array, y: Array, shape: tuple[int, ...]) -> Bool[Array, "*p"]:
 def shown_at(
     shown: Float[Array, "y x"], x: Float[Array, "*p"], y: Float[Array, "*p"]
 ) -> Bool[Array, "*p"]:
-    """Whether the pixels nearest to positions show the scene.
-
-    Args:
-        shown: opacity of a photograph, 1 or 0.
-        x: columns, px, clipped to the frame.
-        y: rows.
-
-    Returns:
-        One per position; no gradient passes through it.
-    """
+    """Whether the pixels nearest to positions, clipped to the frame, show the scene."""
     height, width = shown.shape
     column, row = (
         jnp.clip(jnp.round(lax.stop_gradient(p)), 0, most - 1).astype(jnp.int32)
