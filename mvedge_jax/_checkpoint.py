@@ -12,26 +12,12 @@ _SAVED = "mvedge_jax: saved"
 
 
 def checkpoint(function: Callable[..., Any]) -> Callable[..., Any]:
-    """`jax.checkpoint` that saves linear solutions and arrays tagged by `save_residual`.
-
-    Args:
-        function: maps pytrees of arrays to such.
-
-    Returns:
-        The same function. Differentiable as it is, in both modes.
-    """
+    """`jax.checkpoint` that saves linear solutions and arrays tagged by `save_residual`."""
     return jax.checkpoint(function, policy=_saves)
 
 
 def save_residual(tree: _Tree) -> _Tree:
-    """Tags arrays that reverse mode stores within `checkpoint`.
-
-    Args:
-        tree: a pytree of arrays.
-
-    Returns:
-        The same.
-    """
+    """Tags the arrays of a tree that reverse mode stores within `checkpoint`."""
     return jax.tree.map(lambda array: checkpoint_name(array, _SAVED), tree)
 
 
