@@ -16,8 +16,6 @@ from ._uncalibrated import GridViews
 
 # Rounding of 8-bit views, the usual format.
 _STEP = 1.0 / 255
-# Standard deviation of a uniform distribution over 1.
-_UNIFORM = 12**-0.5
 
 
 class Noise(NamedTuple):
@@ -54,7 +52,7 @@ class Noise(NamedTuple):
         """
         excess = jnp.maximum(deviation**2 - (1.2 * _STEP) ** 2, 0)
         if rounding is None:
-            rounding = jnp.asarray(_STEP * _UNIFORM, deviation.dtype)
+            rounding = jnp.asarray(_STEP * 12**-0.5, deviation.dtype)
         return Noise(deviation, excess / (excess + 0.004**2), rounding)
 
 
@@ -137,7 +135,7 @@ def measure_noise(
 
 
 def _rounding(image: Array, finest: Float[Array, ""]) -> Float[Array, ""]:
-    """Standard deviation of the rounding error of a stored image."""
+    """Standard deviation of the rounding error of a stored image, uniform within a step."""
     step = finest
     # Steps of 10 and of 8 bits, the coarsest last.
     for candidate in (1 / 1023, _STEP):
@@ -145,7 +143,7 @@ def _rounding(image: Array, finest: Float[Array, ""]) -> Float[Array, ""]:
         # A quarter on average if the values are not on such steps.
         off = jnp.mean(jnp.abs(levels - jnp.round(levels)))
         step = jnp.where(off < 0.01, candidate, step)
-    return step * _UNIFORM
+    return step * 12**-0.5
 
 
 def single_view_variance(
