@@ -57,7 +57,7 @@ def measured(
     assert model.measurement is not None
     scene = model.calibration(light_field, model.searched)
     seen = prepare_views(scene, model.measurement)
-    found = seen.look(disparity)
+    found = seen.accumulate(disparity)
     label = labels(found, scene.lab, disparity, seen.params, passes=seen.params.passes)
     return np.asarray(label.disparity), np.sqrt(np.asarray(label.variance))
 

@@ -85,8 +85,8 @@ def _spread(
     run = jax.shard_map(
         mapped, mesh=mesh, in_specs=(split, whole), out_specs=split, check_vma=False
     )
-    found = run(jax.tree.map(lambda leaf: leaf[order], rows), shared)
-    return jax.tree.map(lambda leaf: leaf[:size], found)
+    results = run(jax.tree.map(lambda leaf: leaf[order], rows), shared)
+    return jax.tree.map(lambda leaf: leaf[:size], results)
 
 
 def _size_of(leaves: Sequence[Any]) -> int:
@@ -107,8 +107,8 @@ class _Step(NamedTuple):
     """An equation that depends on a row, with its inputs and its output variables."""
 
     run: Callable[..., Sequence[Any]]
-    given: list[Any]
-    found: list[_Later]
+    inputs: list[Any]
+    outputs: list[_Later]
     numbers: int
 
 
@@ -127,8 +127,8 @@ def _mapped(function: Callable[[Any], Any], rows: Any, together: int | None) -> 
     def of_row(row: list[Any]) -> list[Any]:
         values: dict[Any, Any] = dict(zip(moving, row, strict=True))
         for step in steps:
-            given = [values[x] if isinstance(x, _Later) else x for x in step.given]
-            values.update(zip(step.found, step.run(*given), strict=True))
+            given = [values[x] if isinstance(x, _Later) else x for x in step.inputs]
+            values.update(zip(step.outputs, step.run(*given), strict=True))
         return [values[x] if isinstance(x, _Later) else jnp.asarray(x) for x in results]
 
     count = -(-size // (_together(steps) if together is None else together))
@@ -137,8 +137,8 @@ def _mapped(function: Callable[[Any], Any], rows: Any, together: int | None) -> 
     order = np.minimum(np.arange(count * group), size - 1)
     filled = leaves if count * group == size else [leaf[order] for leaf in leaves]
     grouped = [leaf.reshape(count, group, *leaf.shape[1:]) for leaf in filled]
-    found = lax.map(jax.vmap(of_row), grouped)
-    flat = [leaf.reshape(count * group, *leaf.shape[2:])[:size] for leaf in found]
+    stacked = lax.map(jax.vmap(of_row), grouped)
+    flat = [leaf.reshape(count * group, *leaf.shape[2:])[:size] for leaf in stacked]
     return jax.tree.unflatten(jax.tree.structure(shape), flat)
 
 
@@ -156,14 +156,14 @@ def _split(
         given = [read(atom) for atom in equation.invars]
         inner = equation.params.get("jaxpr") if equation.primitive.name == "jit" else None
         if not any(isinstance(value, _Later) for value in given):
-            found = _alone(program, equation)(*given)
+            outputs = _alone(program, equation)(*given)
         elif inner is not None:
-            found = _split(inner.jaxpr, inner.consts, given, steps)
+            outputs = _split(inner.jaxpr, inner.consts, given, steps)
         else:
-            found = [_Later() for _ in equation.outvars]
+            outputs = [_Later() for _ in equation.outvars]
             numbers = max((getattr(v.aval, "size", 0) for v in equation.outvars), default=0)
-            steps.append(_Step(_alone(program, equation), given, found, numbers))
-        known.update(zip(equation.outvars, found, strict=True))
+            steps.append(_Step(_alone(program, equation), given, outputs, numbers))
+        known.update(zip(equation.outvars, outputs, strict=True))
     return [read(atom) for atom in program.outvars]
 
 

@@ -116,29 +116,16 @@ def checked_jit(check: Callable[..., tuple[Any, ...]]) -> Callable[[Callable[...
 def expect(name: str, value: Any, kind: type, advice: str) -> None:
     """Refuses an argument of the wrong type, such as a swapped one.
 
-    Args:
-        name: of the argument.
-        value: the given value.
-        kind: the expected type.
-        advice: how to get a value of that type, as the end of a sentence.
-
     Raises:
-        TypeError: naming all of them.
+        TypeError: naming the argument, the type that it should have, what was given, and `advice`,
+            the end of a sentence on how to get a value of that type.
     """
     if not isinstance(value, kind):
         raise TypeError(f"`{name}` must be {kind.__name__}, got {_described(value)}; {advice}.")
 
 
 def untraced(name: str, value: Any) -> None:
-    """Refuses traced values where the host chooses ranges and capacities.
-
-    Args:
-        name: of the argument.
-        value: any pytree.
-
-    Raises:
-        TypeError: naming it.
-    """
+    """Raises a TypeError for traced values where the host chooses ranges and capacities."""
     if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(value)):
         raise TypeError(
             f"`{name}` is traced, as everything within `jit`, `vmap` or `grad` is, but the host "
@@ -157,12 +144,6 @@ def _described(value: Any) -> str:
 
 def with_numbers(model: Any) -> Any:
     """A model whose declared Python numbers are arrays; outside `jit` they are checked, too.
-
-    Args:
-        model: a module of parts, perhaps after `equinox.tree_at`.
-
-    Returns:
-        The same with arrays.
 
     Raises:
         ValueError: a number is NaN, infinite or negative; names it.

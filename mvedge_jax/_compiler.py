@@ -53,8 +53,8 @@ def _check_devices(function: Callable[..., Any], arguments: Any, options: Any) -
     if len(_devices((arguments, options))) < 2:
         return
     named = inspect.signature(function).bind(*arguments, **options).arguments
-    found = ((name, sorted({str(d) for x in _devices(v) for d in x})) for name, v in named.items())
-    places = ", ".join(f"`{name}` on {' and '.join(devices)}" for name, devices in found if devices)
+    on = {name: sorted({str(d) for x in _devices(v) for d in x}) for name, v in named.items()}
+    places = ", ".join(f"`{name}` on {' and '.join(which)}" for name, which in on.items() if which)
     raise ValueError(
         f"Arguments of `{function.__name__}` are on different devices: {places}. Put all of them "
         "on one, as by `jax.device_put(model, device)`."
@@ -85,9 +85,9 @@ class LeanJit(Generic[_P, _T]):
         if not _outermost((arguments, options)):
             return self._nested(*arguments, **options)
         _check_devices(self._function, arguments, options)
-        kept = self._kept((arguments, options))
-        if kept is not None:
-            return kept((arguments, options))
+        stored = self._stored((arguments, options))
+        if stored is not None:
+            return stored((arguments, options))
         program = self._ahead(arguments, options)
         return program(*arguments, **options)
 
@@ -99,10 +99,10 @@ class LeanJit(Generic[_P, _T]):
         """
         _check_devices(self._function, arguments, options)
         files = in_use() if _outermost((arguments, options)) else None
-        kept = None if files is None else self._obtained((arguments, options), files)
-        if kept is None:
+        stored = None if files is None else self._load((arguments, options), files)
+        if stored is None:
             return self.lower(*arguments, **options).compile()
-        program, kind = kept, kind_of((arguments, options))
+        program, kind = stored, kind_of((arguments, options))
 
         def run(*arguments: _P.args, **options: _P.kwargs) -> _T:
             if kind_of((arguments, options)) != kind:
@@ -114,7 +114,7 @@ class LeanJit(Generic[_P, _T]):
 
         return run
 
-    def _kept(self, arguments: Any) -> Program | None:
+    def _stored(self, arguments: Any) -> Program | None:
         """The program in the cache folder, if `compilation_cache` is on."""
         files = in_use()
         if files is None:
@@ -124,10 +124,10 @@ class LeanJit(Generic[_P, _T]):
             self._clearings = _clearings[0]
         kind = kind_of(arguments)
         if kind not in self._programs:
-            self._programs[kind] = self._obtained(arguments, files)
+            self._programs[kind] = self._load(arguments, files)
         return self._programs[kind]
 
-    def _obtained(self, arguments: Any, files: ProgramFiles) -> Program | None:
+    def _load(self, arguments: Any, files: ProgramFiles) -> Program | None:
         with no_collections():
             asked = compiler_options()
             program = obtain(self._function, self._original, arguments, asked, files)

@@ -18,8 +18,8 @@ import numpy as np
 from jax import Array, lax
 from jaxtyping import Float, Shaped
 
+from ._checkpoint import checkpoint
 from ._linear_map import linear_map
-from ._recomputed import recomputed
 
 _In = TypeVar("_In")
 _Out = TypeVar("_Out")
@@ -91,7 +91,7 @@ def release_memory() -> None:
         ctypes.CDLL("libc.so.6").malloc_trim(0)
 
 
-def fenced(function: Callable[..., Any], *arguments: Any) -> Any:
+def no_fuse(function: Callable[..., Any], *arguments: Any) -> Any:
     """Calls `function` so that its results are computed once and stored.
 
     XLA on the CPU fuses chains of stencils and recomputes every intermediate for each of its
@@ -120,18 +120,13 @@ def _as_a_branch(function: Callable[..., Any], *arguments: Any) -> Any:
     )
 
 
-def staged(function: Callable[..., Any]) -> Callable[..., Any]:
+def checkpoint_stage(function: Callable[..., Any]) -> Callable[..., Any]:
     """A stage of a long computation; reverse mode stores its arguments only.
 
     `jax.checkpoint` alone does not determine when a stage is recomputed: XLA on the CPU may
     recompute all stages at once, long before their cotangents are available, and store everything.
-    A conditional waits for its arguments, and the cotangents are among them.
-
-    Args:
-        function: maps pytrees of arrays to such.
-
-    Returns:
-        The same function. Differentiable as it is, in both modes.
+    A conditional waits for its arguments, and the cotangents are among them. Differentiable in both
+    modes.
     """
 
     def stage(*arguments: Any) -> Any:
@@ -141,7 +136,7 @@ def staged(function: Callable[..., Any]) -> Callable[..., Any]:
         def of_arrays(arrays: Any) -> Any:
             return function(*eqx.combine(arrays, rest))
 
-        return _as_a_branch(recomputed(of_arrays), arrays)
+        return _as_a_branch(checkpoint(of_arrays), arrays)
 
     return stage
 
@@ -153,23 +148,15 @@ def _is_array(leaf: Any) -> bool:
 def of_both(function: Callable[[_In], _Out], first: _In, second: _In) -> tuple[_Out, _Out]:
     """Calls a function on each of two pytrees, in a loop if all of their shapes agree.
 
-    A loop compiles the function once, which shortens the first call. Square images in a square
-    grid have two arms of one shape.
-
-    Args:
-        function: maps a pytree of arrays to such.
-        first: a pytree of arrays.
-        second: a pytree of the same structure.
-
-    Returns:
-        The results, in order, computed once and stored (`fenced`). Differentiable as `function` is.
+    A loop compiles the function once, which shortens the first call. Square images in a square grid
+    have two arms of one shape. The results are computed once and stored (`no_fuse`).
     """
     pair = first, second
     if len({tuple(map(jax.typeof, jax.tree.leaves(of))) for of in pair}) > 1:
-        return fenced(function, first), fenced(function, second)
+        return no_fuse(function, first), no_fuse(function, second)
     stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *pair)
-    found = lax.map(function, stacked)
-    across, down = (jax.tree.map(lambda leaf, i=i: leaf[i], found) for i in range(2))
+    results = lax.map(function, stacked)
+    across, down = (jax.tree.map(lambda leaf, i=i: leaf[i], results) for i in range(2))
     return across, down
 
 
@@ -178,12 +165,6 @@ def unstack(planes: Shaped[Array, "n *s"]) -> list[Array]:
 
     The transpose of indexing adds stacks of zeros with one plane set; that of a split is one
     concatenation.
-
-    Args:
-        planes: stacked along the first axis.
-
-    Returns:
-        One array per plane.
     """
     count = planes.shape[0]
     if count == 0:
@@ -192,13 +173,9 @@ def unstack(planes: Shaped[Array, "n *s"]) -> list[Array]:
 
 
 def plane_sum(planes: Float[Array, "n *s"]) -> Float[Array, "*s"]:
-    """The sum of a stack, plane by plane, as XLA on CPU does not vectorize over a leading axis.
+    """The sum of a stack, plane by plane: XLA on CPU does not vectorize over a leading axis.
 
-    Args:
-        planes: stacked along the first axis; may be none.
-
-    Returns:
-        Their sum. Its own derivative avoids that JAX assembles the planes' cotangents one by one.
+    Its own derivative avoids that JAX assembles the planes' cotangents one by one.
     """
     return linear_map(_added, lambda _, ct: jnp.broadcast_to(ct, planes.shape), None, planes)
 

@@ -31,12 +31,7 @@ class Arm(NamedTuple):
 
 
 class Crosshair(NamedTuple):
-    """The row and the column of views through the center view, or through another one.
-
-    Attributes:
-        horizontal: the row.
-        vertical: the column; its images are transposed.
-    """
+    """The row and the column of views through a view; images of the column are transposed."""
 
     horizontal: Arm
     vertical: Arm
@@ -55,12 +50,7 @@ class Crosshair(NamedTuple):
 def view_steps(count: int, dtype: DTypeLike) -> Float[Array, " s"]:
     """View steps from the center view to each view of a regular arm, the factors of disparity.
 
-    Args:
-        count: views of the arm; the center one is number `count // 2`.
-        dtype: of the result.
-
-    Returns:
-        From the first view to the last one, falling.
+    They fall from the first view to the last one; the center view is number `count // 2`.
     """
     return jnp.asarray(count // 2 - np.arange(count), dtype)
 
@@ -71,16 +61,10 @@ def crosshair(light_field: LightField) -> Crosshair:
     Views are read as if they were on the center row and column; `LightField` sees to it that they
     are not far beside them.
     """
-    vc, uc = light_field.centre
-    dtype = light_field.views.dtype
+    (vc, uc), steps = light_field.centre, light_field.steps
     horizontal = jnp.transpose(light_field.horizontal_arm, (0, 3, 1, 2))
     vertical = jnp.transpose(light_field.vertical_arm, (0, 3, 2, 1))
-    if light_field.positions is None:
-        across, down = (view_steps(arm.shape[0], dtype) for arm in (horizontal, vertical))
-    else:
-        across, down = light_field.steps[vc, :, 0], light_field.steps[:, uc, 1]
-
     return Crosshair(
-        Arm(horizontal, across, light_field.available[vc]),
-        Arm(vertical, down, light_field.available[:, uc]),
+        Arm(horizontal, steps[vc, :, 0], light_field.available[vc]),
+        Arm(vertical, steps[:, uc, 1], light_field.available[:, uc]),
     )

@@ -19,11 +19,7 @@ _choices: dict[str, type] = {}
 
 
 def register(package: str) -> None:
-    """Registers the public data types of a package that is imported.
-
-    Args:
-        package: its name; modules below it count too.
-    """
+    """Registers the public data types of a package that is imported, of modules below it, too."""
     for kind in _types(package):
         if kind in _registered:
             continue

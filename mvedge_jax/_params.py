@@ -22,9 +22,7 @@ def as_number(value: Any) -> Any:
     A weak type would retrace a jitted function the first time that an optimizer replaces the
     value, hence the explicit dtype.
     """
-    if isinstance(value, bool | int | float):
-        return jnp.asarray(value, dtype=jnp.result_type(float))
-    if isinstance(value, tuple | list):
+    if isinstance(value, bool | int | float | tuple | list):
         return jnp.asarray(value, dtype=jnp.result_type(float))
     if isinstance(value, np.ndarray | np.generic):
         return jax_array(value)
@@ -44,12 +42,6 @@ def accepts_numpy(function: Callable[_P, _T]) -> Callable[_P, _T]:
 
     They become JAX arrays of the precision that is switched on: float64, NumPy's default, becomes
     float32 unless `jax_enable_x64` is set.
-
-    Args:
-        function: what asks its arguments for their dtype.
-
-    Returns:
-        The same for JAX arrays.
 
     Example:
         >>> @accepts_numpy
@@ -101,15 +93,7 @@ def number(
 
 
 def at_least(sizes: Any, **least: int) -> None:
-    """Refuses static sizes that are too small, or no whole numbers.
-
-    Args:
-        sizes: with a field of each name.
-        **least: by name, the smallest value.
-
-    Raises:
-        ValueError: naming the field, its value and the smallest.
-    """
+    """Raises a ValueError for static fields that are below their bounds, or no whole numbers."""
     for name, bound in least.items():
         value = getattr(sizes, name)
         if not hasattr(value, "__index__"):
@@ -119,15 +103,7 @@ def at_least(sizes: Any, **least: int) -> None:
 
 
 def positive(sizes: Any, *names: str) -> None:
-    """Refuses fields of static sizes that are not above 0, NaN included.
-
-    Args:
-        sizes: with a field of each name.
-        *names: of the fields.
-
-    Raises:
-        ValueError: naming the field and its value.
-    """
+    """Raises a ValueError for static fields that are not above 0, NaN included."""
     for name in names:
         value = getattr(sizes, name)
         if not value > 0:
@@ -135,15 +111,7 @@ def positive(sizes: Any, *names: str) -> None:
 
 
 def one_of(sizes: Any, **options: tuple[Any, ...]) -> None:
-    """Refuses modes that do not exist.
-
-    Args:
-        sizes: with a field of each name.
-        **options: by name, what there is.
-
-    Raises:
-        ValueError: naming the field, its value and what there is.
-    """
+    """Raises a ValueError for static fields that have none of their options."""
     for name, known in options.items():
         value = getattr(sizes, name)
         if value not in known:
@@ -155,14 +123,9 @@ _FEW = 16
 
 
 def readable(record: Any) -> str:
-    """A record of results with its numbers; the `__repr__` of statistics.
+    """A record of results with its numbers: the `__repr__` of statistics.
 
-    Args:
-        record: a module or a named tuple, perhaps of other ones.
-
-    Returns:
-        Such as `SolveStats(iterations=12, converged=True)`. Traced and long arrays show their
-        types.
+    Such as `SolveStats(iterations=12, converged=True)`. Traced and long arrays show their types.
     """
     if isinstance(record, eqx.Module):
         names = [field.name for field in dataclasses.fields(record)]
@@ -181,17 +144,10 @@ def _readable(value: Any) -> str:
 
 
 def cast(tree: _Tree, dtype: Any) -> _Tree:
-    """Casts every inexact array leaf to `dtype`; other leaves are left alone.
+    """Casts every inexact array leaf to `dtype`; other leaves are left alone. Differentiable.
 
-    A stage calls it on its parameters with the dtype of its data, so that float32 views and
-    float64 parameters (the default under `jax_enable_x64`) never promote. Differentiable.
-
-    Args:
-        tree: any pytree, usually a parameter module.
-        dtype: a floating dtype.
-
-    Returns:
-        The same tree with its floating leaves in `dtype`.
+    A stage calls it on its parameters with the dtype of its data, so that float32 views and float64
+    parameters (the default under `jax_enable_x64`) never promote.
     """
 
     def convert(leaf: Any) -> Any:

@@ -51,14 +51,7 @@ def describe(module: eqx.Module) -> tuple[Described, ...]:
 
 
 def described(module: eqx.Module) -> list[str]:
-    """One line per number, such as `refine.precision = 0.005 px`; for people.
-
-    Args:
-        module: any.
-
-    Returns:
-        Lines; traced values and arrays show their types.
-    """
+    """One line per number, such as `refine.precision = 0.005 px`; for people."""
     return [str(row) for row in describe(module) if not row.static]
 
 
@@ -113,11 +106,7 @@ def replaced(module: _Module, choices: Mapping[str, Any]) -> _Module:
 def walk(module: Any) -> Iterator[Described]:
     """All that `describe` lists, and whatever else a user's module holds, such as functions.
 
-    Args:
-        module: a module, a tuple or a list.
-
-    Yields:
-        What has no parts of its own; `declared` tells numbers with a unit from other arrays.
+    What has parts is not listed itself; `declared` tells numbers with a unit from other arrays.
     """
     for part in _parts(module):
         inner = [] if part.static else list(walk(part.value))

@@ -18,15 +18,12 @@ _WIDEST = 1000.0
 
 
 def check_positions(positions: Float[np.ndarray, "v u 2"]) -> None:
-    """Refuses positions that are none of rows and columns of views.
-
-    Args:
-        positions: columns (right), rows (down), in view steps from the center view.
+    """Refuses positions that are none of rows and columns of views, see `LightField`.
 
     Raises:
         ValueError: they are not finite, those of the center view are not 0, columns do not increase
-            along the rows or rows down the columns, views of the crosshair lie beside it, or
-            the numbers are no view steps or too many.
+            along the rows or rows down the columns, views of the crosshair lie beside it, or the
+            numbers are no view steps or too many.
     """
     if not np.isfinite(positions).all():
         v, u, _ = (int(i) for i in np.argwhere(~np.isfinite(positions))[0])
@@ -75,15 +72,7 @@ def check_positions(positions: Float[np.ndarray, "v u 2"]) -> None:
 
 
 def check_regular(light_field: Any, what: str) -> None:
-    """Refuses a light field whose views are not on a regular grid.
-
-    Args:
-        light_field: a `LightField`.
-        what: needs one, as the end of a sentence.
-
-    Raises:
-        ValueError: it comes with `positions`.
-    """
+    """Raises a ValueError for a light field with `positions`, where `what` needs a regular grid."""
     if light_field.positions is not None:
         raise ValueError(
             f"`light_field` comes with `positions` of its views, but {what} needs a regular grid: "
@@ -96,11 +85,8 @@ def farthest(positions: Float[Array, "v u 2"]) -> int:
 
     Whole numbers, so that light fields of nearly the same positions share their sizes.
 
-    Args:
-        positions: see `LightField`.
-
     Raises:
-        TypeError: they are traced.
+        TypeError: positions are traced.
     """
     untraced("light_field.positions", positions)
     return max(math.ceil(float(np.abs(np.asarray(positions)).max()) - 1e-3), 1)

@@ -7,13 +7,6 @@ from jaxtyping import Array, Float
 LEAST_DIVISOR = 1e-9
 
 
-def root(square: Float[Array, "*s"]) -> Float[Array, "*s"]:
-    """Square root with the derivative 0 at 0, where it has none: equal colors have no direction.
-
-    Args:
-        square: not negative.
-
-    Returns:
-        Its root. Differentiable.
-    """
+def safe_sqrt(square: Float[Array, "*s"]) -> Float[Array, "*s"]:
+    """Square root with the derivative 0 at 0, where it has none: equal colors have no direction."""
     return jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1)), 0)

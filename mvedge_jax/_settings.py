@@ -20,11 +20,7 @@ Setting = bool | int | float | str | None
 def of_preset(preset: str) -> EdgeDepth:
     """A model of a preset before any light field is read, to check settings against.
 
-    Args:
-        preset: see `EdgeDepth.for_light_field`.
-
-    Returns:
-        The model of a small light field: its ranges and capacities are of no use elsewhere.
+    It is that of a small light field: its ranges and capacities are of no use elsewhere.
 
     Raises:
         ValueError: there is no such preset.

@@ -161,13 +161,13 @@ def factored(moments: Sequence[Float[Array, "*s"]], floor: Float[Array, ""]) -> 
 
 @jax.custom_jvp
 def solved(
-    covariance: Factored, colour: Sequence[Float[Array, "*s"]]
+    covariance: Factored, color: Sequence[Float[Array, "*s"]]
 ) -> tuple[Float[Array, "*s"], ...]:
     """The inverse of a covariance times a vector.
 
     Args:
         covariance: of `factored`.
-        colour: a vector `r, g, b`.
+        color: a vector `r, g, b`.
 
     Returns:
         A vector of the same shape. Differentiable in moments and color.
@@ -179,7 +179,7 @@ def solved(
         [0.5, 0.25, 0.5]
     """
     first, second, third, g_r, b_r, b_g = covariance.factors
-    r, g, b = colour
+    r, g, b = color
     g = g - g_r * r
     b = (b - b_r * r - b_g * g) / third
     g = g / second - b_g * b
@@ -190,8 +190,8 @@ def solved(
 def _solved_jvp(primals: Any, tangents: Any) -> tuple[Any, Any]:
     """By the system itself: slopes of its factors leave single precision where colors are flat."""
     (covariance, _), (change, forcing) = primals, tangents
-    found = solved(*primals)
-    r, g, b = found
+    solution = solved(*primals)
+    r, g, b = solution
     rr, rg, rb, gg, gb, bb = change.moments
     pushed = (rr * r + rg * g + rb * b, rg * r + gg * g + gb * b, rb * r + gb * g + bb * b)
-    return found, solved(covariance, [f - p for f, p in zip(forcing, pushed, strict=True)])
+    return solution, solved(covariance, [f - p for f, p in zip(forcing, pushed, strict=True)])

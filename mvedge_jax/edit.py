@@ -9,8 +9,8 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float
 
+from mvedge_jax._checkpoint import checkpoint
 from mvedge_jax._compiler import lean_jit
-from mvedge_jax._recomputed import recomputed
 from mvedge_jax.image import box_mean
 from mvedge_jax.interpolation import sample
 from mvedge_jax.lightfield import LightField
@@ -177,20 +177,20 @@ def remove(
         around = view.reshape(-1, 3)[behind]
         order = jnp.argsort(-jnp.sum((steps - step[None]) ** 2, axis=1))
 
-        def look(colour: Array, which: Array) -> tuple[Array, None]:
+        def seen_by(color: Array, which: Array) -> tuple[Array, None]:
             other = steps[which] - step
             x = jnp.arange(width, dtype=dtype)[None] + other[0] * deeper
             y = jnp.arange(height, dtype=dtype)[:, None] + other[1] * deeper
             clear = _shows(jnp.where(gone[which], jnp.inf, maps[which]), deeper, x, y)
             clear = clear & light_field.available.ravel()[which]
-            found = _between(views[which], x, y, beyond="edge")
-            return jnp.where(clear[..., None], found, colour), None
+            shown = _between(views[which], x, y, beyond="edge")
+            return jnp.where(clear[..., None], shown, color), None
 
-        colour, _ = lax.scan(recomputed(look), around, sources[order])
-        return jnp.where(out[..., None], colour, view)
+        color, _ = lax.scan(checkpoint(seen_by), around, sources[order])
+        return jnp.where(out[..., None], color, view)
 
-    found = lax.map(recomputed(one), (views, maps, steps, gone))
-    return _edited(light_field, found.reshape(light_field.views.shape))
+    shown = lax.map(checkpoint(one), (views, maps, steps, gone))
+    return _edited(light_field, shown.reshape(light_field.views.shape))
 
 
 def margin(mask: Bool[Array, "y x"], *, radius: int) -> Bool[Array, "y x"]:

@@ -5,11 +5,11 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float, Int, Shaped
 
 from mvedge_jax._linear_map import linear_map
 from mvedge_jax._params import accepts_numpy
-from mvedge_jax._root import root
+from mvedge_jax._root import safe_sqrt
 
 
 @accepts_numpy
@@ -72,7 +72,7 @@ def box_mean(image: Float[Array, "*c y x"], radius: int) -> Float[Array, "*c y x
         The means, of the shape of `image`. Differentiable.
     """
     area = (2 * radius + 1) ** 2
-    return window_sum(window_sum(image, radius, -2 % image.ndim), radius, image.ndim - 1) / area
+    return window_sum(window_sum(image, radius, -2), radius, -1) / area
 
 
 @accepts_numpy
@@ -161,6 +161,32 @@ def highest(image: Float[Array, "y x"], radius: int) -> Float[Array, "y x"]:
     return image
 
 
+def highest_beside(
+    values: Float[Array, "y x"], companion: Shaped[Array, "y x"]
+) -> tuple[Float[Array, "y x"], Shaped[Array, "y x"]]:
+    """The largest value of 3x3 pixels, and what another image holds where it is.
+
+    Args:
+        values: `[y, x]`.
+        companion: the other image.
+
+    Returns:
+        Both per pixel. Differentiable, at the places chosen.
+    """
+    for axis in (0, 1):
+        margin = [(0, 0), (0, 0)]
+        margin[axis] = (1, 1)
+        padded = [jnp.pad(image, margin, mode="edge") for image in (values, companion)]
+        size = values.shape[axis]
+        for offset in (0, 2):
+            value, other = (
+                lax.slice_in_dim(image, offset, offset + size, axis=axis) for image in padded
+            )
+            wins = value > values
+            values, companion = jnp.where(wins, value, values), jnp.where(wins, other, companion)
+    return values, companion
+
+
 def gradient_square(image: Float[Array, "y x"]) -> Float[Array, "y x"]:
     """Squared size of the gradient of an image, by central differences; the border is repeated.
 
@@ -184,7 +210,7 @@ def gradient_magnitude(image: Float[Array, "y x"]) -> Float[Array, "y x"]:
     Returns:
         Values per px, `[y, x]`. Differentiable.
     """
-    return root(gradient_square(image))
+    return safe_sqrt(gradient_square(image))
 
 
 @accepts_numpy
@@ -282,10 +308,10 @@ def components(right: Bool[Array, "*s y x"], down: Bool[Array, "*s y x"]) -> Int
 
     def spread(state: tuple[Array, Array]) -> tuple[Array, Array]:
         least, _ = state
-        found = swept(jnp.moveaxis(least, 1, 0), below)
-        found = swept(jnp.moveaxis(jnp.moveaxis(found, 0, 1), 2, 0), beside)
-        found = jnp.moveaxis(found, 0, 2)
-        return found, jnp.any(found != least)
+        down = swept(jnp.moveaxis(least, 1, 0), below)
+        both = swept(jnp.moveaxis(jnp.moveaxis(down, 0, 1), 2, 0), beside)
+        both = jnp.moveaxis(both, 0, 2)
+        return both, jnp.any(both != least)
 
     result, _ = lax.while_loop(lambda state: state[1], spread, (start, jnp.asarray(True)))
     return result.reshape(shape)

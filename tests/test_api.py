@@ -177,7 +177,7 @@ def test_no_class_is_named_after_what_it_is_to_the_compiler():
 
 _FLOORS = (
     ("_stored",),
-    ("_export", "_params", "_paths", "_linear_map", "_product", "_recomputed", "_root"),
+    ("_export", "_params", "_paths", "_linear_map", "_product", "_checkpoint", "_root"),
     ("_cpu",),
     ("_compiler", "_known", "color", "image", "interpolation"),
     ("_batched", "_checks"),

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 from helpers import check_modes
 
-from mvedge_jax._cpu import fenced, plane_sum, staged, unstack
+from mvedge_jax._cpu import checkpoint_stage, no_fuse, plane_sum, unstack
 
 
 def _stage(tree, shift):
@@ -17,7 +17,7 @@ def test_a_stage_is_its_function_in_value_and_in_every_derivative():
     key = jax.random.split(jax.random.key(0))
     tree = tuple(jax.random.normal(k, (3, 4)) for k in key)
     shift = jnp.asarray(0.3)
-    for wrapped in (staged(_stage), lambda *of: fenced(_stage, *of)):
+    for wrapped in (checkpoint_stage(_stage), lambda *of: no_fuse(_stage, *of)):
         found, expected = jax.jit(wrapped)(tree, shift), _stage(tree, shift)
         np.testing.assert_allclose(found["sine"], expected["sine"], rtol=1e-15)
         np.testing.assert_array_equal(found["whole"], expected["whole"])
@@ -31,9 +31,9 @@ def test_a_stage_is_its_function_in_value_and_in_every_derivative():
 
 def test_other_devices_have_no_fence(monkeypatch):
     monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
-    plain = str(jax.make_jaxpr(lambda x: fenced(jnp.sin, x))(1.0))
+    plain = str(jax.make_jaxpr(lambda x: no_fuse(jnp.sin, x))(1.0))
     assert "cond" not in plain
-    np.testing.assert_array_equal(fenced(jnp.sin, 1.0), jnp.sin(1.0))
+    np.testing.assert_array_equal(no_fuse(jnp.sin, 1.0), jnp.sin(1.0))
 
 
 def test_stages_in_a_row_compute_each_again_once():
@@ -45,7 +45,7 @@ def test_stages_in_a_row_compute_each_again_once():
 
     def chain(x):
         for _ in range(3):
-            x = staged(noted)(x)
+            x = checkpoint_stage(noted)(x)
         return jnp.sum(x)
 
     jax.block_until_ready(jax.jit(jax.grad(chain))(jnp.ones(4)))

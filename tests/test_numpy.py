@@ -104,7 +104,6 @@ CALLS = {
     "paint": lambda: edit.paint(light_field(), MAPS, MAP, some(3)),
     "epi": lambda: epi.epi_edge_map(some(3, X, 3), epi.prewitt_bank(2 * some(2) - 1, 3, 2)),
     "lines": lambda: epi.merge_scales(lines()[0], lines()[0], ONE, views=3),
-    "segments": lambda: epi.match_segments(LABEL, LABEL, VALID.astype(int), VALID, views=3),
     "image": lambda: (image.box_mean(MAP, 1), image.gaussian(MAP, ONE, radius=2)),
     "gradient": lambda: (image.unit_gradient(MAP), image.convolved(MAP, some(3), axis=0)),
     "sample": lambda: (interpolation.sample(MAP, XY), interpolation.cubic_taps(MAP)),
@@ -125,7 +124,6 @@ CALLS = {
     "cloud": lambda: cloud.surface_of(MAP, eye(4), eye(3)),
     "depth errors": lambda: depth_errors(MAP, MAP),
     "splat": lambda: splatting.splat(*POINTS, splatting.SplatWidths(ONE), *RASTER),
-    "oracle": lambda: splatting.splat_reference(*POINTS, splatting.SplatWidths(), *RASTER),
     "backward": lambda: (
         warping.backward_warp(RGB, MAP, STEP),
         warping.warp_planes(PLANES, MAP, STEP),

@@ -29,7 +29,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from _report import print_table, write_json
 
 from mvedge_jax import _cpu, compiler_options
-from mvedge_jax._recomputed import recomputed
+from mvedge_jax._checkpoint import checkpoint
 from mvedge_jax.datasets import synthetic
 from mvedge_jax.depth import EdgeDepth
 
@@ -97,16 +97,16 @@ def _plain(function: Callable[..., Any], *arguments: Any) -> Any:
 
 
 def _each(function: Callable[..., Any], first: Any, second: Any) -> tuple[Any, Any]:
-    return _cpu.fenced(function, first), _cpu.fenced(function, second)
+    return _cpu.no_fuse(function, first), _cpu.no_fuse(function, second)
 
 
 _TRICKS: dict[str, Off] = {
-    "fences": lambda: _replaced("fenced", _plain),
+    "fences": lambda: _replaced("no_fuse", _plain),
     **{
-        f"fences of {place}": lambda place=place: _replaced("fenced", _plain, place)
-        for place in ("_coarsen", "_multigrid", "_median", "_arm", "_window", "_look")
+        f"fences of {place}": lambda place=place: _replaced("no_fuse", _plain, place)
+        for place in ("_coarsen", "_multigrid", "_median", "_arm", "_window", "_crosshair")
     },
-    "stages": lambda: _replaced("staged", recomputed),
+    "stages": lambda: _replaced("checkpoint_stage", checkpoint),
     "loops over both arms": lambda: _replaced("of_both", _each),
     "plane sums": lambda: _replaced("plane_sum", lambda planes: jnp.sum(planes, axis=0)),
     "unstack": lambda: _replaced("unstack", list),

@@ -33,7 +33,7 @@ from mvedge_jax.edges.sides import MapSides, surface_vectors
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.photometry import Calibrate
 from mvedge_jax.photometry.matching import hypotheses
-from mvedge_jax.photometry.measuring import CrosshairSplines, Measuring, labels
+from mvedge_jax.photometry.measuring import AdaptedMeasurement, CrosshairSplines, labels
 
 
 def main() -> None:
@@ -174,10 +174,10 @@ def _stages(measure: Any, light_field: LightField, model: EdgeDepth) -> None:
         first,
         sides.vote,
     )
-    params = Measuring(radius=measurement.radius, passes=measurement.passes)
+    params = AdaptedMeasurement(radius=measurement.radius, passes=measurement.passes)
     measured = measure(
         "dense labels",
-        lean_jit(lambda s, a, b, p: labels(s.look(b, p), a, b, p, passes=p.passes)),
+        lean_jit(lambda s, a, b, p: labels(s.accumulate(b, p), a, b, p, passes=p.passes)),
         CrosshairSplines.of(arms),
         lab,
         first,

@@ -43,7 +43,7 @@ VARIED = {
     "of the photometry": (
         "calibration.matching.truncation",
         "measurement.drift",
-        "measurement.same_colour",
+        "measurement.same_color",
         "refine.precision",
     ),
 }

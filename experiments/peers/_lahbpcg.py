@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 from jaxtyping import Array
 
-from mvedge_jax._cpu import fenced
+from mvedge_jax._cpu import no_fuse
 from mvedge_jax.diffusion import Coefficients
 from mvedge_jax.diffusion._coarsen import (
     after_x,
@@ -51,7 +51,7 @@ def build(coefficients: Coefficients) -> Basis:
     """
     octaves = []
     while max(coefficients.weight.shape[-2:]) > 1:
-        octave, coefficients = fenced(_octave, coefficients)
+        octave, coefficients = no_fuse(_octave, coefficients)
         octaves.append(octave)
     return Basis(tuple(octaves), coefficients.weight)
 
@@ -139,7 +139,7 @@ def _solve(octaves: tuple[Octave, ...], rest: Array, residual: Array) -> Array:
         middle = middle + _gather_inside(side_x, side_y, right_x, right_y)
         return corners + _gather_diagonal(inside, middle), middle
 
-    coarse, middle = fenced(down)
+    coarse, middle = no_fuse(down)
     corners = _solve(tuple(coarser), rest, coarse)
     shape = residual.shape[-2:]
 
@@ -149,7 +149,7 @@ def _solve(octaves: tuple[Octave, ...], rest: Array, residual: Array) -> Array:
         value = nw * corners + se * after_x(below) + ne * beside + sw * below
         return value + ratio(middle, octave.pivots[2])
 
-    middles = fenced(center)
+    middles = no_fuse(center)
 
     def sides() -> Array:
         _, right_x, right_y, _ = split(residual)
@@ -162,4 +162,4 @@ def _solve(octaves: tuple[Octave, ...], rest: Array, residual: Array) -> Array:
         on_y = on_y + ratio(right_y, octave.pivots[1])
         return interleave(corners, on_x, on_y, middles, shape)
 
-    return fenced(sides)
+    return no_fuse(sides)

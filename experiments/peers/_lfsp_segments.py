@@ -10,16 +10,10 @@ from jaxtyping import Array, Bool, Float
 
 from mvedge_jax._crosshair import view_steps
 from mvedge_jax.edges.thesis import LineSearch, arm_lines
-from mvedge_jax.epi import (
-    EpiLines,
-    FilterBank,
-    epi_edge_map,
-    match_segments,
-    opening_sides,
-    prewitt_bank,
-)
+from mvedge_jax.epi import EpiLines, FilterBank, epi_edge_map, prewitt_bank
 
 from ._lfsp_painting import Ends, painted, width_of
+from .epi_segments import match_segments, opening_sides
 
 # Slopes of the filters, at most and apart, px over the height of an EPI; the authors'.
 _STEEPEST, _STEP = 28, 2

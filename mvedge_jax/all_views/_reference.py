@@ -8,17 +8,17 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
-from mvedge_jax._cpu import staged
+from mvedge_jax._checkpoint import checkpoint
+from mvedge_jax._cpu import checkpoint_stage
 from mvedge_jax._product import product
-from mvedge_jax._recomputed import recomputed
-from mvedge_jax._root import root
+from mvedge_jax._root import safe_sqrt
 from mvedge_jax.diffusion import AutoSolver, System, diffuse
 from mvedge_jax.image import highest
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.photometry import CalibratedViews, Noise, PreparedViews, prepare_views, recentred
 from mvedge_jax.photometry.brightness import Exposure, low_pass
 from mvedge_jax.photometry.matching import hypotheses
-from mvedge_jax.photometry.measuring import Look, labels, mismatch
+from mvedge_jax.photometry.measuring import NormalEquations, labels, residual_variance
 from mvedge_jax.smoothness import edge_smoothness
 
 from ._draw import STEP, decided, drawn
@@ -104,14 +104,14 @@ def uncovered(
 
     def add(state: tuple[Samples, Array], view: Array) -> tuple[tuple[Samples, Array], None]:
         samples, count = state
-        found = staged(_measured_in)(samples, light_field, view, exposure, noise, model)
+        found = checkpoint_stage(_measured_in)(samples, light_field, view, exposure, noise, model)
         step = light_field.steps[view[0], view[1]]
         disparity, error, new = found
         new = new & ~_contradicted(samples, disparity, step)
         return added(samples, disparity, error, new, step, count=count), None
 
     state = (samples, jnp.zeros((), jnp.int32))
-    return lax.scan(recomputed(add), state, outermost(light_field))[0]
+    return lax.scan(checkpoint(add), state, outermost(light_field))[0]
 
 
 def _measured_in(
@@ -134,11 +134,11 @@ def _measured_in(
     new = drawing.hole | (samples.disparity[first.sample] - known > STEP)
     # Errors inflated by depth steps are capped; those of unmeasured pixels are kept.
     doubt = samples.error[drawing.sample]
-    doubt = jnp.minimum(doubt, jnp.maximum(root(jnp.var(known)), jnp.min(doubt)))
+    doubt = jnp.minimum(doubt, jnp.maximum(safe_sqrt(jnp.var(known)), jnp.min(doubt)))
 
     guess, found = _guess(reference, known, new, model)
 
-    def solve(state: tuple[Array, Array, Look], more: Array) -> Any:
+    def solve(state: tuple[Array, Array, NormalEquations], more: Array) -> Any:
         disparity, _, found = state
         seen = reference.prepared.params
         measured = labels(found, reference.scene.lab, disparity, seen, passes=seen.passes)
@@ -161,19 +161,21 @@ def _measured_in(
         values, starts = jnp.stack([label, uncertain]), jnp.stack([disparity, uncertain])
         value, doubted = lax.map(diffused, (values, starts, tolerances))
         disparity, error = jnp.where(new, value, known), jnp.where(new, doubted, doubt)
-        found = lax.cond(more, lambda d: _look(reference, d), lambda _: found, disparity)
+        found = lax.cond(more, lambda d: _accumulate(reference, d), lambda _: found, disparity)
         return (disparity, error, found), None
 
     more = jnp.arange(model.solves) < model.solves - 1
-    (disparity, error, _), _ = lax.scan(recomputed(solve), (guess, doubt, found), more)
+    (disparity, error, _), _ = lax.scan(checkpoint(solve), (guess, doubt, found), more)
     return disparity, error, new
 
 
-def _look(reference: _Reference, disparity: Array) -> Look:
-    return reference.prepared.look(disparity).per_pixel()
+def _accumulate(reference: _Reference, disparity: Array) -> NormalEquations:
+    return reference.prepared.accumulate(disparity).per_pixel()
 
 
-def _guess(reference: _Reference, known: Array, new: Array, model: ViewDepth) -> tuple[Array, Look]:
+def _guess(
+    reference: _Reference, known: Array, new: Array, model: ViewDepth
+) -> tuple[Array, NormalEquations]:
     """Initial disparity of new surfaces, and the normal equations there.
 
     New pixels continue the surface behind, unless the residual of a hypothesis is much smaller.
@@ -191,15 +193,15 @@ def _guess(reference: _Reference, known: Array, new: Array, model: ViewDepth) ->
     other = jnp.pad(other, ((0, height % 2), (0, width % 2)), mode="edge")[:height, :width]
     other = jnp.where(new, other, known)
 
-    def tried_at(disparity: Array) -> tuple[Look, Array]:
-        found = _look(reference, disparity)
+    def tried_at(disparity: Array) -> tuple[NormalEquations, Array]:
+        found = _accumulate(reference, disparity)
         passes = seen.params.passes
-        differs = mismatch(found, scene.lab, disparity, seen.params, passes=passes)
+        differs = residual_variance(found, scene.lab, disparity, seen.params, passes=passes)
         # Agreement of few views is weak evidence.
         few = 1 + _FEW / jnp.maximum(found.freedom, 0.1)
         return found, (differs + seen.params.noise**2) * few
 
-    found, residual = lax.map(recomputed(tried_at), jnp.stack([known, other]))
+    found, residual = lax.map(checkpoint(tried_at), jnp.stack([known, other]))
     better = new & (_CLEARLY * residual[1] < residual[0])
     # The chosen map has been measured already.
     found = jax.tree.map(lambda both: jnp.where(better, both[1], both[0]), found)

@@ -6,10 +6,10 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float, Int, Int8
 
+from mvedge_jax._checkpoint import checkpoint
 from mvedge_jax._checks import checked_jit, expect, with_numbers
 from mvedge_jax._params import cast
-from mvedge_jax._recomputed import recomputed
-from mvedge_jax._root import root
+from mvedge_jax._root import safe_sqrt
 from mvedge_jax.depth import DepthResult
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.photometry.brightness import GridViews
@@ -95,7 +95,9 @@ def depth_of_views(light_field: LightField, result: DepthResult, model: ViewDept
         )
     model = cast(model, light_field.views.dtype)
     # Infinite errors of unknown pixels would give NaN derivatives.
-    error = jnp.where(jnp.isfinite(result.error), result.error, root(jnp.var(result.disparity)))
+    error = jnp.where(
+        jnp.isfinite(result.error), result.error, safe_sqrt(jnp.var(result.disparity))
+    )
     samples = samples_of(result.disparity, error, capacity=model.capacity)
     exposure = result.stats.exposure
     exposure = GridViews(light_field, every=True).exposure_along(
@@ -116,7 +118,7 @@ def depth_of_views(light_field: LightField, result: DepthResult, model: ViewDept
     grid = rows * columns
     pictures = light_field.views.reshape(grid, height, width, -1)
     items = (pictures, light_field.available.ravel(), light_field.steps.reshape(grid, 2))
-    maps = lax.map(recomputed(view), items)
+    maps = lax.map(checkpoint(view), items)
     own = (result.disparity, error, jnp.full((height, width), SEEN, jnp.int8))
     middle = grid // 2
     maps = [m.at[middle].set(o) for m, o in zip(maps, own, strict=True)]

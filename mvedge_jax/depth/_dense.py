@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from mvedge_jax._params import number
-from mvedge_jax.photometry.measuring import Measuring, PhotometricLabels
+from mvedge_jax.photometry.measuring import AdaptedMeasurement, PhotometricLabels
 
 from ._labels import Labels
 
@@ -21,7 +21,7 @@ class DenseLabels(Protocol):
         from_points: Labels,
         measured: PhotometricLabels,
         disparity: Float[Array, "y x"],
-        measuring: Measuring,
+        measuring: AdaptedMeasurement,
         precision: Float[Array, ""],
         lit: Float[Array, "y x"] | None,
     ) -> Labels:
@@ -60,7 +60,7 @@ class MeasuredLabels(eqx.Module):
         from_points: Labels,
         measured: PhotometricLabels,
         disparity: Float[Array, "y x"],
-        measuring: Measuring,
+        measuring: AdaptedMeasurement,
         precision: Float[Array, ""],
         lit: Float[Array, "y x"] | None,
     ) -> Labels:

@@ -9,7 +9,7 @@ import lineax as lx
 from jaxtyping import Array, Bool, PRNGKeyArray
 
 from mvedge_jax._checks import checked_jit, expect, sound, with_numbers
-from mvedge_jax._cpu import staged
+from mvedge_jax._cpu import checkpoint_stage
 from mvedge_jax._params import cast
 from mvedge_jax._paths import described, replaced
 from mvedge_jax.edges import EdgeDetector, Edges
@@ -299,7 +299,7 @@ def _evidence(model: EdgeDepth, light_field: LightField) -> Evidence:
 
 
 def _found_edges(model: EdgeDepth, evidence: Evidence, key: PRNGKeyArray | None) -> Edges:
-    return staged(lambda evidence, edges: edges(evidence, key=key))(evidence, model.edges)
+    return checkpoint_stage(lambda evidence, edges: edges(evidence, key=key))(evidence, model.edges)
 
 
 def _outlined(

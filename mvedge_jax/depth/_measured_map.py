@@ -10,10 +10,15 @@ from jax import lax
 from jax.typing import DTypeLike
 from jaxtyping import Array, Float
 
-from mvedge_jax._cpu import staged
-from mvedge_jax._recomputed import kept, recomputed
+from mvedge_jax._checkpoint import checkpoint, save_residual
+from mvedge_jax._cpu import checkpoint_stage
 from mvedge_jax.photometry import PreparedViews
-from mvedge_jax.photometry.measuring import Look, PhotometricLabels, labels, mismatch
+from mvedge_jax.photometry.measuring import (
+    NormalEquations,
+    PhotometricLabels,
+    labels,
+    residual_variance,
+)
 
 from ._diffused import diffused
 from ._refine import Given, Map, Parts, Refine, cut_edges, labeled_share
@@ -42,7 +47,7 @@ def measured_map(given: Given, first: Float[Array, "y x"], parts: Parts) -> Map:
     # and the two maps that a sharpening compares are measured in steps of their own.
     def step(state: _State, turn: _Turn) -> tuple[_State, tuple[Array, Array, Array]]:
         if state.blurred is None:
-            found = kept(_look(given, state.disparity))
+            found = save_residual(_look(given, state.disparity))
         else:
             state, found = _sharpened(given, state, turn, parts)
         if every:
@@ -65,7 +70,7 @@ def measured_map(given: Given, first: Float[Array, "y x"], parts: Parts) -> Map:
         unseen = jax.tree.map(lambda of: jnp.zeros(of.shape, of.dtype), shapes)
         state = state._replace(blurred=_Blurred(unseen, nothing))
     turns = _turns(kinds, parts.refine, first.dtype)
-    state, (iterations, converged, labeled) = lax.scan(recomputed(step), state, turns)
+    state, (iterations, converged, labeled) = lax.scan(checkpoint(step), state, turns)
     solves = np.flatnonzero(kinds != _BLURRED)
     return Map(
         state.disparity, state.error, iterations[solves], jnp.all(converged), labeled[solves[-1]]
@@ -91,8 +96,8 @@ class _Turn(NamedTuple):
 class _Blurred(NamedTuple):
     """Measurement around a map before sharpening, and its residual variance."""
 
-    found: Look
-    mismatch: Array
+    found: NormalEquations
+    residual_variance: Array
 
 
 class _State(NamedTuple):
@@ -133,21 +138,23 @@ def _views(given: Given) -> PreparedViews:
     return given.views
 
 
-def _look(given: Given, disparity: Array) -> Look:
+def _look(given: Given, disparity: Array) -> NormalEquations:
     """Accumulates the crosshair's or the photographs' normal equations around a map."""
 
-    @staged
-    def look(disparity: Array) -> Look:
-        found = _views(given).look(disparity).per_pixel()
+    @checkpoint_stage
+    def look(disparity: Array) -> NormalEquations:
+        found = _views(given).accumulate(disparity).per_pixel()
         alone = _every(given) is None
         return found if alone else found._replace(cross=jnp.zeros_like(disparity))
 
     return look(disparity)
 
 
-def _around(given: Given, found: Look, disparity: Array, *, parts: Parts) -> Look:
+def _around(
+    given: Given, found: NormalEquations, disparity: Array, *, parts: Parts
+) -> NormalEquations:
     """Mixes the normal equations of all views with those of the crosshair beside steps."""
-    whole = _every(given).look(disparity, _views(given).params)
+    whole = _every(given).accumulate(disparity, _views(given).params)
     share = _share_of_all(disparity, parts.refine)
     return jax.tree.map(lambda a, c: share * a + (1 - share) * c, whole.per_pixel(), found)
 
@@ -157,22 +164,24 @@ def _sharpened(
     state: _State,
     turn: _Turn,
     parts: Parts,
-) -> tuple[_State, Look]:
+) -> tuple[_State, NormalEquations]:
     """Sharpens the map where the residual allows it; also returns its normal equations."""
     assert state.blurred is not None
     sharpens, params = turn.kind == _SHARPENED, _views(given).params
 
-    def disagreement(found: Look, disparity: Array) -> Array:
-        return mismatch(found, given.lab, disparity, params, passes=params.passes)
+    def disagreement(found: NormalEquations, disparity: Array) -> Array:
+        return residual_variance(found, given.lab, disparity, params, passes=params.passes)
 
     def sharper(disparity: Array) -> Array:
         return parts.refine.sharpen(disparity, given.guide)
 
-    moved = kept(lax.cond(sharpens, sharper, lambda d: d, state.disparity))
-    found = kept(_look(given, moved))
+    moved = save_residual(lax.cond(sharpens, sharper, lambda d: d, state.disparity))
+    found = save_residual(_look(given, moved))
     compared = sharpens | (turn.kind == _BLURRED)
     differs = lax.cond(compared, disagreement, lambda _, d: jnp.zeros_like(d), found, moved)
-    minds = sharpens & (differs > turn.slack * (state.blurred.mismatch + 2 * params.noise**2))
+    minds = sharpens & (
+        differs > turn.slack * (state.blurred.residual_variance + 2 * params.noise**2)
+    )
     # The chosen map has been measured already.
     disparity, found = jax.tree.map(
         partial(jnp.where, minds), (state.disparity, state.blurred.found), (moved, found)
@@ -180,13 +189,15 @@ def _sharpened(
     return _State(disparity, state.error, _Blurred(found, differs)), found
 
 
-def _solve(given: Given, found: Look, disparity: Array, turn: _Turn, parts: Parts) -> Any:
+def _solve(
+    given: Given, found: NormalEquations, disparity: Array, turn: _Turn, parts: Parts
+) -> Any:
     """Diffuses dense labels together with those of the points."""
     params, refine, sparse = _views(given).params, parts.refine, given.from_points
     assert parts.dense is not None
 
-    @staged
-    def measured(found: Look, disparity: Array) -> PhotometricLabels:
+    @checkpoint_stage
+    def measured(found: NormalEquations, disparity: Array) -> PhotometricLabels:
         return labels(found, given.lab, disparity, params, passes=params.passes)
 
     if _every(given) is not None:
@@ -194,7 +205,7 @@ def _solve(given: Given, found: Look, disparity: Array, turn: _Turn, parts: Part
         alone = 1 - _share_of_all(disparity, refine)
         share = jnp.where(turn.kind == _AROUND, alone, 1)
         sparse = sparse._replace(weight=share * sparse.weight)
-    dense = kept(measured(found, disparity))
+    dense = save_residual(measured(found, disparity))
     both = parts.dense(sparse, dense, disparity, params, refine.precision, given.lit)
     solved, (iterations, converged) = diffused(
         both,

@@ -8,10 +8,10 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
-from mvedge_jax._cpu import fenced
+from mvedge_jax._checkpoint import save_residual
+from mvedge_jax._cpu import no_fuse
 from mvedge_jax._linear_map import linear_map
 from mvedge_jax._params import accepts_numpy
-from mvedge_jax._recomputed import kept
 from mvedge_jax._root import LEAST_DIVISOR
 from mvedge_jax.color import Factored, factored, solved
 from mvedge_jax.image import window_sum
@@ -148,7 +148,7 @@ def _crossing(slices: _Slices, sliced: _Sliced, still: _Still) -> _Crossing:
 
 @_crossing.defjvp
 def _crossing_jvp(slices: _Slices, primals: Any, tangents: Any) -> tuple[_Crossing, _Crossing]:
-    found = kept(_search(slices, *primals))
+    found = save_residual(_search(slices, *primals))
 
     def pushed(fixed: Any, moving: _Sliced) -> tuple[Array, Array]:
         sliced, still, chosen = fixed
@@ -240,10 +240,10 @@ def _pulled_share(
     ramp = _ramp(level, sliced)
     piece, wanted = jnp.clip(ramp, 0, 1), wanted / still.area
     # Stored; otherwise XLA recomputes the sums for each of their readers.
-    of_piece, of_wanted = fenced(both, piece, wanted, sliced.guide)
+    of_piece, of_wanted = no_fuse(both, piece, wanted, sliced.guide)
     mean, slope = _regressed(of_piece, sliced, still)
     around, turned = _regressed(of_wanted, sliced, still)
-    back, *by_colour = fenced(spread, _offset(around, turned, sliced), *turned)
+    back, *by_colour = no_fuse(spread, _offset(around, turned, sliced), *turned)
     for c, b in zip(sliced.guide, by_colour, strict=True):
         back = back + c * b
     change = jnp.where((ramp > 0) & (ramp < 1), back, 0) / sliced.spacing
@@ -254,7 +254,7 @@ def _pulled_share(
         low=jnp.sum(change),
         spacing=jnp.sum(change * (level + 0.5 - ramp)),
         guide=tuple(
-            piece * b + wanted * s for b, s in zip(by_colour, fenced(spread, *slope), strict=True)
+            piece * b + wanted * s for b, s in zip(by_colour, no_fuse(spread, *slope), strict=True)
         ),
         mean=tuple(-(s * around + t * mean) for s, t in zip(slope, turned, strict=True)),
         moments=tuple(-m for m in moments),

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from mvedge_jax._params import cast, number
-from mvedge_jax._root import root
+from mvedge_jax._root import safe_sqrt
 
 
 class StandardError(eqx.Module):
@@ -69,7 +69,7 @@ class StandardError(eqx.Module):
         bent = params.bent * bend / (1 + bend / params.step)
         square = labels**2 + bent**2 + (params.misplaced * bend) ** 2
         if around is not None:
-            square = square + jnp.maximum(root(around) - params.rival, 0) ** 2
+            square = square + jnp.maximum(safe_sqrt(around) - params.rival, 0) ** 2
         return jnp.where(known, jnp.sqrt(square), jnp.inf)
 
     def spread(self, disparity: Array, weight: Array, span: Array) -> Array:
@@ -85,7 +85,7 @@ class StandardError(eqx.Module):
         """
         evidence = jnp.sum(weight)
         variance = evidence * jnp.var(disparity) + self.alike * span**2
-        return root(variance / (evidence + self.alike))
+        return safe_sqrt(variance / (evidence + self.alike))
 
 
 def steepest(disparity: Array) -> Array:

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
-from mvedge_jax._recomputed import recomputed
+from mvedge_jax._checkpoint import checkpoint
 
 from ._diffused import diffused
 from ._labels import Labels as Labels
@@ -52,6 +52,6 @@ def _map_of_points(given: Given, first: Array, parts: Parts) -> Map:
     start = (first, jnp.zeros_like(first))
     labeled = labeled_share(given.from_points, parts.refine)
     (disparity, error), (iterations, converged) = lax.scan(
-        recomputed(step), start, jnp.arange(count)
+        checkpoint(step), start, jnp.arange(count)
     )
     return Map(sharpen(disparity, given.guide), error, iterations, jnp.all(converged), labeled)

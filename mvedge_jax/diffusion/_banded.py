@@ -21,7 +21,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array
 
-from mvedge_jax._cpu import fenced
+from mvedge_jax._cpu import no_fuse
 
 from ._pcg import Iterate
 from ._stencil import Coefficients, inner, largest, pad, product, spread
@@ -68,19 +68,7 @@ def refine(
 
     One substitution suffices for a threshold above the rounding error. A negative weight may lose
     digits, so the first estimate of the error is the solution itself, and later ones are the last
-    correction.
-
-    Args:
-        coefficients: the matrix, with any leading batch axes.
-        right: right-hand side.
-        keep: pixels that take part; elsewhere the solution stays 0.
-        absolute: part of the threshold for the measure of error.
-        relative: part of the threshold, as a share of the largest entry of the solution.
-        by_residual: measure the root of the sum of squares of the residual, not the error.
-        max_iterations: largest number of substitutions.
-
-    Returns:
-        The solution and its statistics.
+    correction. Arguments are those of `pcg`.
     """
     rounding = _ROUNDING * jnp.finfo(right.dtype).eps
     positive = jnp.all(coefficients.weight >= 0, axis=(-2, -1))
@@ -135,21 +123,13 @@ def refine(
 
 
 def _eliminate(coefficients: Coefficients, right: Array) -> tuple[_Eliminated, Array]:
-    r"""Eliminates column after column.
+    r"""Eliminates column after column, and the right-hand side as `_forwards` does.
 
     With G the inverse of the last column's matrix and t its ties to the next column, that one has
-    the ties $t_i G_{ij} t_j$ in addition, the row sums $w + t\,G e$, where e are the
-    last one's, and the right-hand side $b + t\,G b'$. Keeping the row sums in place of the
-    diagonal leaves nothing to subtract, so that no digit is lost at any contrast (Grassmann,
-    Taksar & Heyman 1985): the error is the rounding of the largest label.
-
-    Args:
-        coefficients: the matrix, with any leading batch axes.
-        right: right-hand side.
-
-    Returns:
-        The elimination, for `_forwards` and `_backwards`, and the result of `_forwards` for
-        `right`.
+    the ties $t_i G_{ij} t_j$ in addition, the row sums $w + t\,G e$, where e are the last one's,
+    and the right-hand side $b + t\,G b'$. Keeping the row sums in place of the diagonal leaves
+    nothing to subtract, so that no digit is lost at any contrast (Grassmann, Taksar & Heyman 1985):
+    the error is the rounding of the largest label.
     """
     y, x = right.shape[-2:]
     tx, ty = pad(coefficients.tx, (0, 0), (0, 1)), pad(coefficients.ty, (0, 1), (0, 0))
@@ -160,10 +140,10 @@ def _eliminate(coefficients: Coefficients, right: Array) -> tuple[_Eliminated, A
 
     def forward(front: _Front, column: tuple[Array, Array, Array, Array]) -> tuple[_Front, Any]:
         weight, ahead, within, data = column
-        tableau = fenced(_next_column, front, weight, ahead, within, data)
+        tableau = no_fuse(_next_column, front, weight, ahead, within, data)
         data = tableau[:, -1]
         for pivot in range(tableau.shape[0]):
-            tableau = fenced(partial(_sweep, pivot=pivot), tableau)
+            tableau = no_fuse(partial(_sweep, pivot=pivot), tableau)
         return _Front(tableau, ahead), (tableau[:, : tableau.shape[0]], data)
 
     height, batch = data.shape[1:]
@@ -177,7 +157,7 @@ def _forwards(eliminated: _Eliminated, data: Array) -> Array:
 
     def step(before: Array, column: tuple[Array, Array, Array]) -> tuple[Array, Array]:
         at, data, ahead = column
-        carried = _kept(data + before)
+        carried = _opaque(data + before)
         return ahead * _times(eliminated.inverses, at, carried), carried
 
     columns = (jnp.arange(len(data)), data, eliminated.ahead)
@@ -189,7 +169,7 @@ def _backwards(eliminated: _Eliminated, carried: Array) -> Array:
 
     def step(later: Array, column: tuple[Array, Array, Array]) -> tuple[Array, Array]:
         at, carried, ahead = column
-        value = _times(eliminated.inverses, at, _kept(carried + ahead * later))
+        value = _times(eliminated.inverses, at, _opaque(carried + ahead * later))
         return value, value
 
     columns = (jnp.arange(len(carried)), carried, eliminated.ahead)
@@ -202,7 +182,9 @@ def _times(inverses: Array, at: Array, right: Array) -> Array:
 
 
 def _next_column(front: _Front, weight: Array, ahead: Array, within: Array, data: Array) -> Array:
-    """The tableau of the next column, from the last eliminated one.
+    """The tableau of the next column: ties between its pixels, `[h, h, b]`, and three columns more.
+
+    These are row sums with and without the ties ahead, and the right-hand side.
 
     Args:
         front: the last column.
@@ -210,10 +192,6 @@ def _next_column(front: _Front, weight: Array, ahead: Array, within: Array, data
         ahead: its ties to the column after it.
         within: ties between its neighbors.
         data: its right-hand side.
-
-    Returns:
-        Ties between its pixels, `[h, h, b]`, and three columns more: row sums with and without the
-        ties ahead, and the right-hand side.
     """
     solved, tie = front
     height = tie.shape[0]
@@ -227,18 +205,11 @@ def _next_column(front: _Front, weight: Array, ahead: Array, within: Array, data
 
 
 def _sweep(tableau: Array, *, pivot: int) -> Array:
-    """Eliminates one pixel (sweep operator, by additions only).
+    """Eliminates one pixel of a tableau (sweep operator, by additions only).
 
     Ties between two swept pixels become entries of the inverse; those between a swept and another
     pixel, the probability of a random walk to leave by the other. The diagonal is not used before
-    its pixel is swept.
-
-    Args:
-        tableau: as `_next_column` makes it, swept for the pixels before.
-        pivot: the pixel.
-
-    Returns:
-        The tableau with one more pixel swept; a pixel without ties changes nothing.
+    its pixel is swept. A pixel without ties changes nothing.
     """
     height, width = tableau.shape[:2]
     # Row and column hold the same ties, but their product is faster than that of the row alone.
@@ -261,7 +232,7 @@ def _sum(terms: Iterable[Array]) -> Any:
     return total
 
 
-def _kept(values: Array) -> Array:
+def _opaque(values: Array) -> Array:
     """The values, divided by a one that is opaque to the compiler."""
     return values / jnp.where(jnp.isinf(values), values, 1)
 

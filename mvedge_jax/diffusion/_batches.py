@@ -14,15 +14,12 @@ from jaxtyping import Array
 
 @lru_cache(maxsize=64)
 def mapped(function: Callable[..., Any], solver: Any) -> Callable[..., Any]:
-    """`function` for one system, or a batch on the first axis of every argument, under `vmap`.
+    """`function` for one system, or for a batch on the first axis of every argument, under `vmap`.
 
     Args:
         function: maps a solver and arrays to arrays; the arrays may have a leading axis.
-        solver: without arrays, so that it can be told from others; `together` says how many
-            members share a call.
-
-    Returns:
-        The function of the arrays alone.
+        solver: without arrays, so that it can be told from others; `together` says how many members
+            share a call.
     """
 
     @custom_vmap

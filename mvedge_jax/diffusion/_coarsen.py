@@ -10,7 +10,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from mvedge_jax._cpu import fenced
+from mvedge_jax._cpu import no_fuse
 
 from ._stencil import pad
 
@@ -159,9 +159,9 @@ def coarsen(stencil: Stencil) -> tuple[Stencil, Interpolation]:
     data. The pixels inside have no residual after interpolation, so that the Galerkin product
     needs only the sides (Dendy 1982, black-box multigrid).
     """
-    weights, shortfall = fenced(_weights, stencil)
-    leak = fenced(lambda: stencil.mass - product(stencil, shortfall))
-    return fenced(_galerkin, stencil, weights, shortfall, leak), weights
+    weights, shortfall = no_fuse(_weights, stencil)
+    leak = no_fuse(lambda: stencil.mass - product(stencil, shortfall))
+    return no_fuse(_galerkin, stencil, weights, shortfall, leak), weights
 
 
 def _weights(stencil: Stencil) -> tuple[Interpolation, Array]:

@@ -44,17 +44,11 @@ def diffuse(
     the cotangent:
     `lineax.linear_solve(linear_operator(system), cotangent, Multigrid())`.
 
-    *Stopping.* The residual is a poor measure if weights differ by orders of magnitude, because it
-    scales an error by the local stiffness. One V-cycle on the residual, which conjugate gradients
-    compute anyway, estimates the error itself in the unit of the labels. The solver stops one step
-    after the largest entry of this estimate falls below the tolerance times the range of the
-    labels. If the preconditioner misses a mode, the estimate is too small by the smallest
-    eigenvalue of the preconditioned matrix; it is therefore divided by the estimate of that
-    eigenvalue from conjugate gradients. If edges differ by more than 1e3, modes may still be
-    unnoticed. Then a companion system with the same matrix and a known solution takes the same
-    steps: three times its error has to fall below the tolerance, too. Where float32 cannot solve
-    the system, with edges cut by 1e-6 or more, the companion fails as well or the norm of the
-    inverse shows it, and `converged` is False (`experiments/solver_truth.py`).
+    *Stopping.* The solver estimates the largest error of the map, in the unit of the labels, and
+    stops one step after it falls below the tolerance times the range of the labels. The residual
+    would be a poor measure, because it scales an error by the local stiffness. Where float32 cannot
+    solve the system, with edges cut by 1e-6 or more, `converged` is False
+    (`experiments/solver_truth.py`).
 
     *Singular parts.* A part of the image without a path of positive edges to any data has no
     unique solution. It takes the weighted mean of all labels, or 0; `stats.isolated` counts it.
@@ -144,7 +138,7 @@ def _jitted(static: Any, numbers: Any, system: System, start: Array | None) -> D
         image = product(coefficients, sides[0])
         return image, sides[1] + 0 * image[..., 0, 0]
 
-    (change, first), found = lax.custom_linear_solve(
+    (change, first), solved = lax.custom_linear_solve(
         matrix,
         (right, 1 + 0 * right[..., 0, 0]),
         solve_one,
@@ -156,16 +150,16 @@ def _jitted(static: Any, numbers: Any, system: System, start: Array | None) -> D
     scale = jnp.sqrt(inner(weighted, weighted))
     rest = weight * (label - middle) + added - product(coefficients, value - middle)
     rest = lax.stop_gradient(jnp.sqrt(inner(rest, rest)))
-    converged = found.converged
+    converged = solved.converged
     if getattr(both[0], "by_residual", False):
         # The residual that conjugate gradients update drifts from the true one.
         converged = converged & (rest <= 3 * threshold)
     if isinstance(both[0], AbstractSolver):
         converged = converged & (both[0].tolerance >= 0)
     stats = SolveStats(
-        iterations=found.iterations,
+        iterations=solved.iterations,
         residual=rest / jnp.where(scale > 0, scale, 1),
-        estimate=found.estimate,
+        estimate=solved.estimate,
         converged=converged,
         isolated=jnp.sum(~keep, axis=(-2, -1), dtype=jnp.int32),
     )
@@ -189,12 +183,12 @@ def _solvers(both: Any, system: System) -> tuple[Callable[..., Any], Array, Arra
     if adjoint is None or shared:
         other = adjoint or solver
 
-        def found(image: Array, first: Array) -> Iterate:
+        def corrected(image: Array, first: Array) -> Iterate:
             return _solved(solver, state, image, first * threshold, (1 - first), other)
     else:
         prepared = adjoint.init(operator, {})
 
-        def found(image: Array, first: Array) -> Iterate:
+        def corrected(image: Array, first: Array) -> Iterate:
             return lax.cond(
                 first != 0,
                 lambda: _solved(solver, state, image, threshold, 1 - first, solver),
@@ -202,7 +196,7 @@ def _solvers(both: Any, system: System) -> tuple[Callable[..., Any], Array, Arra
             )
 
     def solve_one(_: Any, sides: tuple[Array, Array]) -> tuple[tuple[Array, Array], Any]:
-        iterate = found(jnp.where(keep, sides[0], 0), sides[1])
+        iterate = corrected(jnp.where(keep, sides[0], 0), sides[1])
         return (iterate.value, sides[1]), iterate._replace(value=())
 
     return solve_one, keep, threshold

@@ -9,7 +9,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array
 
-from mvedge_jax._cpu import fenced
+from mvedge_jax._cpu import no_fuse
 
 from ._coarsen import Interpolation, Stencil, coarsen, degree, fill, interpolate, restrict, ties
 from ._stencil import Coefficients
@@ -56,7 +56,7 @@ def build(coefficients: Coefficients) -> Hierarchy:
     fine = []
     while max(stencil.mass.shape[-2:]) > _SMALL:
         coarse, weights = coarsen(stencil)
-        fine.append(fenced(_scale, stencil, weights))
+        fine.append(no_fuse(_scale, stencil, weights))
         stencil = coarse
     y, x = stencil.mass.shape[-2:]
     if stencil.falling is None:
@@ -113,7 +113,7 @@ def _down(level: Level, residual: Array) -> tuple[Array, Array, Array]:
     factors = _factors(residual.dtype)
     right = _inverse(level.root) * residual
     value = _smooth(factors[0] * right, right, level, factors[1:])
-    remaining = fenced(lambda: level.root * _residual(value, right, level))
+    remaining = no_fuse(lambda: level.root * _residual(value, right, level))
     return value, right, restrict(level.weights, remaining)
 
 

@@ -1,6 +1,8 @@
 """Preconditioned conjugate gradients on a batch of images, each with its own stopping.
 
-A preconditioner may miss a mode: a region whose edges to the rest are a billion times weaker than
+One V-cycle on the residual, which conjugate gradients compute anyway, estimates the error. The
+estimate is divided by the smallest eigenvalue of the preconditioned matrix, see `_longest`. But a
+preconditioner may miss a mode: a region whose edges to the rest are a billion times weaker than
 its own has a tiny residual, however wrong its level is, and conjugate gradients need many steps to
 notice. No quantity computed from the residual shows this error. If edges are that uneven, a
 *companion* system is therefore solved with the same matrix and a right-hand side whose solution is
@@ -65,12 +67,12 @@ class _State(NamedTuple):
     probes: Array
     value: Array
     residual: Array
-    guess: Array
+    z: Array  # guess of the error, the preconditioned residual
     direction: Array
-    moved: Array
+    Ap: Array  # the matrix times the direction
     scale: Array
-    energy: Array
-    length: Array
+    rz: Array  # inner product of residual and guess
+    alpha: Array  # length of the step
     longest: Array
     last: Array
     iterations: Array
@@ -119,12 +121,12 @@ def pcg(
         probes=jnp.where(jnp.any(doubtful), _PROBES, 0),
         value=nothing,
         residual=jnp.stack([right, product(coefficients, wave)]),
-        guess=nothing,
+        z=nothing,
         direction=jnp.stack([nothing[0], wave]),
-        moved=nothing,
+        Ap=nothing,
         scale=zero,
-        energy=zero,
-        length=zero,
+        rz=zero,
+        alpha=zero,
         longest=zero,
         last=zero,
         iterations=jnp.zeros(zero.shape, jnp.int32),
@@ -143,17 +145,17 @@ def pcg(
 def _step(problem: _Problem, state: _State) -> _State:
     """One step of conjugate gradients, or one that prepares the companion."""
     probing = state.probes > 0
-    moved, errors, mixture, curvature = _directed(problem, state)
-    energy = moved.energy
-    able = state.active & (curvature > 0) & (energy > 0) & jnp.isfinite(energy / curvature)
+    new, errors, beta, curvature = _directed(problem, state)
+    rz = new.rz
+    able = state.active & (curvature > 0) & (rz > 0) & jnp.isfinite(rz / curvature)
     able = able & ~probing
-    length = jnp.where(able, energy / _nonzero(curvature), 0)
-    longest, last = _longest(state, mixture, length)
+    alpha = jnp.where(able, rz / _nonzero(curvature), 0)
+    longest, last = _longest(state, beta, alpha)
 
     def walk(i: Array, carry: tuple[Any, Array]) -> tuple[Any, Array]:
         images, sizes = carry
         # Selected, not multiplied by zero, because unused values may be infinite.
-        steps = (spread(length) * moved.direction[i], -spread(length) * moved.moved[i])
+        steps = (spread(alpha) * new.direction[i], -spread(alpha) * new.Ap[i])
         walked = [
             jnp.where(spread(able), a[i] + b, a[i]) for a, b in zip(images, steps, strict=True)
         ]
@@ -164,16 +166,14 @@ def _step(problem: _Problem, state: _State) -> _State:
         walk,
         ((state.value, state.residual), jnp.zeros_like(errors)),
     )
-    moved = moved._replace(value=value, residual=residual)
-    moved = lax.cond(
-        jnp.any(probing), lambda: _accompanied(problem, moved, errors[0]), lambda: moved
-    )
+    new = new._replace(value=value, residual=residual)
+    new = lax.cond(jnp.any(probing), lambda: _accompanied(problem, new, errors[0]), lambda: new)
     if problem.by_residual:
         estimate = jnp.sqrt(inner(residual[0], residual[0]))
     else:
         # The step follows its estimate, so that the solution is better than the estimate by about
         # the factor of one iteration.
-        known = wrong * jnp.maximum(size / _nonzero(moved.scale), 1)
+        known = wrong * jnp.maximum(size / _nonzero(new.scale), 1)
         estimate = errors[0] * longest
         rounded = _ROUNDED * jnp.finfo(size.dtype).eps * longest * size
         seen = jnp.maximum(_SAFETY * known, rounded)
@@ -185,10 +185,10 @@ def _step(problem: _Problem, state: _State) -> _State:
     own = jnp.max(errors, axis=0) * longest
     lost = problem.doubtful & (own <= jnp.finfo(own.dtype).eps * threshold)
     more = able & ~converged & ~lost & (state.iterations + 1 < problem.max_iterations)
-    return moved._replace(
+    return new._replace(
         probes=jnp.maximum(state.probes - 1, 0),
-        energy=jnp.where(probing, 0, energy),
-        length=length,
+        rz=jnp.where(probing, 0, rz),
+        alpha=alpha,
         longest=longest,
         last=last,
         iterations=state.iterations + solving.astype(jnp.int32),
@@ -208,41 +208,38 @@ def _directed(problem: _Problem, state: _State) -> tuple[_State, Array, Array, A
     """Preconditions the residuals and makes directions of them.
 
     Returns:
-        The state with guesses of the errors, directions, their products and the energy; the
-        largest entries of both guesses; the share of the last direction in the new one; the
-        curvature.
+        The state with `z`, directions, `Ap` and `rz`; the largest entries of both guesses; the
+        share beta of the last direction in the new one; the curvature.
     """
-    members, zero = _members(problem, state), jnp.zeros_like(state.energy)
+    members, zero = _members(problem, state), jnp.zeros_like(state.rz)
 
     def guessed(i: Array, carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
-        guess, errors, energy = carry
-        found = jnp.where(problem.keep, problem.precondition(state.residual[i]), 0)
-        energy = energy + inner(state.residual[i], found)
-        return guess.at[i].set(found), errors.at[i].set(largest(found)), energy
+        z, errors, rz = carry
+        own = jnp.where(problem.keep, problem.precondition(state.residual[i]), 0)
+        rz = rz + inner(state.residual[i], own)
+        return z.at[i].set(own), errors.at[i].set(largest(own)), rz
 
-    guess, errors, energy = lax.fori_loop(
-        *members, guessed, (state.guess, jnp.stack([zero, zero]), zero)
-    )
-    mixture = jnp.where(state.energy > 0, energy / _nonzero(state.energy), 0)
+    z, errors, rz = lax.fori_loop(*members, guessed, (state.z, jnp.stack([zero, zero]), zero))
+    beta = jnp.where(state.rz > 0, rz / _nonzero(state.rz), 0)
     # A probe applies one minus the preconditioned matrix, which leaves what is missed.
-    factor = jnp.where(state.probes > 0, -1, mixture)
+    factor = jnp.where(state.probes > 0, -1, beta)
 
     def turned(i: Array, direction: Array) -> Array:
         # Without a share of the last direction, it may be infinite.
         before = jnp.where(spread(factor) == 0, 0, spread(factor) * direction[i])
-        return direction.at[i].set(guess[i] + before)
+        return direction.at[i].set(z[i] + before)
 
     # A separate loop, because a direction that is not stored is recomputed by each reader.
     direction = lax.fori_loop(*members, turned, state.direction)
 
     def multiplied(i: Array, carry: tuple[Array, Array]) -> tuple[Array, Array]:
-        moved, curvature = carry
-        found = product(problem.coefficients, direction[i])
-        return moved.at[i].set(found), curvature + inner(direction[i], found)
+        Ap, curvature = carry
+        image = product(problem.coefficients, direction[i])
+        return Ap.at[i].set(image), curvature + inner(direction[i], image)
 
-    moved, curvature = lax.fori_loop(*members, multiplied, (state.moved, zero))
-    found = state._replace(guess=guess, direction=direction, moved=moved, energy=energy)
-    return found, errors, mixture, curvature
+    Ap, curvature = lax.fori_loop(*members, multiplied, (state.Ap, zero))
+    new = state._replace(z=z, direction=direction, Ap=Ap, rz=rz)
+    return new, errors, beta, curvature
 
 
 def _accompanied(problem: _Problem, state: _State, first: Array) -> _State:
@@ -253,7 +250,7 @@ def _accompanied(problem: _Problem, state: _State, first: Array) -> _State:
     share = jnp.where(problem.doubtful, scale / _nonzero(largest(state.direction[1])), 0)
     share = spread(jnp.where(last, share, 1))
     constant = jnp.where(problem.keep & spread(problem.doubtful & last), spread(scale), 0)
-    residual = share * state.moved[1] + problem.coefficients.weight * constant
+    residual = share * state.Ap[1] + problem.coefficients.weight * constant
     value = jnp.where(last, -share * state.direction[1] - constant, state.value[1])
     return state._replace(
         scale=scale,
@@ -298,26 +295,26 @@ def _nonzero(value: Array) -> Array:
     return jnp.where(value > 0, value, jnp.ones_like(value))
 
 
-def _longest(state: _State, mixture: Array, length: Array) -> tuple[Array, Array]:
+def _longest(state: _State, beta: Array, alpha: Array) -> tuple[Array, Array]:
     """Lower bound on the norm of the inverse of the preconditioned matrix, from CG's own numbers.
 
     Conjugate gradients build the Cholesky factor `R` of a tridiagonal matrix whose eigenvalues
-    approach those of the preconditioned matrix: `1 / sqrt(length)` on the diagonal, and
-    `sqrt(mixture / length)` above it. The squared norm of the inverse is estimated by extending
+    approach those of the preconditioned matrix: `1 / sqrt(alpha)` on the diagonal, and
+    `sqrt(beta / alpha)` above it. The squared norm of the inverse is estimated by extending
     the maximizing vector by one entry per step (Duff & Vömel 2002; Meurant & Tichý 2019).
     """
     first = state.iterations == 0
-    above = jnp.sqrt(mixture / _nonzero(state.length))
-    corner = state.longest + length * (above * state.last) ** 2
-    cross = -length * above * state.last
-    middle, half = 0.5 * (corner + length), 0.5 * (corner - length)
+    above = jnp.sqrt(beta / _nonzero(state.alpha))
+    corner = state.longest + alpha * (above * state.last) ** 2
+    cross = -alpha * above * state.last
+    middle, half = 0.5 * (corner + alpha), 0.5 * (corner - alpha)
     radius = jnp.sqrt(half**2 + cross**2)
     longest = middle + radius
-    # Unit eigenvector (old, new) of [[corner, cross], [cross, length]].
+    # Unit eigenvector (old, new) of [[corner, cross], [cross, alpha]].
     old, new = jnp.where(half > 0, half + radius, cross), jnp.where(half > 0, cross, radius - half)
     norm = _nonzero(jnp.sqrt(old**2 + new**2))
-    last = (new - old * above * state.last) / norm * jnp.sqrt(length)
-    moving = state.active & (length > 0)
-    longest = jnp.where(first, length, longest)
-    last = jnp.where(first, jnp.sqrt(length), last)
+    last = (new - old * above * state.last) / norm * jnp.sqrt(alpha)
+    moving = state.active & (alpha > 0)
+    longest = jnp.where(first, alpha, longest)
+    last = jnp.where(first, jnp.sqrt(alpha), last)
     return jnp.where(moving, longest, state.longest), jnp.where(moving, last, state.last)

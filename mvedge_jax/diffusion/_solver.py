@@ -48,9 +48,13 @@ class AbstractSolver(lx.AbstractLinearSolver[SolverState]):
         max_iterations: steps at most.
     """
 
-    tolerance: eqx.AbstractVar[Float[Array, ""] | float]
-    by_residual: eqx.AbstractVar[bool]
-    max_iterations: eqx.AbstractVar[int]
+    tolerance: Float[Array, ""] | float = number(1e-4, threshold=True)
+    by_residual: bool = eqx.field(static=True, default=False)
+    max_iterations: int = eqx.field(static=True, default=1000)
+
+    def __check_init__(self) -> None:
+        if self.max_iterations < 1:
+            raise ValueError(f"`max_iterations` must be positive; it is {self.max_iterations}.")
 
     @abc.abstractmethod
     def prepare(self, coefficients: Coefficients) -> Any:
@@ -115,22 +119,21 @@ class AbstractSolver(lx.AbstractLinearSolver[SolverState]):
         """
         del options
         tolerance = jnp.asarray(cast(self.tolerance, vector.dtype))
-        found = solve(self, state, vector, jnp.zeros_like(tolerance), tolerance)
-        solvable = found.converged & ~jnp.any(~state.keep & (vector != 0))
+        iterate = solve(self, state, vector, jnp.zeros_like(tolerance), tolerance)
         kind = lx.RESULTS.where(
-            found.iterations < self.max_iterations,
+            iterate.iterations < self.max_iterations,
             lx.RESULTS.stagnation,
             lx.RESULTS.max_steps_reached,
         )
-        kind = lx.RESULTS.where(solvable, lx.RESULTS.successful, kind)
+        kind = lx.RESULTS.where(iterate.converged, lx.RESULTS.successful, kind)
         isolated = jnp.any(~state.keep & (vector != 0))
         result = lx.RESULTS.where(isolated, lx.RESULTS.singular, kind)
         stats = {
-            "num_steps": found.iterations,
+            "num_steps": iterate.iterations,
             "max_steps": self.max_iterations,
-            "estimate": found.estimate,
+            "estimate": iterate.estimate,
         }
-        return found.value, result, stats
+        return iterate.value, result, stats
 
     def transpose(
         self, state: SolverState, options: dict[str, Any]
@@ -154,11 +157,6 @@ class ConjugateGradients(AbstractSolver):
 
     A subclass has `prepare`, which is called once per matrix, and `preconditioner`.
 
-    Attributes:
-        tolerance: where to stop, a share of the range of the labels; see `AbstractSolver`.
-        by_residual: stop by the residual instead.
-        max_iterations: steps at most.
-
     Example:
         >>> from mvedge_jax.diffusion import System, diagonal, diffuse
         >>> class Diagonal(ConjugateGradients):
@@ -170,13 +168,6 @@ class ConjugateGradients(AbstractSolver):
         >>> diffuse(system, solver=Diagonal()).value.round(2).tolist()
         [[1.0, 1.0], [1.0, 1.0]]
     """
-
-    tolerance: Float[Array, ""] | float = number(1e-4, threshold=True)
-    by_residual: bool = eqx.field(static=True, default=False)
-    max_iterations: int = eqx.field(static=True, default=1000)
-
-    def __check_init__(self) -> None:
-        check_steps(self.max_iterations)
 
     @abc.abstractmethod
     def preconditioner(self, hierarchy: Any) -> Callable[[Array], Array]:
@@ -208,12 +199,6 @@ class ConjugateGradients(AbstractSolver):
 _TOGETHER = 1 << 14
 
 
-def check_steps(max_iterations: int) -> None:
-    """Raises a ValueError where no step is allowed."""
-    if max_iterations < 1:
-        raise ValueError(f"`max_iterations` must be positive; it is {max_iterations}.")
-
-
 def choices(solver: AbstractSolver) -> AbstractSolver:
     """The solver without its numbers: a hashable key of compiled solvers."""
     return jax.tree.map(lambda _: 0.0, solver)
@@ -224,18 +209,9 @@ def solve(
 ) -> Iterate:
     """Solves for a right-hand side of any size: squares of 1e-20 are lost in float32.
 
-    Args:
-        solver: its tolerance is not read.
-        state: of the matrix.
-        right: right-hand side, `[y, x]`; ignored where the matrix is singular.
-        absolute: part of the threshold, unit of the solution, or of `right` if residuals are
-            measured.
-        relative: part of the threshold, share of the largest entry of the solution, or of the
-            norm of `right`.
-
-    Returns:
-        The solution, NaN if `right` or the matrix is not finite, and its statistics; the estimate
-        is in the unit of the solution.
+    Arguments are those of `AbstractSolver.iterate`, but `relative` is a share of the norm of
+    `right` if residuals are measured; the tolerance of the solver is not read. The solution is NaN
+    if `right` or the matrix is not finite, and 0 where the matrix is singular.
     """
     right = jnp.where(state.keep, right, 0)
     size = spread(largest(right))
@@ -245,13 +221,13 @@ def solve(
     if solver.by_residual:
         absolute = absolute + relative * jnp.sqrt(inner(unit, unit))
         relative = jnp.zeros_like(relative)
-    found = mapped(_iterate, choices(solver))(state, unit, absolute, relative)
+    iterate = mapped(_iterate, choices(solver))(state, unit, absolute, relative)
     # Sums, because maxima lose NaN on some CPUs.
     sound = jnp.isfinite(jnp.sum(right) + sum(jnp.sum(maps) for maps in state.coefficients))
-    return found._replace(
-        value=jnp.where(sound, found.value * size, jnp.nan),
-        estimate=found.estimate * scale,
-        converged=found.converged & sound,
+    return iterate._replace(
+        value=jnp.where(sound, iterate.value * size, jnp.nan),
+        estimate=iterate.estimate * scale,
+        converged=iterate.converged & sound,
     )
 
 

@@ -3,14 +3,11 @@
 from collections.abc import Callable
 from typing import Any
 
-import equinox as eqx
-from jaxtyping import Array, Float
-
-from mvedge_jax._params import number
+from jaxtyping import Array
 
 from . import _banded, _multigrid
 from ._pcg import Iterate
-from ._solver import AbstractSolver, ConjugateGradients, SolverState, check_steps
+from ._solver import AbstractSolver, ConjugateGradients, SolverState
 from ._stencil import Coefficients
 
 # Entries of the inverses of a column that are processed together: as many as fit into the fastest
@@ -23,11 +20,6 @@ _THIN, _SHORT = 16, 1 << 14
 
 class Multigrid(ConjugateGradients):
     r"""Conjugate gradients with one V-cycle of multigrid, for images.
-
-    Attributes:
-        tolerance: where to stop, a share of the range of the labels; see `AbstractSolver`.
-        by_residual: stop by the residual instead.
-        max_iterations: steps at most.
 
     Example:
         >>> Multigrid(tolerance=1e-6).max_iterations
@@ -49,18 +41,8 @@ class Elimination(AbstractSolver):
     One step suffices; its estimate is a measured bound of the rounding error. With a negative
     weight, or a tolerance below that bound (4e-6 in float32), the residual is substituted again.
 
-    Attributes:
-        tolerance: where to stop, a share of the range of the labels; see `AbstractSolver`.
-        by_residual: stop by the residual instead.
-        max_iterations: largest number of substitutions.
+    `max_iterations` is the largest number of substitutions.
     """
-
-    tolerance: Float[Array, ""] | float = number(1e-4, threshold=True)
-    by_residual: bool = eqx.field(static=True, default=False)
-    max_iterations: int = eqx.field(static=True, default=1000)
-
-    def __check_init__(self) -> None:
-        check_steps(self.max_iterations)
 
     def prepare(self, coefficients: Coefficients) -> tuple[()]:
         """Nothing: inverses take `h` times the memory of an image, so solves recompute them."""
@@ -88,22 +70,10 @@ class Elimination(AbstractSolver):
 class AutoSolver(AbstractSolver):
     """`Multigrid`, or `Elimination` where the short side has at most 16 of at most 16384 pixels.
 
-    Attributes:
-        tolerance: where to stop, a share of the range of the labels; see `AbstractSolver`.
-        by_residual: stop by the residual instead.
-        max_iterations: steps at most.
-
     Example:
         >>> type(AutoSolver().chosen((9, 512))).__name__
         'Elimination'
     """
-
-    tolerance: Float[Array, ""] | float = number(1e-4, threshold=True)
-    by_residual: bool = eqx.field(static=True, default=False)
-    max_iterations: int = eqx.field(static=True, default=1000)
-
-    def __check_init__(self) -> None:
-        check_steps(self.max_iterations)
 
     def chosen(self, shape: tuple[int, ...]) -> AbstractSolver:
         """The solver for images of a shape, with the same options."""

@@ -39,16 +39,6 @@ def around(along_x: Array, along_y: Array, sign: int) -> Array:
     return left + upper + (right + lower if sign > 0 else -right - lower)
 
 
-def neighbours(values: Array, tx: Array, ty: Array) -> Array:
-    """Sum of the four neighbors, each times the weight of its edge."""
-    return (
-        pad(tx * values[..., 1:], (0, 0), (0, 1))
-        + pad(tx * values[..., :-1], (0, 0), (1, 0))
-        + pad(ty * values[..., 1:, :], (0, 1), (0, 0))
-        + pad(ty * values[..., :-1, :], (1, 0), (0, 0))
-    )
-
-
 def differences(values: Array) -> tuple[Array, Array]:
     """Right minus left and lower minus upper pixel of each edge."""
     return values[..., 1:] - values[..., :-1], values[..., 1:, :] - values[..., :-1, :]
@@ -93,13 +83,10 @@ def largest(values: Array) -> Array:
 
 
 def reachable(coefficients: Coefficients) -> Array:
-    """Pixels that are connected with some data through edges of positive weight.
+    """Pixels that are connected with some data through edges of positive weight, as a mask.
 
     If all edges are positive, the data weights decide. Otherwise the data flood the image, one
     pixel of path length per step.
-
-    Returns:
-        Boolean image, per image of a batch.
     """
     weight, tx, ty = coefficients
     data = weight > 0

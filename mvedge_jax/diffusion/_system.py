@@ -142,10 +142,10 @@ def check(system: System) -> None:
     if system.rise_x is not None:
         wanted |= {"rise_x": (y, x - 1), "rise_y": (y - 1, x)}
     for name, shape in wanted.items():
-        found = getattr(system, name).shape
-        if found != shape:
+        given = getattr(system, name).shape
+        if given != shape:
             raise ValueError(
-                f"`system.{name}` has the shape {found}; a `weight` of shape {(y, x)} "
+                f"`system.{name}` has the shape {given}; a `weight` of shape {(y, x)} "
                 f"needs {shape}."
             )
     for name in ("weight", *wanted):

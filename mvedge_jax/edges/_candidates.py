@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from mvedge_jax._root import root
+from mvedge_jax._root import safe_sqrt
 from mvedge_jax.interpolation import vertex
 
 
@@ -17,7 +17,7 @@ class Candidates(NamedTuple):
         row: y of each candidate.
         column: x of each candidate.
         valid: which slots hold a candidate.
-        found: whether the filter response is a maximum along x, and along y.
+        filtered: whether the filter response is a maximum along x, and along y.
         alone: whether only the contrast of the center view is a maximum.
         total: number of candidates.
         overflow: number of candidates without a slot.
@@ -26,7 +26,7 @@ class Candidates(NamedTuple):
     row: Int[Array, " n"]
     column: Int[Array, " n"]
     valid: Bool[Array, " n"]
-    found: Bool[Array, "2 n"]
+    filtered: Bool[Array, "2 n"]
     alone: Bool[Array, "2 n"]
     total: Int[Array, ""]
     overflow: Int[Array, ""]
@@ -39,17 +39,17 @@ def line_maxima(strength: Float[Array, "y x"], floor: Float[Array, ""]) -> Bool[
     return (strength > left) & (strength >= right) & (strength > floor)
 
 
-def contrast(colour: Float[Array, "y x c"]) -> Float[Array, "2 y x"]:
+def contrast(image: Float[Array, "y x c"]) -> Float[Array, "2 y x"]:
     """Central differences of one view along x and y, Euclidean norm over the channels."""
 
     def along(axis: int) -> Array:
         margin = [(0, 0), (0, 0), (0, 0)]
         margin[axis] = (1, 1)
-        padded = jnp.pad(colour, margin, mode="edge")
-        size = colour.shape[axis]
+        padded = jnp.pad(image, margin, mode="edge")
+        size = image.shape[axis]
         ahead = jax.lax.slice_in_dim(padded, 2, size + 2, axis=axis)
         energy = ((ahead - jax.lax.slice_in_dim(padded, 0, size, axis=axis)) ** 2).sum(-1)
-        return root(energy)
+        return safe_sqrt(energy)
 
     return jnp.stack([along(1), along(0)])
 
@@ -64,18 +64,15 @@ def find_candidates(
 ) -> Candidates:
     """Local maxima of the filter response or of the center view's contrast, along x or y.
 
-    Near a crossing of lines, the stronger line raises the response of all filters that cross it,
-    so the weaker line is no maximum there, although the center view shows it clearly.
+    Near a crossing of lines, the stronger line raises the response of all filters that cross it, so
+    the weaker line is no maximum there, although the center view shows it clearly.
 
     Args:
         strength: filter responses along x and along y.
         centre: see `contrast`.
         floor: weakest response.
         centre_floor: weakest contrast of the center view, whose noise is not averaged.
-        capacity: number of slots.
-
-    Returns:
-        The candidates, in raster order.
+        capacity: number of slots; if there are more candidates, the weakest are dropped.
     """
 
     def maxima(values: Array, least: Array) -> Array:
@@ -93,11 +90,11 @@ def find_candidates(
     row, column = (
         axis.astype(jnp.int32) for axis in jnp.nonzero(either, size=capacity, fill_value=0)
     )
-    kept = either.sum()
-    valid = jnp.arange(capacity, dtype=kept.dtype) < kept
-    found = own[:, row, column] & valid[None]
-    alone = single[:, row, column] & valid[None] & ~found
-    return Candidates(row, column, valid, found, alone, count, count - kept)
+    slots = either.sum()
+    valid = jnp.arange(capacity, dtype=slots.dtype) < slots
+    filtered = own[:, row, column] & valid[None]
+    alone = single[:, row, column] & valid[None] & ~filtered
+    return Candidates(row, column, valid, filtered, alone, count, count - slots)
 
 
 def subpixel(
@@ -118,6 +115,6 @@ def subpixel(
         shift_y = jnp.clip(vertex(at(1, -1, 0), middle_y, at(1, 1, 0)), -0.5, 0.5)
         return jnp.stack([shift_x, shift_y])
 
-    moved = jnp.where(candidates.found, shift(strength), 0)
+    moved = jnp.where(candidates.filtered, shift(strength), 0)
     moved = jnp.where(candidates.alone, shift(centre), moved)
     return jnp.stack([column.astype(moved.dtype), row.astype(moved.dtype)], -1) + moved.T

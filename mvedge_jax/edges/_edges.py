@@ -4,14 +4,13 @@ from typing import Protocol, runtime_checkable
 
 import equinox as eqx
 import jax.numpy as jnp
-from jax import lax
 from jax.typing import DTypeLike
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from mvedge_jax._params import at_least, cast, number
 from mvedge_jax.color import srgb_to_gray, srgb_to_lab
 from mvedge_jax.epi import FilterBank, bank_radius, prewitt_bank, strongest_response
-from mvedge_jax.image import highest, unit_gradient
+from mvedge_jax.image import highest, highest_beside, unit_gradient
 from mvedge_jax.photometry import Evidence
 from mvedge_jax.photometry.measuring import PhotometricLabels
 
@@ -130,14 +129,12 @@ class OrientedEdges(eqx.Module):
         index = self.first + jnp.arange(self.filters, dtype=jnp.int32)
         disparity = index.astype(dtype) * self.spacing
         reach = max(map(abs, self.ends))
-        if steps is None:
-            radius = max(bank_radius(reach, count) for count in views[:2])
-            across, down = (prewitt_bank(disparity, count, radius) for count in views[1::-1])
-            return across, down
-        radius = bank_radius(reach, 2 * _longest(self, max(views[:2])) + 1)
+        longest = max(views[:2]) // 2 if steps is None else _longest(self, max(views[:2]))
+        radius = bank_radius(reach, 2 * longest + 1)
+        own = (None, None) if steps is None else (arm.astype(dtype) for arm in steps)
         across, down = (
-            prewitt_bank(disparity, count, radius, steps=own.astype(dtype))
-            for count, own in zip(views[1::-1], steps, strict=True)
+            prewitt_bank(disparity, count, radius, steps=arm)
+            for count, arm in zip(views[1::-1], own, strict=True)
         )
         return across, down
 
@@ -162,20 +159,9 @@ def _frontmost(
     as one; labels with a variance beyond `limit` are ignored.
     """
     own, variance = measured.disparity, measured.variance
-    best = jnp.where(variance < limit, own, -jnp.inf), variance
-    for axis in (0, 1):
-        margin = [(0, 0), (0, 0)]
-        margin[axis] = (1, 1)
-        labels = jnp.pad(best[0], margin, constant_values=-jnp.inf)
-        others = jnp.pad(best[1], margin)
-        size = own.shape[axis]
-        for offset in (0, 2):
-            label = lax.slice_in_dim(labels, offset, offset + size, axis=axis)
-            other = lax.slice_in_dim(others, offset, offset + size, axis=axis)
-            wins = label > best[0]
-            best = jnp.where(wins, label, best[0]), jnp.where(wins, other, best[1])
-    nearer = (best[0] > own + step) & (variance > 2 * best[1])
-    return jnp.where(nearer, best[0], own), jnp.where(nearer, best[1], variance)
+    front, sure = highest_beside(jnp.where(variance < limit, own, -jnp.inf), variance)
+    nearer = (front > own + step) & (variance > 2 * sure)
+    return jnp.where(nearer, front, own), jnp.where(nearer, sure, variance)
 
 
 def _measured_edges(evidence: Evidence, params: OrientedEdges) -> Edges:
@@ -216,21 +202,17 @@ def _measured_edges(evidence: Evidence, params: OrientedEdges) -> Edges:
     valid = consistent & lit
 
     height = jnp.where(candidates.alone, centre[:, row, column], 0)
-    height = jnp.where(candidates.found, strength[:, row, column], height).max(0)
+    height = jnp.where(candidates.filtered, strength[:, row, column], height).max(0)
     normal = unit_gradient(srgb_to_gray(view))[row, column]
 
-    def only(values: Array) -> Array:
-        keep = valid.reshape(-1, *([1] * (values.ndim - 1)))
-        return jnp.where(keep, values, jnp.zeros_like(values))
-
     points = EdgePoints(
-        xy=only(subpixel(strength, centre, candidates)),
-        disparity=only(disparity),
-        confidence=only(height / (height + params.half_confidence)),
-        error=only(error),
-        normal=only(normal),
-        visible=only((shown[:, row, column] > 1 / (1 + params.deviation)).T),
+        xy=subpixel(strength, centre, candidates),
+        disparity=disparity,
+        confidence=height / (height + params.half_confidence),
+        error=error,
+        normal=normal,
+        visible=(shown[:, row, column] > 1 / (1 + params.deviation)).T,
         valid=valid,
     )
     stats = EdgeStats(candidates.total, candidates.overflow, consistent.sum(), valid.sum())
-    return Edges(points, stats)
+    return Edges(points.masked(), stats)

@@ -1,6 +1,8 @@
 """Multi-view edge points: the sparse, labeled features of the method."""
 
 import equinox as eqx
+import jax
+import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from mvedge_jax._params import jax_array, readable
@@ -31,6 +33,15 @@ class EdgePoints(eqx.Module):
     normal: Float[Array, "n 2"] = eqx.field(converter=jax_array)
     visible: Bool[Array, "n s"] = eqx.field(converter=jax_array)
     valid: Bool[Array, " n"] = eqx.field(converter=jax_array)
+
+    def masked(self) -> "EdgePoints":
+        """The same points, with zeros in slots that are not valid."""
+
+        def only(values: Array) -> Array:
+            there = self.valid.reshape(-1, *[1] * (values.ndim - 1))
+            return jnp.where(there, values, jnp.zeros_like(values))
+
+        return jax.tree.map(only, self)
 
 
 class EdgeStats(eqx.Module):

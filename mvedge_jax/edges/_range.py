@@ -52,10 +52,10 @@ def _coarse(
     lab = srgb_to_lab(light_field.centre_view)
     params = cast(Matching(), lab.dtype)
     planes = jnp.moveaxis(lab, -1, 0)
-    found = best_match(
+    best = best_match(
         crosshair(light_field), planes, disparities, params, window=window, noise=noise
     )
-    return *found, contrast(lab).max(0)
+    return *best, contrast(lab).max(0)
 
 
 def disparity_range(

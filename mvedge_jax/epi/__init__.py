@@ -1,4 +1,4 @@
-"""Epipolar-plane images: oriented filters, lines, segments (Thesis 4.1.1, 4.1.2, 4.2.1)."""
+"""Epipolar-plane images: oriented filters and lines (Thesis 4.1.1, 4.1.2)."""
 
 from ._bank import (
     FilterBank as FilterBank,
@@ -13,8 +13,3 @@ from ._lines import (
     merge_scales as merge_scales,
 )
 from ._response import strongest_response as strongest_response
-from ._segments import (
-    EpiSegments as EpiSegments,
-    match_segments as match_segments,
-    opening_sides as opening_sides,
-)

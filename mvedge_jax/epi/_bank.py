@@ -86,16 +86,8 @@ def line_taps(
     """Taps that average the views along lines, split between the two nearest pixels of each row.
 
     Splitting along x in every row whatever the slope keeps the gain equal for all disparities;
-    antialiased line drawing loses a quarter of it beyond 1 px per view.
-
-    Args:
-        disparity: px per view step.
-        views: number of views of the arm.
-        radius: reach of the taps, see `bank_radius`.
-        steps: from the center view to each view, `Arm.steps`; None for evenly spaced views.
-
-    Returns:
-        Non-negative taps with unit sum. Differentiable in `disparity` and `steps`, piecewise.
+    antialiased line drawing loses a quarter of it beyond 1 px per view. Taps are not negative and
+    sum to 1. Differentiable in `disparity` and `steps`, piecewise.
     """
     if steps is None:
         steps = view_steps(views, disparity.dtype)

@@ -9,7 +9,8 @@ from jaxtyping import Array, Bool, Float, Int
 
 from mvedge_jax._crosshair import view_steps
 from mvedge_jax._params import accepts_numpy
-from mvedge_jax._root import root
+from mvedge_jax._root import safe_sqrt
+from mvedge_jax.interpolation import vertex
 
 from ._bank import FilterBank
 from ._response import bank_response
@@ -37,7 +38,7 @@ def _local_deviation(epi: Float[Array, "u x c"]) -> Float[Array, "u x c"]:
     rows, columns = epi.shape[:2]
     parts = [padded[j : j + rows, i : i + columns] for j in range(3) for i in range(3)]
     stack = jnp.stack(parts)
-    return root(((stack - stack.mean(0)[None]) ** 2).mean(0))
+    return safe_sqrt(((stack - stack.mean(0)[None]) ** 2).mean(0))
 
 
 @accepts_numpy
@@ -113,11 +114,8 @@ def _vertex(
     before, at, after = (
         jnp.take_along_axis(response, (middle + k)[:, None], -1)[:, 0] for k in (-1, 0, 1)
     )
-    bend = 2 * at - before - after
-    bent = inside & (bend > 0)
-    offset = jnp.where(bent, 0.5 * (after - before) / jnp.where(bent, bend, 1), 0)
     # Half a filter at most: rounding may have it more where the best has an equal beside it.
-    offset = jnp.clip(offset, -0.5, 0.5)
+    offset = jnp.where(inside, jnp.clip(vertex(before, at, after), -0.5, 0.5), 0)
     beside = jnp.clip(jnp.where(offset < 0, best - 1, best + 1), 0, last)
     return disparity[best] + jnp.abs(offset) * (disparity[beside] - disparity[best])
 
@@ -156,17 +154,17 @@ def fit_lines(
         strength, slope = left[u, x], disparity[u, x]
         position = x.astype(slope.dtype) - steps[u, 0] * slope
         distance = jnp.abs(columns - position - steps * slope) / jnp.sqrt(1 + slope * slope)
-        found = strength > 0
-        rest = jnp.where(found & (distance < radius), 0, left)
-        return rest, (position, slope, strength, found)
+        there = strength > 0
+        rest = jnp.where(there & (distance < radius), 0, left)
+        return rest, (position, slope, strength, there)
 
-    rest, (position, slope, strength, found) = lax.scan(take, confidence, None, length=capacity)
+    rest, (position, slope, strength, there) = lax.scan(take, confidence, None, length=capacity)
+    return _masked(position, slope, strength, there), (rest > 0).sum()
 
-    def only(values: Array) -> Array:
-        return jnp.where(found, values, 0)
 
-    lines = EpiLines(only(position), only(slope), only(strength), found)
-    return lines, (rest > 0).sum()
+def _masked(position: Array, disparity: Array, confidence: Array, valid: Array) -> EpiLines:
+    """Lines with zeros in slots that are not valid."""
+    return EpiLines(*(jnp.where(valid, a, 0) for a in (position, disparity, confidence)), valid)
 
 
 def _ends(lines: EpiLines, views: int) -> tuple[Array, Array]:
@@ -209,9 +207,5 @@ def merge_scales(
     crossing = at_top * at_bottom < 0
     known = ((near | crossing) & fine.valid[None]).any(1)
     keep = grown.valid & ~known
-
-    def only(values: Array) -> Array:
-        return jnp.where(keep, values, 0)
-
-    kept = EpiLines(only(grown.position), only(grown.disparity), only(grown.confidence), keep)
-    return EpiLines(*(jnp.concatenate([a, b]) for a, b in zip(fine, kept, strict=True)))
+    added = _masked(grown.position, grown.disparity, grown.confidence, keep)
+    return EpiLines(*(jnp.concatenate([a, b]) for a, b in zip(fine, added, strict=True)))

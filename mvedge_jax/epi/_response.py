@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 from mvedge_jax._linear_map import linear_map
 from mvedge_jax._params import accepts_numpy
 from mvedge_jax._product import FULL
-from mvedge_jax._root import root
+from mvedge_jax._root import safe_sqrt
 
 from ._bank import FilterBank
 
@@ -70,36 +70,39 @@ def in_row_blocks(function: Callable[[Array], Array], rows: Array) -> Array:
     return out.reshape(-1, *out.shape[2:])[:count]
 
 
+def _by_blocks(
+    arm: Float[Array, "u y x c"], bank: FilterBank, reduced: Callable[[Array], Array]
+) -> Array:
+    """`reduced` of the responses `[y, c, x, k]` to a few rows at a time, for all rows.
+
+    Rows are padded with their edge values: zeros would invent an edge at the border.
+    """
+    radius, channels = bank.radius, arm.shape[3]
+    padded = jnp.pad(arm, ((0, 0), (0, 0), (radius, radius), (0, 0)), mode="edge")
+    taps = bank.taps.astype(arm.dtype)
+
+    @jax.checkpoint
+    def block(rows: Array) -> Array:
+        out = correlate(rows.reshape(-1, *rows.shape[2:]), taps)
+        return reduced(out.reshape(-1, channels, *out.shape[1:]))
+
+    return in_row_blocks(block, jnp.transpose(padded, (1, 3, 2, 0)))
+
+
 def bank_response(arm: Float[Array, "u y x c"], bank: FilterBank) -> Float[Array, "y x c k"]:
     """Response of every filter at every pixel of the center view, per channel, with its sign.
 
-    Rows are padded with their edge values: zeros would invent an edge at the border.
-
-    Args:
-        arm: the views of one arm of the crosshair. For the vertical arm swap x and y first.
-        bank: the filters.
-
-    Returns:
-        `sum_u sum_w taps[k, u, w] arm[u, y, x + w - radius, c]`. Linear, hence differentiable, in
-        the views and in the taps.
+    `sum_u sum_w taps[k, u, w] arm[u, y, x + w - radius, c]`: linear, hence differentiable, in the
+    views and in the taps. For the vertical arm swap x and y first.
 
     Raises:
         ValueError: if the bank was made for another number of views.
 
     Source: Thesis 4.1.1.
     """
-    views, _, _, channels = arm.shape
-    if bank.taps.shape[1] != views:
-        raise ValueError(f"`bank` is for {bank.taps.shape[1]} views, `arm` has {views}.")
-    radius = bank.radius
-    padded = jnp.pad(arm, ((0, 0), (0, 0), (radius, radius), (0, 0)), mode="edge")
-    taps = bank.taps.astype(arm.dtype)
-
-    def block(rows: Array) -> Array:
-        out = correlate(rows.reshape(-1, *rows.shape[2:]), taps)
-        return jnp.swapaxes(out.reshape(rows.shape[0], channels, *out.shape[1:]), 1, 2)
-
-    return in_row_blocks(block, jnp.transpose(padded, (1, 3, 2, 0)))
+    if bank.taps.shape[1] != arm.shape[0]:
+        raise ValueError(f"`bank` is for {bank.taps.shape[1]} views, `arm` has {arm.shape[0]}.")
+    return _by_blocks(arm, bank, lambda response: jnp.swapaxes(response, 1, 2))
 
 
 @accepts_numpy
@@ -116,16 +119,10 @@ def strongest_response(arm: Float[Array, "u y x c"], bank: FilterBank) -> Float[
 
     Source: Thesis 4.1.1.
     """
-    radius, channels = bank.radius, arm.shape[3]
-    padded = jnp.pad(arm, ((0, 0), (0, 0), (radius, radius), (0, 0)), mode="edge")
-    taps = bank.taps.astype(arm.dtype)
 
-    @jax.checkpoint
-    def block(rows: Array) -> Array:
-        out = correlate(rows.reshape(-1, *rows.shape[2:]), taps)
-        energy = (out**2).reshape(-1, channels, *out.shape[1:]).sum(1)
+    def strongest(response: Array) -> Array:
+        energy = (response**2).sum(1)
         best = jnp.argmax(energy, axis=-1)
-        strongest = jnp.take_along_axis(energy, best[..., None], axis=-1)[..., 0]
-        return root(strongest)
+        return safe_sqrt(jnp.take_along_axis(energy, best[..., None], axis=-1)[..., 0])
 
-    return in_row_blocks(block, jnp.transpose(padded, (1, 3, 2, 0)))
+    return _by_blocks(arm, bank, strongest)

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from mvedge_jax._params import accepts_numpy
-from mvedge_jax._root import root
+from mvedge_jax._root import safe_sqrt
 from mvedge_jax.color import srgb_to_lab
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.warping import backward_warp, visible
@@ -122,7 +122,7 @@ def _reprojection(disparity, light_field, tolerance, space, targets, crop) -> Re
             distance = jnp.abs(difference).mean(-1)
         else:
             squares = (difference**2).sum(-1)
-            distance = root(squares)
+            distance = safe_sqrt(squares)
         distance = scale * jnp.where(finite, jnp.where(seen, distance, 0), _WORST[space])
         return cropped(distance, crop), cropped(seen | ~finite, crop)
 

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
 from mvedge_jax._params import cast, number
-from mvedge_jax._root import root
+from mvedge_jax._root import safe_sqrt
 from mvedge_jax.losses import (
     LossWeights,
     SupervisedWeights,
@@ -29,7 +29,7 @@ _BLUNT_FEATURE, _BLUNT_SLOPE = 2 / 255, 0.01
 def _rooted(error: Array, absolute: Array, square: Array, blunt: Array | float) -> Array:
     """Residual r with r²/2 = `absolute |error| + square error²`, smoothed at 0."""
     bent = jnp.sqrt(1 + (error / blunt) ** 2)
-    return error * root(2 * (square + absolute / (blunt * (1 + bent))))
+    return error * safe_sqrt(2 * (square + absolute / (blunt * (1 + bent))))
 
 
 @runtime_checkable
@@ -129,7 +129,7 @@ class Trust(eqx.Module):
             jnp.where(model.valid, moved, 0) ** 2, jnp.asarray(1e-12, moved.dtype)
         )
         count = jnp.maximum(jnp.sum(model.valid).astype(moved.dtype), 1)
-        slope = root(2 * trust.weight * jnp.log1p(squared) / squared / count)
+        slope = safe_sqrt(2 * trust.weight * jnp.log1p(squared) / squared / count)
         return jnp.where(model.valid, moved * slope, 0)
 
     def project(self, model: DepthModel) -> DepthModel:

@@ -6,7 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from mvedge_jax._cpu import staged
+from mvedge_jax._cpu import checkpoint_stage
 from mvedge_jax._crosshair import crosshair
 from mvedge_jax._params import at_least, cast
 from mvedge_jax.color import srgb_to_lab
@@ -140,6 +140,6 @@ def gather_evidence(
         return Evidence(calibration(light_field, searched), None, None)
     every = light_field if measurement.views == "all" else None
     scene = calibration(light_field, searched, every=every is not None)
-    prepared = staged(lambda s, m, every: prepare_views(s, m, every=every))
+    prepared = checkpoint_stage(lambda s, m, every: prepare_views(s, m, every=every))
     views = prepared(scene, cast(measurement, scene.lab.dtype), every)
-    return Evidence(scene, views, *staged(first_labels)(scene, views))
+    return Evidence(scene, views, *checkpoint_stage(first_labels)(scene, views))

@@ -7,10 +7,10 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float, Int
 
-from mvedge_jax._cpu import staged
+from mvedge_jax._checkpoint import checkpoint
+from mvedge_jax._cpu import checkpoint_stage
 from mvedge_jax._crosshair import Arm, Crosshair
 from mvedge_jax._params import cast
-from mvedge_jax._recomputed import recomputed
 from mvedge_jax.color import srgb_to_lab
 from mvedge_jax.lightfield import LightField
 
@@ -21,10 +21,10 @@ from .brightness._noise import Known, Noise, measure_noise
 from .brightness._uncalibrated import Uncalibrated
 from .matching._cost import Hypotheses, Matching, hypotheses
 from .matching._unexplained import between_views_variance
+from .measuring._crosshair import CrosshairSplines, NormalEquations
 from .measuring._grid import ViewSplines
-from .measuring._look import CrosshairSplines, Look
-from .measuring._measure import PhotometricLabels, labels, shared
-from .measuring._measuring import Measurement, Measuring
+from .measuring._measure import PhotometricLabels, average_over_surface, labels
+from .measuring._measuring import AdaptedMeasurement, Measurement
 from .views import ViewSet, views_of
 
 
@@ -74,12 +74,12 @@ class PreparedViews(NamedTuple):
     """
 
     splines: CrosshairSplines | ViewSplines
-    params: Measuring
+    params: AdaptedMeasurement
     every: ViewSplines | None = None
 
-    def look(self, disparity: Float[Array, "y x"]) -> Look:
+    def accumulate(self, disparity: Float[Array, "y x"]) -> NormalEquations:
         """Accumulates the normal equations around a map."""
-        return self.splines.look(disparity, self.params)
+        return self.splines.accumulate(disparity, self.params)
 
 
 def hypothesis_count(span: float, steps: int) -> int:
@@ -148,7 +148,7 @@ def prepare(
         own = views.exposed(exposure)
     scene = _guided(own, exposure, noise, brightness.noise)
 
-    @staged
+    @checkpoint_stage
     def searched(
         own: Crosshair | ViewSet, lab: Array, noise: Noise, params: Matching
     ) -> Hypotheses:
@@ -170,7 +170,7 @@ def prepare(
         # A loop, so that the search is traced once; without vignettes the second one is skipped.
         nothing = jnp.zeros_like(scene.guide[0])
         start = exposure, Hypotheses(nothing, nothing, nothing)
-        (exposure, found), _ = lax.scan(recomputed(again), start, jnp.asarray([True, False]))
+        (exposure, found), _ = lax.scan(checkpoint(again), start, jnp.asarray([True, False]))
         scene = _evened(scene, views, exposure)
     return scene._replace(hypotheses=found, lit=views.lit(brightness))
 
@@ -201,10 +201,12 @@ def prepare_views(
     if every is not None:
         whole = views_of(expose(every, scene.exposure))
         around = ViewSplines.of(whole.mapped(low_pass(scene.noise)))
-    return PreparedViews(of, measuring_in(scene.noise, scene.exposure.scale, params), around)
+    return PreparedViews(of, adapted_measurement(scene.noise, scene.exposure.scale, params), around)
 
 
-def measuring_in(noise: Noise, scale: Float[Array, ""], params: Measurement) -> Measuring:
+def adapted_measurement(
+    noise: Noise, scale: Float[Array, ""], params: Measurement
+) -> AdaptedMeasurement:
     """Parameters of a measurement in views of a given noise.
 
     Args:
@@ -215,18 +217,18 @@ def measuring_in(noise: Noise, scale: Float[Array, ""], params: Measurement) -> 
     Returns:
         Parameters for `labels`. Differentiable.
     """
-    plain, clear = cast(Measuring(), scale.dtype), 1 - noise.alpha
+    plain, clear = cast(AdaptedMeasurement(), scale.dtype), 1 - noise.alpha
     kept, grain = passed(noise, blur_of(noise))
     changed: dict[str, Any] = {
         # Noise looks like drift and hides the colors of surfaces.
         "stiffness": plain.stiffness / clear**2,
-        "same_colour": params.same_colour / clear,
+        "same_color": params.same_color / clear,
         "noise": jnp.maximum(jnp.sqrt(kept) * noise.deviation, plain.noise),
         "rounding": scale * noise.rounding,
         # The mean gradients of all views have less noise than the residual.
         "gradient_noise": plain.gradient_noise * grain * (1 - 0.6 * noise.alpha**4),
     }
-    return Measuring(**(vars(params) | changed))
+    return AdaptedMeasurement(**(vars(params) | changed))
 
 
 def recentred(
@@ -294,7 +296,7 @@ def first_labels(
 
     Returns:
         Labels, averaged over neighbors, and the weights of the views, see
-        `CrosshairSplines.look_with_weights`. Differentiable.
+        `CrosshairSplines.accumulate_with_weights`. Differentiable.
 
     Raises:
         ValueError: the scene has no first map, or is not that of a light field.
@@ -304,6 +306,6 @@ def first_labels(
         raise ValueError("`scene` has no first map; `prepare` finds one.")
     if not isinstance(prepared.splines, CrosshairSplines):
         raise ValueError("`prepared` must be views of a crosshair, got photographs.")
-    found, weights = prepared.splines.look_with_weights(first, params)
+    found, weights = prepared.splines.accumulate_with_weights(first, params)
     measured = labels(found, lab, first, params, passes=params.passes)
-    return shared(measured, lab, params, passes=params.passes), weights
+    return average_over_surface(measured, lab, params, passes=params.passes), weights

@@ -9,9 +9,9 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
-from mvedge_jax._cpu import fenced, plane_sum
+from mvedge_jax._cpu import no_fuse, plane_sum
 from mvedge_jax._linear_map import linear_map
-from mvedge_jax._root import root
+from mvedge_jax._root import safe_sqrt
 from mvedge_jax.image import highest
 
 
@@ -22,20 +22,14 @@ def weighted_sum(
     spacing: int = 1,
     mode: str = "edge",
 ) -> Float[Array, "n y x"]:
-    """Sums over a window with separate weights at every pixel.
+    """Sums of planes `[n, y, x]` over a square window with separate weights at every pixel.
 
-    Args:
-        images: planes with common weights, `[n, y, x]`.
-        weights: weights of the offsets of a square window, row by row.
-        spacing: px between the pixels of the window.
-        mode: beyond the border: `"edge"` repeats the border, `"constant"` is zero.
-
-    Returns:
-        The sums. Differentiable.
+    `weights` holds one plane per offset, row by row, of pixels `spacing` px apart. Beyond the
+    border, `mode` repeats it (`"edge"`) or is 0 (`"constant"`). Differentiable.
     """
     # Unrolled, this is one fused pass over the images, three times as fast on a CPU as a scan over
     # the offsets, as long as no other operation is fused into the loop.
-    return fenced(partial(_summed, _Window(spacing, mode)), images, weights)
+    return no_fuse(partial(_summed, _Window(spacing, mode)), images, weights)
 
 
 @dataclass(frozen=True)
@@ -125,19 +119,13 @@ def _summed_jvp(window: _Window, primals: Any, tangents: Any) -> tuple[Array, Ar
     return _summed(window, images, weights), along + turned
 
 
-def colour_weights(
+def color_weights(
     lab: Float[Array, "c y x"], scale: Float[Array, ""], *, reach: int, spacing: int = 1
 ) -> Float[Array, "o y x"]:
-    """Weights of the neighbors by the similarity of their colors.
+    """Weights of the neighbors by the similarity of their colors, which sum to 1. Differentiable.
 
-    Args:
-        lab: CIELAB, `[c, y, x]`.
-        scale: difference of color at which the weight of a neighbor is 1/e.
-        reach: pixels of the window to either side.
-        spacing: distance between these pixels, px.
-
-    Returns:
-        Weights that sum to 1 at every pixel. Differentiable.
+    The window has `reach` pixels to either side, `spacing` px apart; `scale` is the difference of
+    CIELAB color at which a weight is 1/e.
     """
     size, margin = 2 * reach + 1, reach * spacing
     padded = jnp.pad(lab, ((0, 0), (margin, margin), (margin, margin)), mode="edge")
@@ -150,7 +138,7 @@ def colour_weights(
         square = jnp.zeros_like(lab[0])
         for own, other in zip(lab, others, strict=True):
             square = square + (other - own) ** 2
-        return jnp.exp(-root(square) / scale)
+        return jnp.exp(-safe_sqrt(square) / scale)
 
     # A loop, which compiles faster; unlike the sums, the weights are computed once.
     weights = lax.map(weight, jnp.arange(size * size))
@@ -159,22 +147,17 @@ def colour_weights(
 
 
 def contrast(lab: Float[Array, "c y x"], *, radius: int) -> Float[Array, "y x"]:
-    """The largest gradient nearby, of an image without its finest detail.
+    """Largest gradient within `radius` px along either axis, CIELAB per px.
 
-    Args:
-        lab: CIELAB, `[c, y, x]`; blurred by about 1 px first, so that single noisy pixels are not
-            outlines.
-        radius: half the width of the window along either axis, px.
-
-    Returns:
-        CIELAB per px, `[y, x]`. Differentiable at the maximum chosen.
+    The image is blurred by about 1 px first, so that single noisy pixels are not outlines.
+    Differentiable at the maximum chosen.
     """
     smooth = lab
     for _ in range(2):
         smooth = jnp.swapaxes(_smooth(smooth), 1, 2)
     wide = jnp.pad(smooth, ((0, 0), (1, 1), (1, 1)), mode="edge")
     across, down = wide[:, 1:-1, 2:] - wide[:, 1:-1, :-2], wide[:, 2:, 1:-1] - wide[:, :-2, 1:-1]
-    return highest(root(plane_sum(0.25 * (across**2 + down**2))), radius)
+    return highest(safe_sqrt(plane_sum(0.25 * (across**2 + down**2))), radius)
 
 
 def _smooth(image: Array) -> Array:

@@ -8,7 +8,7 @@ from jax.typing import DTypeLike
 from jaxtyping import Array, Bool, Float, Int
 
 from mvedge_jax._compiler import lean_jit
-from mvedge_jax._cpu import staged
+from mvedge_jax._cpu import checkpoint_stage
 from mvedge_jax._params import cast, readable
 from mvedge_jax.color import srgb_to_lab
 from mvedge_jax.depth import map_problems
@@ -142,7 +142,8 @@ def _stereo(
         window=model.window,
         brightness=model.brightness,
     )
-    prepared, first, lit = staged(prepare_views)(scene, model.measurement), scene.first, scene.lit
+    prepared = checkpoint_stage(prepare_views)(scene, model.measurement)
+    first, lit = scene.first, scene.lit
     assert first is not None
     nothing = jnp.zeros_like(first)
     span = tried[-1] - tried[0]

@@ -8,6 +8,7 @@ from jaxtyping import Array, Float
 
 from mvedge_jax._params import cast, number
 from mvedge_jax.diffusion import Pairing, edge_weights
+from mvedge_jax.image import gradient_square
 
 
 class PerPixel(eqx.Module):
@@ -93,7 +94,4 @@ def image_roughness(lightness: Float[Array, "y x"], gain: Float[Array, ""]) -> F
     Returns:
         At least 0. Differentiable, also where the image is flat.
     """
-    padded = jnp.pad(lightness, 1, mode="edge")
-    gx = (padded[1:-1, 2:] - padded[1:-1, :-2]) / 2
-    gy = (padded[2:, 1:-1] - padded[:-2, 1:-1]) / 2
-    return gain * jnp.sqrt(gx**2 + gy**2 + 1e-12)
+    return gain * jnp.sqrt(gradient_square(lightness) + 1e-12)

@@ -74,11 +74,11 @@ def composite(
 ) -> Rays:
     """Composites the points of every tile front to back.
 
-    One loop step adds the next point of every tile of a group, as a vector over tiles and
-    pixels; a group's loop ends with its longest list, so nothing is padded to a capacity. Reverse
-    mode walks the lists once more in the same order: what lies behind a point is the total minus
-    what lies in front, so nothing is stored per candidate. Forward mode goes through the loop, and
-    through the gradient's; reverse mode cannot go through either twice.
+    One loop step adds the next point of every tile of a group, as a vector over tiles and pixels; a
+    group's loop ends with its longest list, so nothing is padded to a capacity. Reverse mode walks
+    the lists once more in the same order: what lies behind a point is the total minus what lies in
+    front, so nothing is stored per candidate. Forward mode goes through the loop, and through the
+    gradient's; reverse mode cannot go through either twice.
 
     Args:
         table: rows (x, y, label, weight, opacity); the last row is far outside and empty.
@@ -87,8 +87,7 @@ def composite(
         raster: static choices.
 
     Returns:
-        Σ Z a T, Σ λ T and the transmittance behind all points, per tile (in group order) and
-        pixel.
+        Σ Z a T, Σ λ T and the transmittance behind all points, per tile (in group order) and pixel.
     """
     return _forward(table, physics, lists, raster)
 
@@ -122,7 +121,7 @@ def _forward(table: Array, physics: Physics, lists: Lists, raster: SplatRaster) 
 
 
 def _clipped(square: Array, physics: Physics, raster: SplatRaster) -> Array:
-    """r²/2σ_λ², no farther than where the weight is 0 in every format: its powers stay finite."""
+    """r²/2σ_λ², at most where the weight is 0 in every format, so that powers stay finite."""
     return jnp.minimum(square * physics.inverse_weight, _GONE ** (1 / raster.order))
 
 

@@ -1,27 +1,25 @@
 """Absorption and transmittance of one point along a ray."""
 
-from math import erf, exp, sqrt
+from math import erf, exp, pi, sqrt
 
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 
-def _quadrature(
-    *, samples: int = 8, spread: float = 3.0, in_front: float = 5.0
-) -> tuple[list[float], list[float], float]:
+def _quadrature() -> tuple[list[float], list[float], float]:
     """Weights and partial passages of the samples, and the passage behind the last one.
 
     The thesis samples a point at 8 depths spread evenly over ± 3 σ_Z, seen from 5 σ_Z in front.
     All are relative to the optical thickness of the full passage, so that σ_Z drops out.
     """
+    samples, spread, in_front = 8, 3.0, 5.0
     step = 2 * spread / (samples - 1)
     depths = [-spread + step * k for k in range(samples)]
 
     def passed(depth: float) -> float:
         return 0.5 * (erf(in_front / sqrt(2)) + erf(depth / sqrt(2)))
 
-    weights = [step / sqrt(2 * 3.141592653589793) * exp(-(z**2) / 2) for z in depths]
+    weights = [step / sqrt(2 * pi) * exp(-(z**2) / 2) for z in depths]
     return weights, [passed(z) for z in depths], passed(spread)
 
 
@@ -55,25 +53,3 @@ def absorption(
         absorbed = absorbed + term * thickness
         slope = slope + term * (1 - passage * thickness)
     return absorbed, slope, jnp.exp(-exit_passage * thickness), exit_passage
-
-
-def super_gaussian(
-    squared_distance: Float[Array, "..."], sigma: Float[Array, ""], order: int
-) -> Float[Array, "..."]:
-    r"""Data weight of a point: $\exp(-(r^2 / 2\sigma^2)^p)$.
-
-    The power is inside the exponential. The printed form is a Gaussian of width σ/√p, with which
-    points between pixels fade.
-
-    Args:
-        squared_distance: r², px².
-        sigma: σ_λ, px.
-        order: p.
-
-    Returns:
-        Values in [0, 1].
-
-    Source:
-        Thesis 7.1.2, Eq. 7.6, corrected.
-    """
-    return jnp.exp(-jax.lax.integer_pow(squared_distance / (2 * sigma**2), order))

@@ -39,18 +39,18 @@ class Splat(eqx.Module):
 
     def problems(self) -> tuple[str, ...]:
         """Problems of the maps, one sentence each; on the host."""
-        found, lost, overflow = [], float(self.cut_off), int(self.overflow)
+        problems, lost, overflow = [], float(self.cut_off), int(self.overflow)
         if not lost <= MOST_LOST:
-            found.append(
+            problems.append(
                 f"points still count {lost:.2g} at `SplatRaster.radius`, where they are cut off; "
                 f"at most {MOST_LOST:g} is negligible: ask for a larger radius, or narrower points."
             )
         if overflow:
-            found.append(
+            problems.append(
                 f"{overflow} entries of the tiles' lists exceed `SplatRaster.capacity`: the "
                 "farthest points of these tiles were left out."
             )
-        return tuple(found)
+        return tuple(problems)
 
     @property
     def label(self) -> Float[Array, "y x"]:

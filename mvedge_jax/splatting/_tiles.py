@@ -35,14 +35,13 @@ def make_tiles(
 ) -> Tiling:
     """Lists, for every tile, the points whose disc of radius `raster.radius` meets it.
 
+    Tiles are grouped by the length of their lists so that a group wastes little.
+
     Args:
         xy: raster positions in depth order.
         usable: points that take part.
         shape: raster height and width.
         raster: static choices.
-
-    Returns:
-        The lists. Tiles are grouped by the length of their lists so that a group wastes little.
     """
     n = xy.shape[0]
     tile, radius = raster.tile, raster.radius

@@ -7,7 +7,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
-from mvedge_jax._cpu import fenced
+from mvedge_jax._cpu import no_fuse
 
 from ._clustering import SuperpixelClustering, grid_of
 
@@ -239,7 +239,7 @@ def clustered(
         costs, names = lax.map(cost, offsets)
 
         def change(labels: Array, now: Array) -> tuple[Array, None]:
-            around = fenced(_around, labels, surface.links, model.contour)
+            around = no_fuse(_around, labels, surface.links, model.contour)
             return jnp.where(now, _best(costs, names, around), labels), None
 
         # A scan: unrolled, the first half would be recomputed for each neighbor in the second.

@@ -7,10 +7,10 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float, Int
 
+from mvedge_jax._checkpoint import checkpoint
 from mvedge_jax._checks import checked_jit
 from mvedge_jax._compiler import lean_jit
 from mvedge_jax._params import cast
-from mvedge_jax._recomputed import recomputed
 from mvedge_jax.all_views import ViewDepths
 from mvedge_jax.color import srgb_to_lab
 from mvedge_jax.lightfield import LightField
@@ -106,11 +106,11 @@ def soft_superpixels(
             return sums + updated(surface, clusters, *item, model), None
 
         nothing = jnp.zeros((model.capacity, 15), dtype)
-        sums, _ = lax.scan(recomputed(add), nothing, (shares, names))
+        sums, _ = lax.scan(checkpoint(add), nothing, (shares, names))
         return means(clusters, sums, model), None
 
     start = seeded(surface, grid, model.capacity)
-    clusters, _ = lax.scan(recomputed(one), start, length=model.rounds)
+    clusters, _ = lax.scan(checkpoint(one), start, length=model.rounds)
     return SoftSuperpixels(
         *_shares(surface, grid, clusters, model), *clusters, grid.rows * grid.columns
     )
@@ -124,7 +124,7 @@ def _shares(
         found = distance(surface, clusters, which, grid.size, model)
         return jnp.where(inside, -found / model.temperature, -jnp.inf), which
 
-    scores, names = lax.map(recomputed(cost), cell_offsets())
+    scores, names = lax.map(checkpoint(cost), cell_offsets())
     return jax.nn.softmax(scores, axis=0), names
 
 

@@ -19,18 +19,17 @@ def in_blocks(
     *,
     reach: int,
 ) -> Float[Array, "k y x"]:
-    """Evaluates a stencil in the blocks of an image that need it.
+    """Evaluates a stencil in the blocks of an image that need it; 0 elsewhere.
+
+    The number of blocks is known at run time only, so a `stencil` with derivatives supports forward
+    mode alone.
 
     Args:
-        stencil: maps stacks of pieces of the images, `reach` px larger on each side, to its answers
+        stencil: maps stacks of pieces of the images, `reach` px larger on each side, to its results
             in them.
         wanted: pixels whose result is read.
         images: inputs of the stencil; 0 beyond their borders.
         reach: radius of the stencil, px.
-
-    Returns:
-        The results; 0 in skipped blocks. The number of blocks is known at run time only, so a
-        `stencil` with derivatives supports forward mode alone.
     """
     height, width = wanted.shape
     rows, columns = -(-height // _SIDE), -(-width // _SIDE)

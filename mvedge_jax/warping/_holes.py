@@ -60,13 +60,13 @@ def holes(
     for axis, place in ((1, columns), (0, rows)):
         beside = []
         for reverse in (False, True):
-            last, found = _last(hit, place, axis, reverse=reverse)
+            last, there = _last(hit, place, axis, reverse=reverse)
             source = rows * width + last if axis == 1 else last * width + columns
-            value = jnp.where(found, flat[source], jnp.inf)
+            value = jnp.where(there, flat[source], jnp.inf)
             behind = jnp.where(~hit & (value < least), source, behind)
             least = jnp.minimum(least, value)
-            most = jnp.where(found, jnp.maximum(most, value), most)
-            beside.append((value, found & (jnp.abs(last - place) == 1)))
+            most = jnp.where(there, jnp.maximum(most, value), most)
+            beside.append((value, there & (jnp.abs(last - place) == 1)))
         (first, one), (second, other) = beside
         crack = crack | (one & other & (jnp.abs(first - second) <= tolerance))
     spread = jnp.where(~hit & (most >= least), most - least, 0)
@@ -75,8 +75,8 @@ def holes(
     nearest, known = jnp.where(hit, disparity, least), jnp.any(hit, axis=1)
     lacks, farthest = ~hit & ~jnp.isfinite(least), jnp.full_like(disparity, jnp.inf)
     for reverse in (False, True):
-        last, found = _last(known[:, None], rows[:, :1], 0, reverse=reverse)
-        value = jnp.where(found, nearest[last[:, 0]], jnp.inf)
+        last, there = _last(known[:, None], rows[:, :1], 0, reverse=reverse)
+        value = jnp.where(there, nearest[last[:, 0]], jnp.inf)
         takes = lacks & (value < farthest)
         behind = jnp.where(takes, behind[last[:, 0]], behind)
         spread = jnp.where(takes, spread[last[:, 0]], spread)
@@ -87,8 +87,8 @@ def holes(
 def _last(hit: Array, place: Array, axis: int, *, reverse: bool) -> tuple[Array, Array]:
     """Coordinate of the nearest hit to one side, and whether there is one."""
     if axis == 1:
-        last, found = _last(hit.T, place.T, 0, reverse=reverse)
-        return last.T, found.T
+        last, there = _last(hit.T, place.T, 0, reverse=reverse)
+        return last.T, there.T
     end = hit.shape[0]
     outside, nearer = (end, jnp.minimum) if reverse else (-1, jnp.maximum)
 
@@ -99,5 +99,5 @@ def _last(hit: Array, place: Array, axis: int, *, reverse: bool) -> tuple[Array,
 
     start = jnp.full(hit.shape[1], outside, place.dtype)
     _, last = lax.scan(further, start, jnp.where(hit, place, outside), reverse=reverse)
-    found = (last >= 0) & (last < end)
-    return jnp.where(found, last, 0), found
+    there = (last >= 0) & (last < end)
+    return jnp.where(there, last, 0), there

@@ -11,6 +11,7 @@ from jaxtyping import Array, Float, Int
 from mvedge_jax._cpu import unstack
 from mvedge_jax._params import accepts_numpy, at_least, cast, number
 from mvedge_jax.color import factored, solved, srgb_to_linear
+from mvedge_jax.image import highest_beside
 
 from ._blocks import in_blocks
 
@@ -87,7 +88,9 @@ def outline(
     disparity, view = lax.stop_gradient(disparity), lax.stop_gradient(view)
     noise, params = lax.stop_gradient((noise, cast(params, disparity.dtype)))
     own = jnp.arange(disparity.size, dtype=jnp.int32).reshape(disparity.shape)
-    (front, nearer), (back, farther) = (_extreme(disparity, own, sign) for sign in (1, -1))
+    front, nearer = highest_beside(disparity, own)
+    back, farther = highest_beside(-disparity, own)
+    back = -back
     rise = _rise(disparity).ravel()
     steep = params.steeper * jnp.maximum(rise[nearer], rise[farther])
     step = front - back > params.step
@@ -105,50 +108,26 @@ def outline(
     return jnp.where(beside & astray, index, own)
 
 
-def _extreme(disparity: Array, index: Array, sign: int) -> tuple[Array, Array]:
-    """The largest (or smallest) disparity of 3x3 pixels, and its index."""
-    best, which = sign * disparity, index
-    for axis in (0, 1):
-        values, names = (_padded(a, axis) for a in (best, which))
-        for offset in (0, 2):
-            value, name = (_part(a, offset, axis) for a in (values, names))
-            better = value > best
-            best, which = jnp.where(better, value, best), jnp.where(better, name, which)
-    return sign * best, which
-
-
 def _rise(disparity: Array) -> Array:
     """What a surface rises by per pixel, the less of both sides; 0 on crests and in cracks."""
     rise = jnp.zeros_like(disparity)
     for axis in (0, 1):
-        padded = _padded(disparity, axis)
-        before, after = disparity - _part(padded, 0, axis), _part(padded, 2, axis) - disparity
+        margin = [(0, 0), (0, 0)]
+        margin[axis] = (1, 1)
+        steps = jnp.diff(jnp.pad(disparity, margin, mode="edge"), axis=axis)
+        size = disparity.shape[axis]
+        before, after = (lax.slice_in_dim(steps, k, k + size, axis=axis) for k in (0, 1))
         less = jnp.minimum(jnp.abs(before), jnp.abs(after))
         rise = jnp.maximum(rise, jnp.where(before * after > 0, less, 0))
     return rise
 
 
-def _padded(image: Array, axis: int) -> Array:
-    margin = [(0, 0), (0, 0)]
-    margin[axis] = (1, 1)
-    return jnp.pad(image, margin, mode="edge")
-
-
-def _part(padded: Array, offset: int, axis: int) -> Array:
-    return lax.slice_in_dim(padded, offset, offset + padded.shape[axis] - 2, axis=axis)
-
-
 def _share(images: Array, *, params: Outline, faint: Array) -> Array:
     """The share of a pixel that the front covers, by its color, and the variance of the fit.
 
-    Args:
-        images: disparity, that of the middle between front and back, certainty, linear colors,
-            with a margin of `Outline.reach`, `[b, 6, y, x]`.
-        params: see `Outline`.
-        faint: variance of colors that tells nothing.
-
-    Returns:
-        Both, without the margin, `[b, 2, y, x]`.
+    Both, `[b, 2, y, x]`, from disparity, that of the middle between front and back, certainty and
+    linear colors with a margin of `Outline.reach`, `[b, 6, y, x]`. A variance of colors of `faint`
+    tells nothing.
     """
     reach = params.reach
     height, width = (size - 2 * reach for size in images.shape[-2:])
@@ -165,14 +144,14 @@ def _share(images: Array, *, params: Outline, faint: Array) -> Array:
         place, factors = row
         around = lax.dynamic_slice_in_dim(planes, place, height, axis=2)
         for dx in range(2 * reach + 1):
-            value, _, known, *colours = unstack(around[..., dx : dx + width])
+            value, _, known, *colors = unstack(around[..., dx : dx + width])
             weight = factors[dx] * known
             # From the pixel's own color, as differences of large sums would be inexact.
-            colours = [a - b for a, b in zip(colours, own, strict=True)]
+            colors = [a - b for a, b in zip(colors, own, strict=True)]
             front = jnp.where(value > middle, weight, 0)
-            terms = [weight, *(weight * c for c in colours)]
-            terms += [weight * colours[i] * colours[j] for i, j in _PAIRS]
-            terms += [front, *(front * c for c in colours)]
+            terms = [weight, *(weight * c for c in colors)]
+            terms += [weight * colors[i] * colors[j] for i, j in _PAIRS]
+            terms += [front, *(front * c for c in colors)]
             sums = [total + term for total, term in zip(sums, terms, strict=True)]
         return sums, None
 

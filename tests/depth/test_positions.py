@@ -20,7 +20,7 @@ from mvedge_jax.edges.thesis import ThesisEdges
 from mvedge_jax.metrics import depth_scores
 from mvedge_jax.photometry import Noise, gather_evidence, recentred
 from mvedge_jax.photometry.brightness import Exposure
-from mvedge_jax.photometry.measuring import CrosshairSplines, Measuring, labels
+from mvedge_jax.photometry.measuring import AdaptedMeasurement, CrosshairSplines, labels
 
 
 def grid(rows, columns):
@@ -84,11 +84,11 @@ def test_the_gradient_in_the_positions():
     light_field = plane(_UNEVEN)
     lab = jnp.moveaxis(srgb_to_lab(light_field.centre_view), -1, 0)
     first = jnp.full(lab.shape[1:], 0.36, lab.dtype)
-    params = cast(Measuring(radius=2), first.dtype)
+    params = cast(AdaptedMeasurement(radius=2), first.dtype)
 
     def mean(positions):
         moved = eqx.tree_at(lambda s: s.positions, light_field, positions)
-        found = CrosshairSplines.of(crosshair(moved)).look(first, params)
+        found = CrosshairSplines.of(crosshair(moved)).accumulate(first, params)
         found = labels(found, lab, first, params, passes=1)
         return jnp.mean(found.disparity[3:-3, 4:-4])
 

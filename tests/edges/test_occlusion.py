@@ -17,10 +17,10 @@ from mvedge_jax.edges.sides import (
     step_response,
     surface_vectors,
 )
-from mvedge_jax.edges.sides._evidence import map_evidence, neighbour_evidence
+from mvedge_jax.edges.sides._evidence import map_evidence, neighbor_evidence
 from mvedge_jax.edges.sides._profile import profiles
 from mvedge_jax.edges.sides._surface import along_edge, choose
-from mvedge_jax.photometry.measuring import occlusion_reach
+from mvedge_jax.photometry.measuring import visible_view_range
 
 SHAPE = (24, 32)
 EDGE = 16  # first column of the near surface in `square_wave`
@@ -207,7 +207,7 @@ def test_evidence_is_positive_towards_the_own_surface():
     raster = rasterise(points.xy, points.disparity, points.valid, SHAPE)
     edge = at_the_edge(points)
     towards = np.asarray(points.normal[:, 0])
-    neighbours = neighbour_evidence(points, raster, radius=jnp.array(6.0), cap=jnp.array(0.3))
+    neighbours = neighbor_evidence(points, raster, radius=jnp.array(6.0), cap=jnp.array(0.3))
     dense = jnp.broadcast_to(jnp.asarray(truth), SHAPE)
     for evidence in (neighbours, map_evidence(points, dense, cap=jnp.array(0.3))):
         assert ((np.asarray(evidence) * towards)[edge] > 0.2).all()
@@ -217,7 +217,7 @@ def test_reach_agrees_with_brute_force():
     rng = np.random.default_rng(1)
     disparity = np.repeat(rng.uniform(-1, 1, (6, 8)), 4, axis=1)
     radius, least = 9, 0.05
-    negative, positive = occlusion_reach(jnp.asarray(disparity), radius=radius, step=least)
+    negative, positive = visible_view_range(jnp.asarray(disparity), radius=radius, step=least)
     expected = np.full((2, *disparity.shape), np.inf)
     for y, x in np.ndindex(disparity.shape):
         for j in range(1, radius + 1):

@@ -37,12 +37,12 @@ def plane_splines(disparity, **choices):
     return CrosshairSplines.of(plane_arms(disparity, **choices))
 
 
-def look(across, down, disparity, params, *, radius):
+def accumulate(across, down, disparity, params, *, radius):
     """What two arms show around a map."""
-    return CrosshairSplines(across, down).look(disparity, replace(params, radius=radius))
+    return CrosshairSplines(across, down).accumulate(disparity, replace(params, radius=radius))
 
 
 def photometric_labels(across, down, lab, disparity, params, *, radius, passes):
     """Labels measured in two arms."""
-    found = look(across, down, disparity, params, radius=radius)
+    found = accumulate(across, down, disparity, params, radius=radius)
     return labels(found, lab, disparity, params, passes=passes)

@@ -12,14 +12,19 @@ from scipy import ndimage
 
 from mvedge_jax._crosshair import crosshair
 from mvedge_jax.lightfield import LightField
-from mvedge_jax.photometry.measuring import CrosshairSplines, Measuring, ViewSplines, labels
+from mvedge_jax.photometry.measuring import (
+    AdaptedMeasurement,
+    CrosshairSplines,
+    ViewSplines,
+    labels,
+)
 from mvedge_jax.photometry.views import views_of
 
 SHAPE = (14, 17)
 LAB = jnp.zeros((3, *SHAPE))
 # Nothing is an outlier, nothing is noise, and steps are not limited.
 PLAIN = with_values(
-    Measuring,
+    AdaptedMeasurement,
     outlier=1e12,
     gradient_noise=0.0,
     largest_step=1e6,
@@ -33,8 +38,8 @@ def grid(field):
     return ViewSplines.of(views_of(field))
 
 
-def look_around(views, disparity, params, *, radius):
-    return views.look(disparity, replace(params, radius=radius))
+def accumulate_around(views, disparity, params, *, radius):
+    return views.accumulate(disparity, replace(params, radius=radius))
 
 
 def regressed(field, disparity, y, x, stiffness):
@@ -74,7 +79,7 @@ def regressed(field, disparity, y, x, stiffness):
 def test_equals_a_regression_with_all_unknowns():
     field = plane_views(0.3, views=(3, 5), size=SHAPE)
     start = jnp.full(SHAPE, 0.26)
-    found = look_around(grid(field), start, PLAIN, radius=2)
+    found = accumulate_around(grid(field), start, PLAIN, radius=2)
     changed = np.asarray(labels(found, LAB, start, PLAIN, passes=0).disparity - start)
     for y, x in ((5, 6), (8, 9), (6, 10)):
         expected = regressed(field, 0.26, y, x, 2.0)
@@ -84,11 +89,11 @@ def test_equals_a_regression_with_all_unknowns():
 def test_finds_a_plane_better_than_the_crosshair_does():
     truth, start = 0.31, jnp.full((20, 28), 0.28)
     field = plane_views(truth, noise=0.01)
-    found = look_around(grid(field), start, Measuring(), radius=2)
+    found = accumulate_around(grid(field), start, AdaptedMeasurement(), radius=2)
     lab = jnp.zeros((3, 20, 28))
-    every = labels(found, lab, start, Measuring(), passes=2)
+    every = labels(found, lab, start, AdaptedMeasurement(), passes=2)
     arms = CrosshairSplines.of(crosshair(field))
-    cross = photometric_labels(*arms, lab, start, Measuring(), radius=2, passes=2)
+    cross = photometric_labels(*arms, lab, start, AdaptedMeasurement(), radius=2, passes=2)
     inner = (slice(4, -4), slice(4, -4))
     errors = [float(jnp.sqrt(jnp.mean((m.disparity - truth)[inner] ** 2))) for m in (every, cross)]
     assert errors[0] < 0.8 * errors[1]
@@ -105,8 +110,8 @@ def test_a_drift_of_colours_is_not_taken_for_parallax():
     field = LightField(jnp.clip(field.views + steps[:, :, None, None, None] * change, 0, 1))
     start, inner, errors = jnp.full((20, 28), truth), (slice(4, -4), slice(4, -4)), []
     for stiffness in (1.0, 1e9):
-        params = with_values(Measuring, stiffness=stiffness)
-        found = look_around(grid(field), start, params, radius=2)
+        params = with_values(AdaptedMeasurement, stiffness=stiffness)
+        found = accumulate_around(grid(field), start, params, radius=2)
         label = labels(found, jnp.zeros((3, 20, 28)), start, params, passes=2)
         errors.append(float(jnp.sqrt(jnp.mean((label.disparity - truth)[inner] ** 2))))
     assert errors[0] < 0.2 * errors[1]
@@ -120,7 +125,7 @@ def test_views_in_which_a_pixel_is_hidden_do_not_count(nearer):
     disparity = np.zeros(shape)
     disparity[8:12, 9:14] = nearer
     field = plane_views(0.0, size=shape)
-    found = look_around(grid(field), jnp.asarray(disparity), PLAIN, radius=8)
+    found = accumulate_around(grid(field), jnp.asarray(disparity), PLAIN, radius=8)
     visible = np.zeros(shape)
     steps = np.asarray(field.steps).reshape(-1, 2).astype(int)
     for step in steps:
@@ -145,8 +150,8 @@ def test_a_missing_view_is_not_read():
     missing = whole._replace(available=whole.available.at[3].set(False))
     spoilt = missing._replace(splines=missing.splines.at[3].set(7.0))
     for a, b in zip(
-        jax.tree.leaves(look_around(missing, start, PLAIN, radius=2)),
-        jax.tree.leaves(look_around(spoilt, start, PLAIN, radius=2)),
+        jax.tree.leaves(accumulate_around(missing, start, PLAIN, radius=2)),
+        jax.tree.leaves(accumulate_around(spoilt, start, PLAIN, radius=2)),
         strict=True,
     ):
         np.testing.assert_array_equal(a, b)
@@ -155,7 +160,7 @@ def test_a_missing_view_is_not_read():
 def test_a_grid_of_one_row_is_an_arm():
     field = plane_views(0.3, views=(1, 5), size=SHAPE)
     start = jnp.full(SHAPE, 0.28)
-    found = look_around(grid(field), start, PLAIN, radius=2)
+    found = accumulate_around(grid(field), start, PLAIN, radius=2)
     changed = labels(found, LAB, start, PLAIN, passes=2).disparity
     assert float(jnp.abs(changed - 0.3)[4:-4, 4:-4].max()) < 0.01
     np.testing.assert_array_equal(found.spread[1], 0)
@@ -171,11 +176,13 @@ def test_gradients_in_both_modes():
     def loss(tree):
         planes, disparity, params = tree
         own = ViewSplines.of(made._replace(planes=planes))
-        found = look_around(own, disparity, params, radius=2)
+        found = accumulate_around(own, disparity, params, radius=2)
         label = labels(found, lab, disparity, params, passes=1)
         return jnp.sum(label.disparity**2) + jnp.sum(1 / (1 + 1e4 * label.variance))
 
-    check_modes(loss, (made.planes, rows, Measuring()), rtol=1e-4, step=1e-6, key=jax.random.key(2))
+    check_modes(
+        loss, (made.planes, rows, AdaptedMeasurement()), rtol=1e-4, step=1e-6, key=jax.random.key(2)
+    )
 
 
 def test_jit_and_single_precision_change_little():
@@ -184,8 +191,10 @@ def test_jit_and_single_precision_change_little():
     start = jnp.full(SHAPE, 0.28)
 
     def disparity(views, start):
-        found = look_around(views, start, Measuring(), radius=2)
-        return labels(found, LAB.astype(start.dtype), start, Measuring(), passes=2).disparity
+        found = accumulate_around(views, start, AdaptedMeasurement(), radius=2)
+        return labels(
+            found, LAB.astype(start.dtype), start, AdaptedMeasurement(), passes=2
+        ).disparity
 
     exact = disparity(made, start)
     np.testing.assert_allclose(exact, jax.jit(disparity)(made, start), atol=1e-12)

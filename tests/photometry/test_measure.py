@@ -5,17 +5,17 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from helpers import check_gradient, random_like, with_values
-from photometry.planes import look, photometric_labels, plane_arms, plane_splines
+from photometry.planes import accumulate, photometric_labels, plane_arms, plane_splines
 
 from mvedge_jax.photometry.measuring import (
+    AdaptedMeasurement,
     CrosshairSplines,
-    Look,
-    Measuring,
+    NormalEquations,
     PhotometricLabels,
     labels,
-    mismatch,
+    residual_variance,
 )
-from mvedge_jax.photometry.measuring._measure import shared
+from mvedge_jax.photometry.measuring._measure import average_over_surface
 
 # Of one colour, so that no neighbour is left out for its own.
 PLAIN = jnp.zeros((3, 20, 28))
@@ -32,7 +32,7 @@ def test_a_photometric_step_finds_the_plane_and_knows_how_well():
             PLAIN,
             jnp.full((20, 28), start),
             # These views sample a spline: what pixels do to an outline is not in them.
-            with_values(Measuring, noise=0.01, error_floor=0.0),
+            with_values(AdaptedMeasurement, noise=0.01, error_floor=0.0),
             radius=2,
             passes=2,
         )
@@ -47,7 +47,7 @@ def test_a_photometric_step_finds_the_plane_and_knows_how_well():
 def test_missing_views_take_no_part():
     across, down = plane_splines(0.2)
     there = across.available.at[0].set(False)
-    params = Measuring()
+    params = AdaptedMeasurement()
     disparity = jnp.full((20, 28), 0.15)
 
     def measure(planes):
@@ -68,23 +68,23 @@ def test_flat_images_leave_the_map_alone_and_say_so():
         for a in arms
     )
     labels = photometric_labels(
-        flat[0], flat[1], PLAIN, jnp.full((20, 28), 0.4), Measuring(), radius=2, passes=2
+        flat[0], flat[1], PLAIN, jnp.full((20, 28), 0.4), AdaptedMeasurement(), radius=2, passes=2
     )
     np.testing.assert_allclose(labels.disparity, 0.4, atol=1e-9)
     assert float(labels.variance.min()) > 1
 
 
 def test_a_small_step_parts_surfaces_only_where_disparities_are_known():
-    arms, params = plane_splines(0.3), Measuring()
+    arms, params = plane_splines(0.3), AdaptedMeasurement()
     step = jnp.where(jnp.arange(28) < 14, 0, 2.5 * params.same_surface)
     disparity = jnp.broadcast_to(0.3 + step, (20, 28))
-    around = look(*arms, disparity, params, radius=1)
+    around = accumulate(*arms, disparity, params, radius=1)
     spike = jnp.zeros((20, 28)).at[10, 14].set(1.0)
 
     def across(information):
         known = jnp.full((20, 28), information)
         found = around._replace(power=spike, freedom=jnp.ones((20, 28)), information=known)
-        shares = mismatch(found, PLAIN, disparity, params, passes=1)
+        shares = residual_variance(found, PLAIN, disparity, params, passes=1)
         return float(shares[10, 13] / shares[10, 15])
 
     assert across(1e6) < 0.01
@@ -93,13 +93,13 @@ def test_a_small_step_parts_surfaces_only_where_disparities_are_known():
 
 @pytest.mark.parametrize("variance", [1e-6, 1.0])
 def test_labels_are_shared_across_small_steps_only_however_little_is_known(variance):
-    params = Measuring()
+    params = AdaptedMeasurement()
 
     def beside(step):
         disparity = jnp.broadcast_to(0.3 + jnp.where(jnp.arange(28) < 14, 0, step), (20, 28))
         known = jnp.full_like(disparity, variance)
         measured = PhotometricLabels(disparity, known, jnp.zeros_like(disparity))
-        averaged = shared(measured, PLAIN, params, passes=2).disparity
+        averaged = average_over_surface(measured, PLAIN, params, passes=2).disparity
         return float(averaged[10, 13] - 0.3) / step
 
     assert beside(params.same_surface) > 0.2
@@ -116,13 +116,13 @@ def small_problem():
     def loss(tree):
         (centre, others), lab, disparity, params = tree
         arm = across._replace(centre=centre, others=others)
-        around = look(arm, down, disparity, params, radius=2)
+        around = accumulate(arm, down, disparity, params, radius=2)
         found = labels(around, lab, disparity, params, passes=1)
-        residual = mismatch(around, lab, disparity, params, passes=1)
+        residual = residual_variance(around, lab, disparity, params, passes=1)
         sure = jnp.sum(1 / (1 + 1e4 * found.variance))
         return jnp.sum(found.disparity**2) + sure + jnp.sum(jnp.sqrt(residual + 1e-6))
 
-    return loss, ((across.centre, across.others), lab, disparity, Measuring())
+    return loss, ((across.centre, across.others), lab, disparity, AdaptedMeasurement())
 
 
 def test_gradient_of_the_measurement_matches_differences():
@@ -155,7 +155,7 @@ def test_drift_does_not_move_a_label():
     inner = (slice(4, -4), slice(4, -4))
     errors = []
     for stiffness in (1.0, 1e9):
-        params = with_values(Measuring, stiffness=stiffness)
+        params = with_values(AdaptedMeasurement, stiffness=stiffness)
         labels = photometric_labels(
             *arms, PLAIN, jnp.full((20, 28), truth), params, radius=2, passes=2
         )
@@ -172,7 +172,7 @@ def test_matt_surfaces_pay_nothing_for_drift():
     inner = (slice(8, -8), slice(8, -8))
 
     def error(**settings):
-        params = with_values(Measuring, **settings)
+        params = with_values(AdaptedMeasurement, **settings)
         start, plain = jnp.full((40, 48), truth), jnp.zeros((3, 40, 48))
         labels = photometric_labels(*arms, plain, start, params, radius=2, passes=1)
         return float(jnp.sqrt(jnp.mean((labels.disparity - truth)[inner] ** 2)))
@@ -200,7 +200,7 @@ def test_elimination_equals_the_regression_with_all_unknowns():
         across, down = jax.tree.map(jnp.asarray, [tuple(arm) for arm in field])
         return across, down
 
-    found = Look(
+    found = NormalEquations(
         right=jnp.asarray(right),
         information=jnp.asarray(information),
         power=jnp.asarray(power),
@@ -212,7 +212,7 @@ def test_elimination_equals_the_regression_with_all_unknowns():
         trend=per_arm(trend),
     )
     exact = {"drift": 0.0, "error_floor": 0.0, "gradient_noise": 0.0}
-    params = with_values(Measuring, **exact, largest_step=1e6, stiffness=2.0)
+    params = with_values(AdaptedMeasurement, **exact, largest_step=1e6, stiffness=2.0)
     labels_ = labels(found, jnp.zeros((3, *shape)), jnp.zeros(shape), params, passes=1)
     taps = np.outer([0.5, 1, 0.5], [0.5, 1, 0.5])
 
@@ -245,7 +245,7 @@ def test_noise_is_no_information():
     weights = []
     for arms in (noisy, plain):
         found = photometric_labels(
-            *arms, PLAIN, disparity, with_values(Measuring, noise=0.02), radius=2, passes=2
+            *arms, PLAIN, disparity, with_values(AdaptedMeasurement, noise=0.02), radius=2, passes=2
         )
         weights.append(np.median(1 / (1 + np.asarray(found.variance)[4:-4, 4:-4] / 0.01**2)))
     textured, nothing = weights
@@ -259,7 +259,7 @@ def test_neighbours_of_another_colour_take_no_part():
 
     def measured(planes):
         arm = across._replace(centre=planes[0], others=planes[1])
-        params = Measuring()
+        params = AdaptedMeasurement()
         # The half that is looked at is far from what the other half's occlusions could reach.
         return photometric_labels(arm, down, lab, disparity, params, radius=2, passes=2).disparity[
             :, :12

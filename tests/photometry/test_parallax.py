@@ -8,7 +8,7 @@ from helpers import check_modes, with_values
 from photometry.planes import plane_views
 from posed.walls import MATRIX, POSES, SIZE, places, turned, wall
 
-from mvedge_jax.photometry.measuring import Measuring, ViewSplines, labels
+from mvedge_jax.photometry.measuring import AdaptedMeasurement, ViewSplines, labels
 from mvedge_jax.photometry.views import GridShift, Parallax, PlaneParallax, ViewSet, views_of
 from mvedge_jax.posed import projections
 
@@ -44,7 +44,9 @@ def test_a_grid_of_views_is_a_case_of_photographs():
     views, start = views_of(field), jnp.full((14, 17), 0.27)
     assert isinstance(views.parallax, GridShift)
     posed = views._replace(parallax=projected(views.parallax))
-    found = [ViewSplines.of(of).look(start, Measuring(radius=2)) for of in (views, posed)]
+    found = [
+        ViewSplines.of(of).accumulate(start, AdaptedMeasurement(radius=2)) for of in (views, posed)
+    ]
     for shift, plane in zip(*(jax.tree.leaves(f) for f in found), strict=True):
         np.testing.assert_allclose(plane, shift, atol=1e-12)
 
@@ -55,10 +57,10 @@ def test_measures_a_slanted_wall():
     views = ViewSet(jnp.moveaxis(jnp.asarray(IMAGES), -1, 1), place, jnp.ones(4, bool))
     truth = scale / jnp.asarray(DEPTHS[0])
     lab = jnp.zeros((3, *SIZE))
-    params = with_values(Measuring, noise=0.5 / 255)
+    params = with_values(AdaptedMeasurement, noise=0.5 / 255)
     for wrong in (0.05, -0.08):
         start = truth + wrong
-        found = ViewSplines.of(views).look(start, params)
+        found = ViewSplines.of(views).accumulate(start, params)
         found = labels(found, lab, start, params, passes=1)
         error = np.abs(np.asarray(found.disparity - truth))[3:-3, 3:-3]
         assert np.median(error) < 0.12 * abs(wrong)
@@ -140,7 +142,7 @@ def test_behind_the_camera_is_masked_and_never_nan():
 
     def total(disparity, parallax):
         views = ViewSet(images, parallax, jnp.ones(2, bool))
-        found = ViewSplines.of(views).look(disparity, Measuring())
+        found = ViewSplines.of(views).accumulate(disparity, AdaptedMeasurement())
         return sum(jnp.sum(leaf) for leaf in jax.tree.leaves(found))
 
     value, gradients = jax.value_and_grad(total, argnums=(0, 1))(disparity, both)
@@ -158,8 +160,8 @@ def test_gradients_of_a_measurement_in_photographs():
         images, poses, disparity = tree
         place = projections(poses, MATRICES[:3], 0, jnp.asarray(2.0))
         views = ViewSet(jnp.moveaxis(images, -1, 1), place, jnp.ones(3, bool))
-        found = ViewSplines.of(views).look(disparity, Measuring())
-        found = labels(found, lab, disparity, Measuring(), passes=1)
+        found = ViewSplines.of(views).accumulate(disparity, AdaptedMeasurement())
+        found = labels(found, lab, disparity, AdaptedMeasurement(), passes=1)
         return jnp.mean(found.disparity**2) + jnp.mean(jnp.log(found.variance))
 
     tree = (jnp.asarray(IMAGES[:3]), jnp.asarray(POSES[:3]), start)

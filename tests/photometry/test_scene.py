@@ -17,13 +17,13 @@ from mvedge_jax.photometry import (
 from mvedge_jax.photometry.brightness import GridViews
 from mvedge_jax.photometry.matching import Matching, best_match
 from mvedge_jax.photometry.measuring import (
+    AdaptedMeasurement,
     CrosshairSplines,
     Measurement,
-    Measuring,
     PhotometricLabels,
     ViewSplines,
 )
-from mvedge_jax.photometry.measuring._measure import shared
+from mvedge_jax.photometry.measuring._measure import average_over_surface
 from mvedge_jax.photometry.views import views_of
 
 
@@ -63,7 +63,7 @@ def test_neighbours_share_labels_on_their_surface_only():
     noisy = noisy.at[:, 3].add(0.02 * jax.random.normal(key[1], (20,)))
     lab = jnp.zeros((3, 20, 24))
     labels = PhotometricLabels(noisy, variance, variance)
-    found = shared(labels, lab, Measuring(), passes=2)
+    found = average_over_surface(labels, lab, AdaptedMeasurement(), passes=2)
     before, after = (np.abs(np.asarray(d - truth)) for d in (noisy, found.disparity))
     assert after.mean() < 0.5 * before.mean()
     # An uncertain label follows the others, and none crosses the step.
@@ -78,7 +78,7 @@ def test_views_that_a_nearer_surface_hides_or_that_differ_weigh_little():
     truth = jnp.where(jnp.arange(64) < 30, 0.8, -0.6)[None] * jnp.ones((16, 1))
     truth = truth.astype(jnp.float32)
     assert isinstance(seen.splines, CrosshairSplines)
-    _, weights = seen.splines.look_with_weights(truth, seen.params)
+    _, weights = seen.splines.accumulate_with_weights(truth, seen.params)
     assert weights.shape == (18, 16, 64)
     # Right of the border, the near plane comes over the pixel in views of one side only.
     across = np.asarray(weights[9:, 4:12, 33]).mean(1)
@@ -89,7 +89,7 @@ def test_views_that_a_nearer_surface_hides_or_that_differ_weigh_little():
     spoilt = type(light_field)(painted, disparity_range=(-0.9, 1.1))
     _, seen, _ = _prepared(spoilt, -0.9, 1.1, radius=12)
     assert isinstance(seen.splines, CrosshairSplines)
-    weights = np.asarray(seen.splines.look_with_weights(truth, seen.params)[1])
+    weights = np.asarray(seen.splines.accumulate_with_weights(truth, seen.params)[1])
     inner = weights[9:, 4:12, 10:24].mean((1, 2))
     assert inner[0] < 0.3
     assert inner[1:].min() > 0.5

@@ -7,14 +7,14 @@ import pytest
 from helpers import check_gradient, check_modes
 from scipy import ndimage
 
-from mvedge_jax.photometry._window import colour_weights, contrast, weighted_sum
+from mvedge_jax.photometry._window import color_weights, contrast, weighted_sum
 
 
 @pytest.mark.parametrize("spacing", [1, 2])
 def test_mean_over_neighbours_of_like_colour(spacing):
     rng = np.random.default_rng(spacing)
     image, lab = rng.standard_normal((9, 11)), 5 * rng.standard_normal((3, 9, 11))
-    weights = colour_weights(jnp.asarray(lab), jnp.asarray(4.0), reach=1, spacing=spacing)
+    weights = color_weights(jnp.asarray(lab), jnp.asarray(4.0), reach=1, spacing=spacing)
     found = weighted_sum(jnp.asarray(image)[None], weights, spacing=spacing)[0]
     for y, x in np.ndindex(9, 11):
         total = sums = 0.0
@@ -47,7 +47,7 @@ def test_gradients_match_differences_and_are_finite_where_all_is_equal():
     key = jax.random.key(0)
 
     def loss(lab):
-        weights = colour_weights(lab, jnp.asarray(4.0), reach=1)
+        weights = color_weights(lab, jnp.asarray(4.0), reach=1)
         return jnp.sum(weighted_sum(lab, weights) ** 2) + jnp.sum(contrast(lab, radius=2))
 
     check_gradient(loss, 9 * jax.random.normal(key, (3, 6, 7)), rtol=1e-6, step=1e-6, key=key)
@@ -69,7 +69,7 @@ def test_reverse_mode_keeps_weights_and_not_what_they_are_made_from():
     lab = jax.ShapeDtypeStruct((3, 20, 24), jnp.float64)
 
     def pulled(lab):
-        return jax.vjp(lambda lab: colour_weights(lab, jnp.asarray(4.0), reach=2), lab)[1]
+        return jax.vjp(lambda lab: color_weights(lab, jnp.asarray(4.0), reach=2), lab)[1]
 
     arrays = jax.tree.leaves(jax.eval_shape(pulled, lab))
     assert sum(array.size for array in arrays) < 4 * 25 * 20 * 24

@@ -7,7 +7,7 @@ import pytest
 from posed.walls import MATRIX, POSES, wall
 
 from mvedge_jax.photometry import Noise
-from mvedge_jax.photometry._scene import measuring_in
+from mvedge_jax.photometry._scene import adapted_measurement
 from mvedge_jax.photometry.measuring import Measurement, ViewSplines
 from mvedge_jax.photometry.views import ViewSet
 from mvedge_jax.photometry.views._parallax import shown_at
@@ -45,14 +45,14 @@ def test_what_is_transparent_is_read_in_no_photograph():
     scale = reference.scale(cut(0.0))
     parallax = projections(jnp.asarray(POSES), cut(0.0).intrinsics, 0, scale)
     disparity = scale / jnp.asarray(DEPTHS[0])
-    params = measuring_in(Noise.of(jnp.asarray(0.002)), jnp.asarray(1.0), Measurement())
+    params = adapted_measurement(Noise.of(jnp.asarray(0.002)), jnp.asarray(1.0), Measurement())
     # Splines reach far, though hardly: what is next to the mask is left out of it here.
     inner = jax.vmap(lambda m: jnp.asarray(np.hypot(X - 24, Y - 18) < 5) & (m > 0))(shown)
     both = []
     for color in (0.0, 0.7):
         images = jnp.moveaxis(jnp.asarray(cut(color).images), -1, 1)
         views = ViewSet(images, parallax, jnp.ones(4, bool), inner.astype(jnp.float64))
-        both.append(ViewSplines.of(views).look(disparity, params))
+        both.append(ViewSplines.of(views).accumulate(disparity, params))
     for name in ("right", "information", "power", "freedom"):
         one, other = (np.asarray(getattr(each, name)) for each in both)
         assert np.isfinite(one).all()

@@ -6,9 +6,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from helpers import check_gradient, check_modes, count_traces, with_values
+from splatting.reference import splat_reference
 
 from mvedge_jax import splatting
-from mvedge_jax.splatting import SplatRaster, SplatWidths, absorption, splat_reference
+from mvedge_jax.splatting import SplatRaster, SplatWidths, absorption
 
 SHAPE = (21, 27)
 splat = eqx.filter_jit(splatting.splat)

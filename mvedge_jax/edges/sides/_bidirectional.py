@@ -10,7 +10,7 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from mvedge_jax._params import accepts_numpy, cast, number, one_of
-from mvedge_jax._root import root
+from mvedge_jax._root import safe_sqrt
 from mvedge_jax.diffusion import AutoSolver, System, diffuse, edge_weights
 from mvedge_jax.image import gradient_magnitude, gradient_square
 
@@ -104,10 +104,10 @@ def bidirectional(
     def solve(xy: Array) -> tuple[Array, Array]:
         raster = rasterise(xy, points.disparity, points.valid, (gray.shape[0], gray.shape[1]))
         weight = params.data * raster.hit.astype(gray.dtype)
-        found = diffuse(
+        dense = diffuse(
             System(weight, raster.values(points.disparity), tx, ty), solver=params.solver
         )
-        return found.value, found.stats.iterations
+        return dense.value, dense.stats.iterations
 
     # A loop, so that the program contains the solver once: it compiles slowly.
     both = jnp.stack([points.xy + shift, points.xy - shift])
@@ -148,19 +148,9 @@ def depth_edge_confidence(
 def image_smoothness(
     gray: Float[Array, "y x"], params: DirectionalDiffusion
 ) -> Float[Array, "y x"]:
-    r"""Smoothness of the directional solves, at most 1.
-
-    Args:
-        gray: image in [0, 1].
-        params: `gradient` and `form`; `floor` bounds the result from below.
-
-    Returns:
-        Smoothness per pixel in (0, 1]. Differentiable.
-
-    Source: Thesis 4.2.2, Eq. 4.11.
-    """
+    """Smoothness of the directional solves, in (0, 1] (Eq. 4.11). Differentiable."""
     params = cast(params, gray.dtype)
     steep = gradient_square(gray)
     if params.form == "inverse":
-        steep = root(steep)
+        steep = safe_sqrt(steep)
     return jnp.maximum(1 / (1 + steep / params.gradient), params.floor)

@@ -12,29 +12,24 @@ from .._points import EdgePoints
 from .._raster import Raster
 
 
-def neighbour_evidence(
+def neighbor_evidence(
     points: EdgePoints,
     raster: Raster,
     *,
     radius: Float[Array, ""],
     cap: Float[Array, ""],
 ) -> Float[Array, " n"]:
-    r"""How much better the labels on the `+normal` side agree with a point's own label.
+    r"""How much better the labels on the `+normal` side agree with a point's own label, px.
 
     Means of $\min(|\Delta d|, c)$ over the labels on either side, weighted by a Gaussian of the
-    distance. No solve is needed.
+    distance: backward minus forward, 0 without neighbors on both sides. It chooses as well as two
+    solves, and needs none. Differentiable at the rasterization chosen.
 
     Args:
         points: positions, disparities, normals.
         raster: the points on their own pixels.
         radius: standard deviation of the Gaussian, px.
         cap: where differences of disparity stop counting, px.
-
-    Returns:
-        Backward mean minus forward mean, px, `[n]`; 0 without neighbors on both sides.
-        Differentiable at the rasterization chosen.
-
-    Source: not in the thesis; measured to choose as well as two solves.
     """
     shape = (raster.hit.shape[0], raster.hit.shape[1])
     labels = raster.values(points.disparity).reshape(-1)
@@ -71,16 +66,10 @@ def neighbour_evidence(
 def map_evidence(
     points: EdgePoints, disparity: Float[Array, "y x"], *, cap: Float[Array, ""]
 ) -> Float[Array, " n"]:
-    """How much better a dense map on the `+normal` side agrees with a point's own label.
+    """How much better a dense map on the `+normal` side agrees with a point's own label, px.
 
-    Args:
-        points: positions, disparities, normals.
-        disparity: the map, px per view step, `[y, x]`.
-        cap: where differences of disparity stop counting, px.
-
-    Returns:
-        Backward mean minus forward mean over 1 and 2 px, px, `[n]`. Differentiable at the pixels
-        chosen.
+    Differences of disparity, capped at `cap` px, 1 and 2 px away: backward mean minus forward mean.
+    Differentiable at the pixels chosen.
     """
     shape = (disparity.shape[0], disparity.shape[1])
 

@@ -1,13 +1,14 @@
 """The part `sides`: the surface that each label belongs to, and depth edges."""
 
 from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple, Protocol, runtime_checkable
 
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from mvedge_jax._cpu import staged
+from mvedge_jax._cpu import checkpoint_stage
 from mvedge_jax._params import as_number, at_least, cast
 from mvedge_jax.color import srgb_to_gray
 from mvedge_jax.image import gradient_magnitude
@@ -187,13 +188,8 @@ def _voted(
     vote: SideVote,
     shape: tuple[int, int],
 ) -> SurfaceVectors:
-    @staged
-    def vectors(
-        points: EdgePoints, response: Array | None, first: Array | None, vote: SideVote
-    ) -> SurfaceVectors:
-        return surface_vectors(points, response, first, vote, shape=shape)
-
-    return vectors(points, response, first, vote)
+    stage = checkpoint_stage(partial(surface_vectors, shape=shape))
+    return stage(points, response, first, vote)
 
 
 def _both_ways(
@@ -204,12 +200,8 @@ def _both_ways(
     confide: Callable[[Float[Array, "7 n"]], Float[Array, " n"]] | None = None,
 ) -> Bidirectional:
     gray = srgb_to_gray(jnp.moveaxis(evidence.calibrated.guide, 0, -1))
-
-    @staged
-    def diffused(points: EdgePoints, gray: Array, params: DirectionalDiffusion) -> Bidirectional:
-        return bidirectional(points, gray, params, respond=respond, confide=confide or respond)
-
-    return diffused(points, gray, cast(params, gray.dtype))
+    stage = checkpoint_stage(partial(bidirectional, respond=respond, confide=confide or respond))
+    return stage(points, gray, cast(params, gray.dtype))
 
 
 def _sides(surface: SurfaceVectors, passes: Bidirectional) -> Sides:

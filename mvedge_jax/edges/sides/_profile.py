@@ -10,16 +10,7 @@ from mvedge_jax.interpolation import sample
 def profiles(
     image: Float[Array, "y x"], xy: Float[Array, "n 2"], normal: Float[Array, "n 2"]
 ) -> Float[Array, "7 n"]:
-    """Samples of a map at -3..3 px along every point's normal.
-
-    Args:
-        image: the map, `[y, x]`.
-        xy: positions of the points, px.
-        normal: unit direction per point.
-
-    Returns:
-        Bilinear samples, `[7, n]`, from the far side of the normal to its near side.
-    """
+    """Bilinear samples of a map at -3..3 px along every point's normal."""
     offsets = jnp.arange(-3, 4, dtype=image.dtype)
     return jax.lax.map(lambda k: sample(image, xy + k * normal), offsets)
 

@@ -6,7 +6,7 @@ from jaxtyping import Array, Float
 
 from mvedge_jax._crosshair import Arm
 from mvedge_jax.interpolation import sample
-from mvedge_jax.photometry.measuring import occlusion_reach
+from mvedge_jax.photometry.measuring import visible_view_range
 
 from .._points import EdgePoints
 
@@ -27,14 +27,11 @@ def reprojection_score(
 
     Args:
         points: positions to compare at.
-        forward: map with the labels moved along the normals, `[y, x]`.
-        backward: map with the labels moved against the normals, `[y, x]`.
+        forward: map with the labels moved along the normals.
+        backward: map with the labels moved against the normals.
         horizontal: the horizontal arm.
         vertical: the vertical arm, transposed.
         radius: largest distance of occluders, px.
-
-    Returns:
-        Positive where the forward map reprojects better, `[n]`.
 
     Source: Thesis 6.2.4, "Diffusion Gradients as Self-supervised Loss", Tab. 6.2.
     """
@@ -49,7 +46,7 @@ def reprojection_score(
 
 
 def _arm_error(arm: Arm, disparity: Array, radius: int) -> tuple[Array, Array]:
-    negative, positive = occlusion_reach(disparity, radius=radius)
+    negative, positive = visible_view_range(disparity, radius=radius)
     width, channels = disparity.shape[1], arm.planes.shape[1]
     columns = jnp.arange(width, dtype=disparity.dtype)[None, :]
 

@@ -13,7 +13,7 @@ from mvedge_jax.image import nearest_pixels
 
 from .._points import EdgePoints
 from .._raster import rasterise
-from ._evidence import map_evidence, neighbour_evidence
+from ._evidence import map_evidence, neighbor_evidence
 
 
 class SideVote(eqx.Module):
@@ -82,7 +82,7 @@ def surface_vectors(
     """
     params = cast(params, points.disparity.dtype)
     raster = rasterise(points.xy, points.disparity, points.valid, shape)
-    score = params.neighbors * neighbour_evidence(
+    score = params.neighbors * neighbor_evidence(
         points, raster, radius=params.radius, cap=params.cap
     )
     if response is not None:
@@ -97,16 +97,10 @@ def surface_vectors(
 
 @accepts_numpy
 def choose(points: EdgePoints, score: Float[Array, " n"], params: SideVote) -> SurfaceVectors:
-    """Turns scores into surface vectors.
+    """Turns scores into surface vectors along the normals.
 
-    Args:
-        points: the vectors are along their normals.
-        score: positive speaks for the side that `+normal` points to, `[n]`.
-        params: offset and temperature, see `SideVote`.
-
-    Returns:
-        The vectors; probabilities are a logistic function of the score. Invalid points have offset
-        0 and probability one half.
+    Probabilities are a logistic function of the score, which is positive if it speaks for
+    `+normal`. Points that are not valid have offset 0 and probability one half.
     """
     params = cast(params, points.disparity.dtype)
     forward = jnp.where(points.valid, jax.nn.sigmoid(score / params.temperature), 0.5)
@@ -122,16 +116,9 @@ def along_edge(
     shape: tuple[int, int],
     reach: int,
 ) -> Float[Array, " n"]:
-    """Averages a score over the points along the edge, with signs by the normals.
+    """Averages a score over the points up to `reach` px along the edge, with signs by the normals.
 
-    Args:
-        points: positions and normals.
-        score: positive speaks for `+normal`.
-        shape: rows and columns of the center view.
-        reach: to either side along the tangent, px; 0 returns the score.
-
-    Returns:
-        The averaged score, `[n]`. Differentiable in `score` at the rasterization chosen.
+    Differentiable in `score` at the rasterization chosen.
 
     Source: Thesis 4.2.2 (regularization); a mean in place of the authors' walk along the edge.
     """

@@ -26,15 +26,8 @@ def _sobel(epi: Float[Array, "u x"]) -> tuple[Array, Array]:
 def alignment(epi: Float[Array, "u x"], lines: EpiLines) -> Float[Array, "m u"]:
     """Absolute cosine between a line's normal and the EPI's gradient, in every row.
 
-    The sign of an edge is arbitrary, hence the absolute value. Flat pixels count as 0, not
-    aligned.
-
-    Args:
-        epi: lightness of one EPI.
-        lines: its lines.
-
-    Returns:
-        Values in [0, 1]; 0 in slots that are not valid and outside the image.
+    The sign of an edge is arbitrary, hence the absolute value. 0, not aligned, at flat pixels, in
+    slots that are not valid and outside the image.
 
     Source: Thesis 4.1.5, the cosines of Eq. 4.3 and 4.4.
     """
@@ -59,28 +52,12 @@ def _within(cosine: Float[Array, "m u"], angle: Angle) -> Bool[Array, "m u"]:
 
 
 def aligned_count(cosine: Float[Array, "m u"], *, angle: Angle = FILTER_ANGLE) -> Int[Array, " m"]:
-    """How many rows are aligned.
-
-    Args:
-        cosine: see `alignment`.
-        angle: largest angle of an aligned gradient, rad.
-
-    Returns:
-        Rows per line; the thesis keeps lines with a quarter of the height (Eq. 4.3).
-    """
+    """Number of rows in which each line is aligned; the thesis asks for a quarter (Eq. 4.3)."""
     return _within(cosine, angle).sum(-1)
 
 
 def longest_run(cosine: Float[Array, "m u"], *, angle: Angle = FILTER_ANGLE) -> Int[Array, " m"]:
-    """Length of the longest run of aligned rows.
-
-    Args:
-        cosine: see `alignment`.
-        angle: largest angle of an aligned gradient, rad.
-
-    Returns:
-        Rows per line; the authors' code keeps lines with 4 or more.
-    """
+    """Length of the longest run of aligned rows; the authors' program asks for 4."""
     aligned = _within(cosine, angle)
 
     def advance(carry: tuple[Array, Array], hit: Array) -> tuple[tuple[Array, Array], None]:
@@ -103,17 +80,8 @@ def line_visibility(
 ) -> Bool[Array, "m u"]:
     """In which views of an arm each line is seen: inside the image, where it is aligned.
 
-    Args:
-        cosine: see `alignment`.
-        lines: the lines.
-        width: of the views, px.
-        tested: which lines; with `"crossed"`, those that no nearer line crosses are seen in all
-            views inside the image, and what the test says of the others is cleaned by a median of
-            three along the views.
-        angle: largest angle of an aligned gradient, rad.
-
-    Returns:
-        One row per line.
+    With `"crossed"`, lines that no nearer line crosses are seen in all views inside the image, and
+    what the test says of the others is cleaned by a median of three along the views.
 
     Source: Thesis 4.1.5, Eq. 4.4, which is about the centre view; `"crossed"` is the authors'.
     """

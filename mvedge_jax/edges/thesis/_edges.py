@@ -126,7 +126,7 @@ def _thesis_edges(evidence: Evidence, part: ThesisEdges, key: PRNGKeyArray | Non
         arm_lines(srgb_to_lab(arm), bank, part.lines, key=draw)
         for arm, bank, draw in zip((own, down), banks, keys, strict=True)
     ]
-    xy, disparity, strength, visible, keep = _of_both(arms[0], arms[1], part)
+    xy, disparity, strength, visible, keep = _lines_of_both_arms(arms[0], arms[1], part)
 
     chosen = jnp.nonzero(keep, size=part.capacity, fill_value=0)[0]
     total = keep.sum()
@@ -147,16 +147,12 @@ def _thesis_edges(evidence: Evidence, part: ThesisEdges, key: PRNGKeyArray | Non
         valid=valid,
     )
 
-    def only(leaf: Array) -> Array:
-        there = valid.reshape(-1, *[1] * (leaf.ndim - 1))
-        return jnp.where(there, leaf, jnp.zeros_like(leaf))
-
     overflow = arms[0].left + arms[1].left + jnp.maximum(total - part.capacity, 0)
     lines = arms[0].lines.valid.sum() + arms[1].lines.valid.sum()
-    return Edges(jax.tree.map(only, points), EdgeStats(lines, overflow, total, valid.sum()))
+    return Edges(points.masked(), EdgeStats(lines, overflow, total, valid.sum()))
 
 
-def _of_both(across: ArmLines, down: ArmLines, part: ThesisEdges) -> list[Array]:
+def _lines_of_both_arms(across: ArmLines, down: ArmLines, part: ThesisEdges) -> list[Array]:
     """Positions, disparities, strengths, visibilities of all lines, and which are points."""
     parts = []
     for own, other in ((across, down), (down, across)):

@@ -10,14 +10,8 @@ from mvedge_jax.epi import EpiLines
 def line_entropy(samples: Float[Array, "m s"], *, bins: int = 256) -> Float[Array, " m"]:
     """Entropy, bits, of the histogram of each row of samples divided by its maximum.
 
-    Written per sample, `-mean_s log2 P(I(s))`, which equals the sum over bins.
-
-    Args:
-        samples: intensities along each line, not negative.
-        bins: of the histogram.
-
-    Returns:
-        Entropy per line; piecewise constant, hence without a useful gradient.
+    Written per sample, `-mean_s log2 P(I(s))`, which equals the sum over bins. Samples are not
+    negative. Piecewise constant, hence without a useful gradient.
 
     Source: Thesis 4.1.5, Eq. 4.5 (corrected to a sum over bins).
     """

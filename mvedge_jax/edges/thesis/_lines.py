@@ -147,17 +147,17 @@ def arm_lines(
         left = left + more.sum()
 
     def judge(arguments: tuple) -> tuple[EpiLines, Array, Array]:
-        light, found, *draw = arguments
+        light, lines, *draw = arguments
         if params.entropy:
-            found = entropy_search(light, found, params.amplitude, params.decay, key=draw[0])
-        cosine = alignment(light, found)
-        keep = found.valid & (found.position > -0.5) & (found.position < width - 0.5)
+            lines = entropy_search(light, lines, params.amplitude, params.decay, key=draw[0])
+        cosine = alignment(light, lines)
+        keep = lines.valid & (lines.position > -0.5) & (lines.position < width - 0.5)
         if params.alignment != "none":
             keep = keep & _aligned(cosine, params)
         seen = line_visibility(
-            cosine, found, width=width, tested=params.visibility, angle=params.visible_angle
+            cosine, lines, width=width, tested=params.visibility, angle=params.visible_angle
         )
-        return found, keep, seen
+        return lines, keep, seen
 
     draws = () if key is None else (jax.random.split(key, count),)
     lines, keep, visible = lax.map(judge, (epis[..., 0], lines, *draws))
@@ -185,6 +185,6 @@ def _votes(lines: EpiLines, keep: Array, *, width: int, views: int) -> Array:
         image = jnp.zeros(count * width, values.dtype).at[place].set(values, mode="drop")
         return image.reshape(count, width)
 
-    found = raster(lines.disparity), raster(lines.confidence), raster(keep)
-    votes = spatial_vote(*found, jnp.asarray(1 / max(views - 1, 1), dtype))
+    images = raster(lines.disparity), raster(lines.confidence), raster(keep)
+    votes = spatial_vote(*images, jnp.asarray(1 / max(views - 1, 1), dtype))
     return jnp.take_along_axis(votes, column, 1)

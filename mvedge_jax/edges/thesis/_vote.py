@@ -11,20 +11,17 @@ def spatial_vote(
     present: Bool[Array, "y x"],
     tolerance: Float[Array, ""],
 ) -> Float[Array, "y x"]:
-    """Confidence times the share of the neighborhood with the same disparity.
+    """Confidence times the share of the neighborhood with the same disparity (Eq. 4.2, left).
 
     `c_i |A(l_i)| / (p q)`, where A counts the lines, `l_i` among them, within a window of a
     fifteenth of the image whose disparity is equal within a tolerance; confidences are divided by
-    their maximum. The thesis drops lines below 8e-5.
+    their maximum.
 
     Args:
         disparity: px per view step, one line per pixel at most.
         confidence: filter response.
         present: which pixels carry a line.
         tolerance: px per view step; the authors' code has 1 / (views - 1).
-
-    Returns:
-        The left-hand side of Eq. 4.2; 0 where there is no line.
 
     Source: Thesis 4.1.3, Eq. 4.1 and 4.2.
     """

@@ -15,7 +15,7 @@ from mvedge_jax.color import srgb_to_lab
 from mvedge_jax.diffusion import AutoSolver, System, diffuse
 from mvedge_jax.image import gaussian
 from mvedge_jax.losses import Views
-from mvedge_jax.photometry.measuring import Measuring, ViewSplines, labels
+from mvedge_jax.photometry.measuring import AdaptedMeasurement, ViewSplines, labels
 from mvedge_jax.photometry.views import GridShift, ViewSet
 from mvedge_jax.smoothness import ColorAndDepth, edge_smoothness
 
@@ -37,7 +37,7 @@ class ViewAgreement(eqx.Module):
         edges: where the correction may jump.
     """
 
-    measuring: Measuring = eqx.field(default_factory=Measuring)
+    measuring: AdaptedMeasurement = eqx.field(default_factory=AdaptedMeasurement)
     depth_step: Float[Array, ""] = number(0.1)
     largest: Float[Array, ""] = number(0.1)
     error: Float[Array, ""] = number(0.004)
@@ -104,7 +104,7 @@ def agreed_correction(
 
     def propose(half: Bool[Array, "k"]) -> tuple[Array, Array, Array]:
         part = splines._replace(available=splines.available & (half | centre))
-        found = part.look(disparity, measuring)
+        found = part.accumulate(disparity, measuring)
         measured = labels(found, lab, disparity, measuring, passes=passes)
         # A pixel without a measurement has weight 0, instead of a change of 0.
         known = jnp.where(clear, 1 / measured.variance, 0)

@@ -9,8 +9,4 @@ from ._noise import (
     measure_noise as measure_noise,
     rough_brightness as rough_brightness,
 )
-from ._uncalibrated import (
-    GridViews as GridViews,
-    PosedViews as PosedViews,
-    Uncalibrated as Uncalibrated,
-)
+from ._uncalibrated import GridViews as GridViews, PosedViews as PosedViews

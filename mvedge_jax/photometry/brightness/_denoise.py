@@ -60,15 +60,8 @@ def soften(
     """Blurs images according to the dominance of noise.
 
     Interpolation between pixels averages noise, shifts by whole pixels do not, so costs would
-    prefer shifts by half a pixel; after a blur, both have nearly the same noise.
-
-    Args:
-        images: in any order.
-        noise: `alpha` is the share of the blurred images.
-        sigma: standard deviation of the Gaussian, px, at most about 1.
-
-    Returns:
-        The blurred images; `images` themselves if `noise.alpha` is 0. Differentiable.
+    prefer shifts by half a pixel; after a blur, both have nearly the same noise. The width `sigma`
+    is at most about 1 px. Differentiable; the images themselves if `noise.alpha` is 0.
     """
 
     def blurred(images: Array) -> Array:
@@ -78,13 +71,13 @@ def soften(
 
 
 def low_pass(noise: Noise) -> Callable[[Float[Array, "s c y x"]], Float[Array, "s c y x"]]:
-    """The blur of views before the measurement.
+    """The blur of views before the measurement: `soften` with the width for this noise.
 
     Args:
         noise: noise of the views.
 
     Returns:
-        `soften` with the width for this noise.
+        The function of the images. Differentiable.
     """
     return lambda planes: soften(planes, noise, blur_of(noise))
 
@@ -95,15 +88,11 @@ def blur_of(noise: Noise) -> Float[Array, ""]:
 
 
 def passed(noise: Noise, sigma: Float[Array, ""]) -> tuple[Float[Array, ""], Float[Array, ""]]:
-    """Shares of white noise that remain after `soften`.
-
-    Args:
-        noise: see `soften`.
-        sigma: see `soften`.
+    """Shares of white noise that remain after `soften`, 0..1. Differentiable.
 
     Returns:
         Remaining share of its variance, and remaining share of the energy of its derivative per
-        variance, 0..1. Differentiable.
+        variance.
     """
     alpha, taps = noise.alpha, gaussian_taps(sigma, 3)
     middle, energy = taps[3] ** 2, jnp.sum(taps**2) ** 2
@@ -115,9 +104,9 @@ def passed(noise: Noise, sigma: Float[Array, ""]) -> tuple[Float[Array, ""], Flo
 def _derivative_energy(taps: Float[Array, " k"], alpha: Float[Array, ""]) -> Float[Array, ""]:
     """Energy of the spline derivative along x of blurred white noise over its variance, 1/px².
 
-    By Parseval: an integral over frequencies of the spectrum of cubic splines, whose products
-    over all positions between pixels are B-splines of degree 7 and second differences of those of
-    degree 5.
+    By Parseval: an integral over frequencies of the spectrum of cubic splines. Products of splines
+    over all positions between pixels are B-splines of degree 7, those of slopes second differences
+    of B-splines of degree 5.
     """
     angles = jnp.asarray(2 * np.pi * np.arange(32) / 32, taps.dtype)
     radius = taps.shape[0] // 2

@@ -6,7 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from mvedge_jax._root import root
+from mvedge_jax._root import safe_sqrt
 from mvedge_jax.lightfield import LightField
 
 from ._vignette import cropped, falloff
@@ -43,7 +43,7 @@ class Exposure(NamedTuple):
         own = self.vignette[tuple(n // 2 for n in shape) if len(shape) == 2 else 0]
         # The polynomials are orthonormal.
         change = self.vignette - jnp.broadcast_to(own, self.vignette.shape)
-        return root(jnp.sum(change**2, axis=(-2, -1)))
+        return safe_sqrt(jnp.sum(change**2, axis=(-2, -1)))
 
     @property
     def uneven(self) -> Bool[Array, ""]:

@@ -63,7 +63,7 @@ def rough_ratios(
     *,
     uneven: bool = True,
 ) -> Ratios:
-    """Gains and vignettes of views without known disparities.
+    """Gains and, if `uneven`, vignettes of views without known disparities. Differentiable.
 
     Args:
         means: see `block_means`.
@@ -72,9 +72,6 @@ def rough_ratios(
         shape: rows and columns of the views.
         params: see `Brightness`.
         uneven: fit vignettes.
-
-    Returns:
-        See `Ratios`. Differentiable.
     """
     if not uneven:
         return _ratios(_flat(means), there, own, params)
@@ -127,9 +124,9 @@ def _ratios(
     return Ratios(gain, jnp.where(count > 0, variance, 0), even)
 
 
-def earned(found: Ratios, params: Brightness) -> Float[Array, " s"]:
+def shrunk_gains(ratios: Ratios, params: Brightness) -> Float[Array, " s"]:
     """Gains, shrunk to 1 where they hardly differ or are inaccurate."""
-    logs, error = jnp.log(found.gain), jnp.mean(found.variance)
+    logs, error = jnp.log(ratios.gain), jnp.mean(ratios.variance)
     excess = jnp.maximum(jnp.mean(logs**2) - 2 * error, 0)
     return jnp.exp(excess / (excess + params.gain_prior**2) * logs)
 
@@ -138,9 +135,9 @@ def _median(values: Float[Array, "s n"], known: Array) -> Float[Array, " s"]:
     """Median of the known values of every row; 1 where none is known."""
     ordered = jnp.sort(jnp.where(known, values, jnp.inf), axis=1)
     count = jnp.sum(known, axis=1)
-    place = jnp.maximum(count - 1, 0) // 2
-    found = jnp.take_along_axis(ordered, place[:, None], axis=1)[:, 0]
-    return jnp.where(count > 0, jnp.where(count > 0, found, 1), 1)
+    middle = jnp.maximum(count - 1, 0) // 2
+    median = jnp.take_along_axis(ordered, middle[:, None], axis=1)[:, 0]
+    return jnp.where(count > 0, median, 1)
 
 
 def ratios_along(
@@ -157,13 +154,13 @@ def ratios_along(
     shape = disparity.shape[0], disparity.shape[1]
     stride = min(16, max(1, min(shape) // 24))
 
-    def look(item: tuple[Array, Parallax, Array]) -> tuple[Array, ...]:
-        view, place, there = item
-        x, y = (position[::stride, ::stride] for position in place.positions(disparity))
+    def sampled(item: tuple[Array, Parallax, Array]) -> tuple[Array, ...]:
+        view, own, there = item
+        x, y = (position[::stride, ::stride] for position in own.positions(disparity))
         known = inside(x, y, shape) & there
         return _blurred_at(view, x, y, params), known, basis_at(y, x, shape)
 
-    seen, known, basis = lax.map(look, (views, parallax, available))
+    seen, known, basis = lax.map(sampled, (views, parallax, available))
     own, count = seen[centre], seen.shape[0]
     known = known[..., None] & _shown(own, 0.97)[None] & (seen < 0.97)
     usable = jnp.all(known & (seen > 0), axis=-1)

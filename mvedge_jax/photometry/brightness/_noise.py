@@ -1,6 +1,6 @@
 """The noise of a scene, measured once."""
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -52,7 +52,7 @@ class Noise(NamedTuple):
         """
         excess = jnp.maximum(deviation**2 - (1.2 * _STEP) ** 2, 0)
         if rounding is None:
-            rounding = jnp.asarray(_rounded_to(_STEP), deviation.dtype)
+            rounding = jnp.asarray(_STEP * 12**-0.5, deviation.dtype)
         return Noise(deviation, excess / (excess + 0.004**2), rounding)
 
 
@@ -79,7 +79,7 @@ def rough_brightness(
         params: see `Brightness`; None for the defaults.
 
     Returns:
-        `Uncalibrated.rough_exposure`, and the noise of the center view alone. Differentiable.
+        `GridViews.rough_exposure`, and the noise of the center view alone. Differentiable.
 
     Example:
         >>> import jax, jax.numpy as jnp
@@ -135,7 +135,7 @@ def measure_noise(
 
 
 def _rounding(image: Array, finest: Float[Array, ""]) -> Float[Array, ""]:
-    """Standard deviation of the rounding error of a stored image."""
+    """Standard deviation of the rounding error of a stored image, uniform within a step."""
     step = finest
     # Steps of 10 and of 8 bits, the coarsest last.
     for candidate in (1 / 1023, _STEP):
@@ -143,23 +143,17 @@ def _rounding(image: Array, finest: Float[Array, ""]) -> Float[Array, ""]:
         # A quarter on average if the values are not on such steps.
         off = jnp.mean(jnp.abs(levels - jnp.round(levels)))
         step = jnp.where(off < 0.01, candidate, step)
-    return _rounded_to(step)
-
-
-def _rounded_to(step: Array | float) -> Any:
-    """Standard deviation of the error of rounding to multiples of a step (uniform)."""
     return step * 12**-0.5
 
 
 def single_view_variance(
     image: Float[Array, "c y x"], exposure: Float[Array, ""]
 ) -> Float[Array, ""]:
-    """The 20 % quantile of the local variance of mixed second differences.
+    """The 20 % quantile of the local variance of mixed second differences, median over channels.
 
     The product of second differences along x and y vanishes on planes and on straight edges along
-    either axis; its local mean square is the noise plus whatever texture there is. Clipped pixels,
-    which show no noise, are ignored. The result is the median over the channels; 0 for images
-    below 9 px a side or with clipped pixels only.
+    either axis; its local mean square is the noise plus texture. Clipped pixels show no noise and
+    are ignored. 0 for images below 9 px a side or with clipped pixels only.
     """
     if min(image.shape[1:]) < 9:
         return jnp.zeros((), image.dtype)
@@ -176,14 +170,11 @@ def single_view_variance(
 
     usable = open_[..., 2:] * open_[..., 1:-1] * open_[..., :-2]
     usable = usable[:, 2:] * usable[:, 1:-1] * usable[:, :-2]
-    if min(usable.shape[1:]) < 7:
-        return jnp.zeros((), image.dtype)
-    count = local(usable)
-    known = count > 24
-    square = jnp.where(known, local(usable * mixed(image) ** 2) / jnp.maximum(36 * count, 1), 0)
+    pixels = local(usable)
+    known = pixels > 24
+    square = jnp.where(known, local(usable * mixed(image) ** 2) / jnp.maximum(36 * pixels, 1), 0)
     ordered = jnp.sort(jnp.where(known, square, jnp.inf), axis=1)
-    found = jnp.sum(known, axis=1)
-    place = found // 5
-    values = jnp.take_along_axis(ordered, place[:, None], axis=1)[:, 0]
-    values = jnp.where(found > 0, jnp.where(found > 0, values, 0), 0)
+    count = jnp.sum(known, axis=1)
+    values = jnp.take_along_axis(ordered, count[:, None] // 5, axis=1)[:, 0]
+    values = jnp.where(count > 0, values, 0)
     return jnp.sort(values)[values.shape[0] // 2]

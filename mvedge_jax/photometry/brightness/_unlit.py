@@ -13,18 +13,11 @@ from ._brightness import Brightness
 
 
 def lit(arms: Crosshair, params: Brightness) -> Float[Array, "y x"]:
-    """0 in the vignette mask and around it, 1 elsewhere.
+    """0 in the vignette mask and around it, 1 elsewhere; a constant for derivatives.
 
     The mask of the lens has the same position in every view. So a pixel is in the mask if it is
-    black in the center view, dark at the same position in half of the others, and so are all
-    pixels between it and one side of the frame. The outline of the mask is no edge of the scene.
-
-    Args:
-        arms: the raw crosshair.
-        params: only `black`, `dark` and `dark_reach` are read.
-
-    Returns:
-        0 or 1, a constant for derivatives.
+    black in the center view, dark at the same position in half of the others, and so are all pixels
+    between it and one side of the frame. The outline of the mask is no edge of the scene.
     """
     params = cast(params, arms.centre.dtype)
     centre = jnp.max(arms.centre, axis=0)

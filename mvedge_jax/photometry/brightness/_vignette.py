@@ -20,14 +20,7 @@ _MEMBERS = np.stack([order == _ORDERS for order in range(1, SIZE)])
 
 
 class _Fit(NamedTuple):
-    """A fit of the log ratios of the views.
-
-    Attributes:
-        coefficients: coefficients of every view.
-        variance: variance of each coefficient.
-        common: factor of `radial` common to all views.
-        common_variance: variance of `common`.
-    """
+    """A fit of log ratios; `common` is the factor of `radial` that all views share."""
 
     coefficients: Float[Array, "s 4 4"]
     variance: Float[Array, " s"]
@@ -36,15 +29,7 @@ class _Fit(NamedTuple):
 
 
 def _polynomials(size: int, block: int) -> np.ndarray:
-    """Legendre polynomials of degree 0 to 3, each of mean square 1, at blocks along an axis.
-
-    Args:
-        size: pixels along that axis.
-        block: pixels of a block.
-
-    Returns:
-        One value per block and degree.
-    """
+    """Legendre polynomials of degree 0 to 3, of mean square 1, at blocks along an axis."""
     places = (np.arange(size // block) + 0.5) * block
     return np.polynomial.legendre.legvander(2 * places / size - 1, SIZE - 1) * _NORMS
 
@@ -52,15 +37,12 @@ def _polynomials(size: int, block: int) -> np.ndarray:
 def falloff(
     coefficients: Float[Array, "*s 4 4"], shape: tuple[int, ...], *, block: int = 1
 ) -> Float[Array, "*s y x"]:
-    """Factors of pixels that remove vignettes; 1 without any.
+    """Factors that remove vignettes, per pixel or per square block of pixels. Differentiable.
 
     Args:
         coefficients: see `Exposure.vignette`.
         shape: rows and columns; any resolution of the same frame.
-        block: side of square blocks of pixels.
-
-    Returns:
-        One factor per block. Differentiable.
+        block: side of the blocks, px.
     """
     down, across = (jnp.asarray(_polynomials(n, block), coefficients.dtype) for n in shape)
     logs = jnp.einsum("...kl,yk,xl->...yx", coefficients, down, across, precision=FULL)
@@ -73,16 +55,10 @@ def cropped(
     size: tuple[int, int],
     whole: tuple[int, int],
 ) -> Float[Array, "*s 4 4"]:
-    """Coefficients of the same vignettes over a part of the frame.
+    """Coefficients of the same vignettes over a part of the frame. Differentiable.
 
-    Args:
-        coefficients: see `Exposure.vignette`.
-        start: first row and column of the part.
-        size: its rows and columns.
-        whole: rows and columns of the frame.
-
-    Returns:
-        Of polynomials over the part; exact, as these are of the same degrees. Differentiable.
+    Exact, because the polynomials over the part are of the same degrees. `start` is the first row
+    and column of the part, `size` and `whole` are rows and columns of the part and of the frame.
     """
     down, across = (
         jnp.asarray(_change(*along), coefficients.dtype)
@@ -130,12 +106,10 @@ def basis_at(
 def radial(shape: tuple[int, ...]) -> np.ndarray:
     """Coefficients of the square of the distance from the center of the frame, 1 in its corners."""
     down, across = (n**2 / sum(m**2 for m in shape) for n in shape)
-    found = np.zeros((SIZE, SIZE))
-    found[0, 0], found[2, 0], found[0, 2] = np.array([1, 2 * down, 2 * across]) / (
-        3,
-        *[3 * 5**0.5] * 2,
-    )
-    return found
+    coefficients = np.zeros((SIZE, SIZE))
+    coefficients[0, 0] = 1 / 3
+    coefficients[2, 0], coefficients[0, 2] = (2 * axis / (3 * 5**0.5) for axis in (down, across))
+    return coefficients
 
 
 def vignettes(
@@ -148,22 +122,22 @@ def vignettes(
     shape: tuple[int, ...],
     moved: Float[Array, "s n"] | None = None,
 ) -> Float[Array, "s 4 4"]:
-    """Robust fit of smooth log ratios, shrunk by their share of chance.
+    """Robust fit of smooth log ratios, shrunk by their share of chance. Differentiable.
 
     Args:
         logs: log ratio of every view to the center view at every position.
         known: 1 where both show the scene, 0 elsewhere.
         basis: see `basis_at`.
         params: see `Brightness`.
-        least: standard deviation of the log ratios over all views and the frame that scenes
-            without vignettes have.
+        least: standard deviation of the log ratios over all views and the frame that scenes without
+            vignettes have.
         shape: rows and columns of the views.
         moved: difference of `radial` between the positions in the view and in the center view, by
             parallax; None if no disparity is known.
 
     Returns:
         Coefficients without the constant, which is the gain. Exactly 0 if the ratios of all views
-        together vary no more than those of a scene without vignettes. Differentiable.
+        together vary no more than those of a scene without vignettes.
     """
     moved = jnp.zeros_like(logs) if moved is None else moved
     fit = _fitted(logs, known, basis, moved, params)

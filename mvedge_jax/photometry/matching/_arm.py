@@ -8,11 +8,11 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float
 
-from mvedge_jax._cpu import fenced, plane_sum, unstack
+from mvedge_jax._cpu import no_fuse, plane_sum, unstack
 from mvedge_jax._crosshair import Arm
 from mvedge_jax.interpolation import keys_taps
 
-from .._window import colour_weights, weighted_sum
+from .._window import color_weights, weighted_sum
 
 # First row and column of a part of an image.
 Corner = tuple[Array | int, Array | int]
@@ -77,8 +77,8 @@ def swept(arm: Arm, lab: Array, share: Array, same_color: Array, window: int) ->
     return Swept(
         arm.planes[arm.centre],
         halves_of(arm),
-        colour_weights(lab, same_color, reach=window),
-        colour_weights(lab, same_color, reach=window, spacing=2),
+        color_weights(lab, same_color, reach=window),
+        color_weights(lab, same_color, reach=window, spacing=2),
         share,
     )
 
@@ -97,7 +97,7 @@ def arm_cost(arm: Swept, disparity: Float[Array, ""], limits: Limits) -> Float[A
         return _changes(shifted(half, disparity, (0, 0), size), half.steps, centre, disparity)
 
     # Stored, because both the drift and the cost read them.
-    changes = [fenced(moved, half, arm.centre, disparity) for half in arm.halves]
+    changes = [no_fuse(moved, half, arm.centre, disparity) for half in arm.halves]
     return _better_half(arm, changes, limits)
 
 
@@ -113,7 +113,7 @@ def moved_cost(
         limits: see `Limits`.
     """
     changes = [
-        fenced(_changes, parts, half.steps, arm.centre, disparity)
+        no_fuse(_changes, parts, half.steps, arm.centre, disparity)
         for parts, half in zip(moved, arm.halves, strict=True)
     ]
     return _better_half(arm, changes, limits)

@@ -9,12 +9,12 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
+from mvedge_jax._checkpoint import save_residual
 from mvedge_jax._crosshair import Crosshair
 from mvedge_jax._params import at_least, cast, number
-from mvedge_jax._recomputed import kept
 from mvedge_jax.interpolation import vertex
 
-from .._window import colour_weights, contrast
+from .._window import color_weights, contrast
 from ..brightness._noise import Noise
 from ..views import ViewSet
 from ._arm import Limits, swept
@@ -121,7 +121,7 @@ def hypotheses(
     """
     params = cast(params, lab.dtype)
     noise = Noise.of(jnp.zeros((), lab.dtype)) if noise is None else noise
-    costs = kept(_costs(views, lab, disparities, params, noise, window))
+    costs = save_residual(_costs(views, lab, disparities, params, noise, window))
     total = along_paths(costs, lab, noise, params)
     moments = _moments(total, disparities, params.temperature)
     return Hypotheses(cheapest(total, disparities), *moments)
@@ -170,7 +170,7 @@ def _costs(
     limits = Limits(truncation, params.drift, noise.alpha)
     share, alike = shared_drift(noise, lab, params), params.same_color
     if isinstance(views, ViewSet):
-        support, wide = (colour_weights(lab, alike, reach=window, spacing=s) for s in (1, 2))
+        support, wide = (color_weights(lab, alike, reach=window, spacing=s) for s in (1, 2))
         return stack_costs(views, disparities, (support, wide), share, limits)
     across = swept(views.horizontal, lab, share, alike, window)
     down = swept(views.vertical, jnp.swapaxes(lab, 1, 2), share.T, alike, window)

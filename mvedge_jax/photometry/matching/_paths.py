@@ -6,7 +6,7 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from mvedge_jax._cpu import of_both
-from mvedge_jax._root import root
+from mvedge_jax._root import safe_sqrt
 
 
 def aggregate(
@@ -58,7 +58,7 @@ def _both_ways(cost: Array, lab: Array, slant: Array, jump: Array, colour: Array
     square = jnp.zeros_like(lab[1:, 0])
     for channel in range(lab.shape[1]):
         square = square + jnp.diff(lab[:, channel], axis=0) ** 2
-    price = jump / (1 + root(square) / colour)
+    price = jump / (1 + safe_sqrt(square) / colour)
     free = jnp.zeros_like(lab[:1, 0])
     wall = jnp.full_like(cost[0, :1], jnp.inf)
 

@@ -8,7 +8,7 @@ from jaxtyping import Array, Float
 
 from mvedge_jax._cpu import plane_sum
 from mvedge_jax._params import at_least, cast, number
-from mvedge_jax._root import root
+from mvedge_jax._root import safe_sqrt
 from mvedge_jax.image import gaussian, highest
 
 from ..brightness._noise import Noise
@@ -96,14 +96,14 @@ def _gradient(lab: Float[Array, "c y x"]) -> Float[Array, "y x"]:
     soft = gaussian(lab, jnp.ones((), lab.dtype), 3)
     wide = jnp.pad(soft, ((0, 0), (1, 1), (1, 1)), mode="edge")
     across, down = wide[:, 1:-1, 2:] - wide[:, 1:-1, :-2], wide[:, 2:, 1:-1] - wide[:, :-2, 1:-1]
-    return root(plane_sum(0.25 * (across**2 + down**2)))
+    return safe_sqrt(plane_sum(0.25 * (across**2 + down**2)))
 
 
 def _distance(lab: Float[Array, "c y x"], axis: int) -> Array:
     """Color step between each pixel and the one before it along an axis, 0 for the first."""
     margin = [(0, 0), (0, 0)]
     margin[axis] = (1, 0)
-    return root(jnp.pad(plane_sum(jnp.diff(lab, axis=1 + axis) ** 2), margin))
+    return safe_sqrt(jnp.pad(plane_sum(jnp.diff(lab, axis=1 + axis) ** 2), margin))
 
 
 def _smooth(volume: Array, steps: tuple[Array, Array], length: Array) -> Array:

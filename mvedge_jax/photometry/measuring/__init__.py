@@ -1,10 +1,14 @@
 """The measurement: disparity and standard error of every pixel around a map."""
 
+from ._crosshair import CrosshairSplines as CrosshairSplines, NormalEquations as NormalEquations
 from ._grid import ViewSplines as ViewSplines
-from ._look import CrosshairSplines as CrosshairSplines, Look as Look
-from ._measure import PhotometricLabels as PhotometricLabels, labels as labels, mismatch as mismatch
-from ._measuring import (
-    Measurement as Measurement,
-    Measuring as Measuring,
+from ._measure import (
+    PhotometricLabels as PhotometricLabels,
+    labels as labels,
+    residual_variance as residual_variance,
 )
-from ._reach import occlusion_reach as occlusion_reach
+from ._measuring import (
+    AdaptedMeasurement as AdaptedMeasurement,
+    Measurement as Measurement,
+)
+from ._visible_range import visible_view_range as visible_view_range

@@ -14,8 +14,8 @@ from mvedge_jax.interpolation import cubic_taps, spline_coefficients
 
 from ..views import ViewSet
 from ..views._parallax import GridShift, Parallax, shown_at
-from ._look import Look
-from ._measuring import Measuring
+from ._crosshair import NormalEquations
+from ._measuring import AdaptedMeasurement
 
 # Margin of the four taps of a cubic spline beyond the pixel before a position.
 _BEFORE, _AFTER = 1, 2
@@ -66,8 +66,10 @@ class ViewSplines(NamedTuple):
         return ViewSplines(lax.map(one, views.planes), *views[1:])
 
     @jax.jit
-    def look(self, disparity: Float[Array, "y x"], params: Measuring) -> Look:
-        """See `CrosshairSplines.look`.
+    def accumulate(
+        self, disparity: Float[Array, "y x"], params: AdaptedMeasurement
+    ) -> NormalEquations:
+        """See `CrosshairSplines.accumulate`.
 
         Steps of photographs differ from pixel to pixel: a step is the movement of the pixel itself
         that is equivalent to a change of disparity by 1.
@@ -95,8 +97,8 @@ class ViewSplines(NamedTuple):
 
         zero, zeros = jnp.zeros_like(disparity), jnp.zeros_like(reference)
         itself = jnp.arange(self.splines.shape[0]) == 0
-        (count, colour, square, gx, gy), seen = lax.scan(read, (zero, *[zeros] * 4), (self, itself))
-        mean, gx, gy = (part / count[None] for part in (colour, gx, gy))
+        (count, color, square, gx, gy), seen = lax.scan(read, (zero, *[zeros] * 4), (self, itself))
+        mean, gx, gy = (part / count[None] for part in (color, gx, gy))
         spread = plane_sum(square / count[None] - mean**2)
         floor = reference.shape[0] * params.noise**2
         scale = params.outlier * jnp.maximum(box_mean(spread, 1), floor)
@@ -117,15 +119,15 @@ class ViewSplines(NamedTuple):
 
         start = _Totals(*[zero] * 6, *[zeros] * 4)
         total, _ = lax.scan(add, start, (*seen, self.parallax))
-        return _look(total, gx, gy, jnp.sum(self.available.astype(disparity.dtype)))
+        return _equations(total, gx, gy, jnp.sum(self.available.astype(disparity.dtype)))
 
 
-def _look(total: _Totals, gx: Array, gy: Array, views: Array) -> Look:
+def _equations(total: _Totals, gx: Array, gy: Array, views: Array) -> NormalEquations:
     n, x, y, r = total.n, total.x, total.y, total.r
     xx, xy, yy = total.xx - x * x / n, total.xy - x * y / n, total.yy - y * y / n
     rx, ry = total.rx - (x / n)[None] * r, total.ry - (y / n)[None] * r
     along_x, along_y = xx[None] * gx + xy[None] * gy, xy[None] * gx + yy[None] * gy
-    return Look(
+    return NormalEquations(
         right=-plane_sum(gx * rx + gy * ry),
         information=plane_sum(gx * along_x + gy * along_y),
         power=plane_sum(total.rr - r * r / n[None]),

@@ -11,12 +11,12 @@ from jaxtyping import Array, Float
 
 from mvedge_jax._cpu import unstack
 from mvedge_jax._params import cast
-from mvedge_jax._root import root
+from mvedge_jax._root import safe_sqrt
 from mvedge_jax.image import box_mean
 
 from .._window import weighted_sum
-from ._look import Look
-from ._measuring import Measuring
+from ._crosshair import NormalEquations
+from ._measuring import AdaptedMeasurement
 
 _Tree = TypeVar("_Tree")
 _Pair = tuple[Array, Array]
@@ -37,7 +37,7 @@ class PhotometricLabels(NamedTuple):
     residual: Float[Array, "y x"]
 
     def weight(
-        self, params: Measuring, *, precision: Float[Array, ""], trust: Float[Array, ""]
+        self, params: AdaptedMeasurement, *, precision: Float[Array, ""], trust: Float[Array, ""]
     ) -> Float[Array, "y x"]:
         """Data weight of the labels by standard error and residual.
 
@@ -56,10 +56,10 @@ class PhotometricLabels(NamedTuple):
 
 @partial(jax.jit, static_argnames="passes")
 def labels(
-    found: Look,
+    equations: NormalEquations,
     lab: Float[Array, "c y x"],
     disparity: Float[Array, "y x"],
-    params: Measuring,
+    params: AdaptedMeasurement,
     *,
     passes: int,
 ) -> PhotometricLabels:
@@ -77,10 +77,10 @@ def labels(
     therefore subtracted from the information, so that plain surfaces have none.
 
     Args:
-        found: normal equations around `disparity`, see `CrosshairSplines.look`.
+        equations: normal equations around `disparity`, see `CrosshairSplines.accumulate`.
         lab: the center view in CIELAB, `[c, y, x]`.
         disparity: the map to improve, px per view step, `[y, x]`.
-        params: see `Measuring`.
+        params: see `AdaptedMeasurement`.
         passes: passes over the neighborhood: 1 for 3x3 pixels, 2 for 7x7, 3 for 15x15.
 
     Returns:
@@ -90,34 +90,37 @@ def labels(
         for one step along a line of views.
     """
     params = cast(params, disparity.dtype)
-    unlike = _unlike(lab, disparity, params, _uncertain(found, params))
-    total = _gather(found._replace(views=None), unlike, passes)
+    features = _features(lab, disparity, params, _tolerance(equations, params))
+    total = _sum_over_surface(equations._replace(views=None), features, passes)
     channels = len(total.slope[0])
     floor = (params.least_noise * params.rounding) ** 2
     tiny = floor * 1e-6
     freedom = jnp.maximum(channels * total.freedom, 1)
-    wider = partial(_gathered, unlike=unlike, spacing=2**passes)
+    wider = partial(_sum_over_neighbors, features=features, spacing=2**passes)
     stiffness = _stiffness(total, params, floor, wider)
     right, information, power = _regressed(total, stiffness)
     residual = jnp.maximum(power, 0) / freedom
     # The step explains a part of the residual.
     noise = jnp.maximum(power - _explained(right, information, tiny), 0) / freedom
     spread = total.spread[0] + total.spread[1]
-    gradient = params.gradient_noise * channels * spread / found.views
+    gradient = params.gradient_noise * channels * spread / equations.views
     signal = jnp.maximum(information - gradient * jnp.maximum(noise, params.rounding**2), 0)
     # Without any signal the step is 0. Shares instead of squares: these underflow in float32.
-    share = _over(signal, information + tiny)
-    step = _over(right, information + tiny) * share / (share**2 + params.least_share**2)
+    share = _divide(signal, information + tiny)
+    step = _divide(right, information + tiny) * share / (share**2 + params.least_share**2)
     limit = params.largest_step
     step = limit * jnp.tanh(step / limit)
     # The variance of the right-hand side is by the whole information, the step by the signal.
     effective = signal * share
-    variance = _over(jnp.maximum(noise, floor), effective + tiny) + params.error_floor**2
+    variance = _divide(jnp.maximum(noise, floor), effective + tiny) + params.error_floor**2
     return PhotometricLabels(disparity + step, variance, residual)
 
 
 def _stiffness(
-    total: Look, params: Measuring, floor: Array, wider: Callable[[_Pair], _Pair]
+    total: NormalEquations,
+    params: AdaptedMeasurement,
+    floor: Array,
+    wider: Callable[[_Pair], _Pair],
 ) -> Array:
     """Stiffness of the prior that holds the drift of every window at 0, in squared view steps.
 
@@ -132,13 +135,13 @@ def _stiffness(
     axes = sum(spread / (spread + params.stiffness) for spread in total.spread)
     noise = jnp.maximum(left / jnp.maximum(channels * total.freedom, 1), floor)
     gain, noise = wider((jnp.maximum(rigid - left, 0), channels * axes * noise))
-    evidence = _over(gain, noise + tiny)
+    evidence = _divide(gain, noise + tiny)
     doubt = params.drift / (evidence + params.surest * params.drift + tiny)
     spread = 0.5 * (total.spread[0] + total.spread[1])
     return params.stiffness + spread * doubt**4
 
 
-def _regressed(total: Look, stiffness: Array) -> tuple[Array, Array, Array]:
+def _regressed(total: NormalEquations, stiffness: Array) -> tuple[Array, Array, Array]:
     """Right-hand side, information and power of a window after elimination of the drift."""
     right, information, power = total.right, total.information, total.power
     for slope, trend in zip(
@@ -153,19 +156,20 @@ def _regressed(total: Look, stiffness: Array) -> tuple[Array, Array, Array]:
 
 def _explained(right: Array, information: Array, tiny: Array) -> Array:
     """Reduction of the power by the step of the disparity."""
-    return _over(right * right, information + tiny)
+    return _divide(right * right, information + tiny)
 
 
-def _over(part: Array, whole: Array) -> Array:
+def _divide(part: Array, whole: Array) -> Array:
     """A quotient whose transpose multiplies by small factors first.
 
-    The transpose of a division multiplies large cotangents by the inverse square first, which
-    overflows float32.
+    The transpose of a division first multiplies cotangents by the inverse square, which overflows.
     """
     return part * (1 / whole)
 
 
-def _undrifted(total: Look, sums: tuple[Array, Array], stiffness: Array) -> tuple[Array, Array]:
+def _undrifted(
+    total: NormalEquations, sums: tuple[Array, Array], stiffness: Array
+) -> tuple[Array, Array]:
     """The drift, from sums over views times their steps."""
     xx, yy = (spread + stiffness for spread in total.spread)
     x, y = sums
@@ -181,10 +185,10 @@ def _dot(a: tuple[Array, Array], b: tuple[Array, Array]) -> Array:
 
 
 @partial(jax.jit, static_argnames="passes")
-def shared(
+def average_over_surface(
     measured: PhotometricLabels,
     lab: Float[Array, "c y x"],
-    params: Measuring,
+    params: AdaptedMeasurement,
     *,
     passes: int,
 ) -> PhotometricLabels:
@@ -196,108 +200,100 @@ def shared(
     Args:
         measured: result of `labels`.
         lab: the center view in CIELAB, `[c, y, x]`.
-        params: see `Measuring`.
+        params: see `AdaptedMeasurement`.
         passes: passes over the neighborhood, see `labels`.
 
     Returns:
-        The averages. Variance and residual are those of the pixel itself, because the windows of
+        The averages, with variance and residual of the pixel itself, because the windows of
         neighbors overlap. Differentiable.
     """
     params = cast(params, lab.dtype)
     own = measured.disparity
     weight = 1 / measured.variance
-    unlike = _told_apart(lab, own, params, params.scatter * params.same_surface)
-    total, mean = _gather((weight, weight * own), unlike, passes)
+    features = _features(lab, own, params, params.scatter * params.same_surface)
+    total, mean = _sum_over_surface((weight, weight * own), features, passes)
     return measured._replace(disparity=mean / total)
 
 
 @partial(jax.jit, static_argnames="passes")
-def mismatch(
-    found: Look,
+def residual_variance(
+    equations: NormalEquations,
     lab: Float[Array, "c y x"],
     disparity: Float[Array, "y x"],
-    params: Measuring,
+    params: AdaptedMeasurement,
     *,
     passes: int,
 ) -> Float[Array, "y x"]:
     """Residual variance of every window's colors over the views, drift included.
 
     Args:
-        found: result of `look` around `disparity`.
+        equations: result of `accumulate` around `disparity`.
         lab: the center view in CIELAB, `[c, y, x]`.
         disparity: px per view step, `[y, x]`.
-        params: see `Measuring`.
+        params: see `AdaptedMeasurement`.
         passes: passes over the neighborhood.
 
     Returns:
         Squared sRGB, `[y, x]`. Differentiable.
     """
     params = cast(params, disparity.dtype)
-    parts = found.power, found.freedom
-    unlike = _unlike(lab, disparity, params, _uncertain(found, params))
-    power, freedom = _gather(parts, unlike, passes)
-    channels = len(found.slope[0])
+    parts = equations.power, equations.freedom
+    features = _features(lab, disparity, params, _tolerance(equations, params))
+    power, freedom = _sum_over_surface(parts, features, passes)
+    channels = len(equations.slope[0])
     return jnp.maximum(power, 0) / jnp.maximum(channels * freedom, 1)
 
 
-class _Unlike(NamedTuple):
-    """Features by which neighbors on the same surface are recognized.
-
-    Attributes:
-        planes: disparity and colors, `[n, y, x]`.
-        scales: significant differences of each plane, `[n, y, x]`.
-    """
+class _SurfaceFeatures(NamedTuple):
+    """Disparity and colors, by which neighbors on the same surface are recognized."""
 
     planes: Array
-    scales: Array
+    scales: Array  # significant differences
 
 
-def _uncertain(found: Look, params: Measuring) -> Array:
-    """Variance of the disparity by the 3x3 pixels around; large on plain surfaces, but finite."""
-    information, noise = 9 * box_mean(found.information, 1), params.noise**2
-    return _over(noise, information + 1e-6 * noise)
-
-
-def _unlike(lab: Array, disparity: Array, params: Measuring, variance: Array) -> _Unlike:
-    """Features of surfaces; the tolerance of disparity grows with its variance."""
+def _tolerance(equations: NormalEquations, params: AdaptedMeasurement) -> Array:
+    """Tolerance of the disparity on a surface, which grows with its variance by 3x3 pixels."""
+    information, noise = 9 * box_mean(equations.information, 1), params.noise**2
+    # Large on plain surfaces, but finite.
+    variance = _divide(noise, information + 1e-6 * noise)
     same = params.same_surface**2
     most = params.plain**2 * same
-    apart = root(same + most * _over(variance, most + variance))
-    return _told_apart(lab, disparity, params, apart)
+    return safe_sqrt(same + most * _divide(variance, most + variance))
 
 
-def _told_apart(lab: Array, disparity: Array, params: Measuring, apart: Array) -> _Unlike:
-    """Features of surfaces with a given tolerance of disparity."""
-    colours = jnp.broadcast_to(params.same_colour, lab.shape)
-    apart = jnp.broadcast_to(apart, (1, *disparity.shape))
-    return _Unlike(jnp.concatenate([disparity[None], lab]), jnp.concatenate([apart, colours]))
+def _features(
+    lab: Array, disparity: Array, params: AdaptedMeasurement, tolerance: Array
+) -> _SurfaceFeatures:
+    colors = jnp.broadcast_to(params.same_color, lab.shape)
+    tolerance = jnp.broadcast_to(tolerance, (1, *disparity.shape))
+    planes, scales = jnp.concatenate([disparity[None], lab]), jnp.concatenate([tolerance, colors])
+    return _SurfaceFeatures(planes, scales)
 
 
-def _gather(own: _Tree, unlike: _Unlike, passes: int) -> _Tree:
+def _sum_over_surface(own: _Tree, features: _SurfaceFeatures, passes: int) -> _Tree:
     """Sums over neighbors on the same surface.
 
     Each pass sums over 3x3 pixels, twice as far apart as in the pass before: the window of the
     second is 7x7, that of the third 15x15, for 9 terms a pass.
     """
     for i in range(passes):
-        own = _gathered(own, unlike, spacing=2**i)
+        own = _sum_over_neighbors(own, features, spacing=2**i)
     return own
 
 
-def _gathered(own: _Tree, unlike: _Unlike, spacing: int) -> _Tree:
-    """One pass of `_gather`."""
+def _sum_over_neighbors(own: _Tree, features: _SurfaceFeatures, spacing: int) -> _Tree:
+    """One pass of `_sum_over_surface`."""
     fields, tree = jax.tree.flatten(own)
-    weights = _alike(unlike, spacing)
+    weights = _surface_weights(features, spacing)
     # There is no data beyond the border.
     total = weighted_sum(jnp.stack(fields), weights, spacing=spacing, mode="constant")
     return tree.unflatten(unstack(total))
 
 
-def _alike(unlike: _Unlike, spacing: int) -> Float[Array, "o y x"]:
+def _surface_weights(features: _SurfaceFeatures, spacing: int) -> Float[Array, "o y x"]:
     """Weights of 3x3 neighbors by their similarity."""
-    own, scales = unlike
-    margin = (spacing, spacing)
-    padded = jnp.pad(own, ((0, 0), margin, margin), mode="edge")
+    own, scales = features
+    padded = jnp.pad(own, ((0, 0), (spacing, spacing), (spacing, spacing)), mode="edge")
     taps = jnp.asarray([0.5, 1.0, 0.5], own.dtype)
 
     @jax.checkpoint

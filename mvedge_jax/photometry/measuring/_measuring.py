@@ -21,7 +21,7 @@ class Measurement(eqx.Module):
         plain: factor of `same_surface` where disparities are undetermined.
         scatter: factor of `same_surface` where labels of pixels are averaged, because they scatter
             more than a map.
-        same_colour: neighbors whose CIELAB color differs by much more than this have no weight
+        same_color: neighbors whose CIELAB color differs by much more than this have no weight
             either.
         outlier: residuals this many times larger than the noise lose their weight.
         error_floor: smallest standard error. Errors of interpolation and of the sampling of
@@ -41,7 +41,7 @@ class Measurement(eqx.Module):
 
     drift: Float[Array, ""] = number(0.7, "noise variances")
     same_surface: Float[Array, ""] = number(0.02, "px")
-    same_colour: Float[Array, ""] = number(8.0, "CIELAB")
+    same_color: Float[Array, ""] = number(8.0, "CIELAB")
     outlier: Float[Array, ""] = number(1.0, "noise variances")
     error_floor: Float[Array, ""] = number(0.004, "px")
     plain: Float[Array, ""] = number(5.0, "same_surface")
@@ -60,7 +60,7 @@ class Measurement(eqx.Module):
         one_of(self, views=get_args(LabelViews))
 
 
-class Measuring(Measurement):
+class AdaptedMeasurement(Measurement):
     """Parameters of a measurement in views of a given noise.
 
     Attributes:

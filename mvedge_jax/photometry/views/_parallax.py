@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float
 
-from mvedge_jax._root import root
+from mvedge_jax._root import safe_sqrt
 
 # Guards divisions for views that see a surface almost edge-on.
 _BEHIND = 1e-3
@@ -61,7 +61,7 @@ class GridShift(NamedTuple):
     @property
     def apart(self) -> Float[Array, "*s"]:
         """See `Parallax`."""
-        return root(jnp.sum(self.step**2, axis=-1))
+        return safe_sqrt(jnp.sum(self.step**2, axis=-1))
 
     def positions(self, disparity: Float[Array, "y x"]) -> tuple[Array, Array]:
         """See `Parallax`."""
@@ -125,7 +125,7 @@ class PlaneParallax(NamedTuple):
     @property
     def apart(self) -> Float[Array, "*s"]:
         """See `Parallax`."""
-        return root(jnp.sum(self.epipole**2, axis=-1))
+        return safe_sqrt(jnp.sum(self.epipole**2, axis=-1))
 
     def positions(self, disparity: Float[Array, "y x"]) -> tuple[Array, Array]:
         """See `Parallax`; points behind the view's camera are far outside of its frame."""
@@ -215,16 +215,7 @@ def inside(x: Array, y: Array, shape: tuple[int, ...]) -> Bool[Array, "*p"]:
 def shown_at(
     shown: Float[Array, "y x"], x: Float[Array, "*p"], y: Float[Array, "*p"]
 ) -> Bool[Array, "*p"]:
-    """Whether the pixels nearest to positions show the scene.
-
-    Args:
-        shown: opacity of a photograph, 1 or 0.
-        x: columns, px, clipped to the frame.
-        y: rows.
-
-    Returns:
-        One per position; no gradient passes through it.
-    """
+    """Whether the pixels nearest to positions, clipped to the frame, show the scene."""
     height, width = shown.shape
     column, row = (
         jnp.clip(jnp.round(lax.stop_gradient(p)), 0, most - 1).astype(jnp.int32)

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from mvedge_jax.epi import match_segments, opening_sides
+from experiments.peers.epi_segments import match_segments, opening_sides
 
 # Background, two borders of a surface in front, a line behind it, background.
 _POSITION = jnp.asarray([0.0, 24.0, 36.0, 36.0, 60.0])

@@ -5,7 +5,7 @@ from jax import lax
 from jaxtyping import Array, Float
 
 
-def occlusion_reach(
+def visible_view_range(
     disparity: Float[Array, "y x"], *, radius: int, step: Float[Array, ""] | float = 0.05
 ) -> tuple[Float[Array, "y x"], Float[Array, "y x"]]:
     r"""View steps along x beyond which a nearer pixel of the same row hides each pixel.
@@ -29,21 +29,21 @@ def occlusion_reach(
 
     Example:
         >>> import jax.numpy as jnp
-        >>> left, right = occlusion_reach(jnp.array([[0.0, 0.0, 0.0, 1.0]]), radius=3)
+        >>> left, right = visible_view_range(jnp.array([[0.0, 0.0, 0.0, 1.0]]), radius=3)
         >>> left[0].tolist(), right[0].tolist()
         ([2.5, 1.5, 0.5, inf], [inf, inf, inf, inf])
     """
     disparity = lax.stop_gradient(disparity)
     width = disparity.shape[1]
-    least = jnp.asarray(step, disparity.dtype)
+    slant = jnp.asarray(step, disparity.dtype)
     never = jnp.full_like(disparity, jnp.inf)
     # Padding with the farthest surface: pixels outside of the image hide nothing.
     padded = jnp.pad(disparity, ((0, 0), (radius, radius)), constant_values=-jnp.inf)
 
-    def look(found: tuple[Array, Array], distance: Array) -> tuple[tuple[Array, Array], None]:
+    def nearest(least: tuple[Array, Array], distance: Array) -> tuple[tuple[Array, Array], None]:
         def hidden(other: Array) -> Array:
             difference = other - disparity
-            hides = difference > least
+            hides = difference > slant
             return jnp.where(
                 hides,
                 (distance.astype(disparity.dtype) - 0.5) / jnp.where(hides, difference, 1),
@@ -52,7 +52,7 @@ def occlusion_reach(
 
         right = lax.dynamic_slice_in_dim(padded, radius + distance, width, axis=1)
         left = lax.dynamic_slice_in_dim(padded, radius - distance, width, axis=1)
-        return (jnp.minimum(found[0], hidden(right)), jnp.minimum(found[1], hidden(left))), None
+        return (jnp.minimum(least[0], hidden(right)), jnp.minimum(least[1], hidden(left))), None
 
-    (negative, positive), _ = lax.scan(look, (never, never), jnp.arange(1, radius + 1))
+    (negative, positive), _ = lax.scan(nearest, (never, never), jnp.arange(1, radius + 1))
     return negative, positive

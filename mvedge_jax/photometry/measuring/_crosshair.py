@@ -7,24 +7,24 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float
 
-from mvedge_jax._cpu import fenced, plane_sum
+from mvedge_jax._cpu import no_fuse, plane_sum
 from mvedge_jax._crosshair import Arm, Crosshair
 from mvedge_jax._params import cast
 from mvedge_jax.image import box_mean
 from mvedge_jax.interpolation import cubic_taps, spline_coefficients
 
-from ._measuring import Measuring
-from ._reach import occlusion_reach
+from ._measuring import AdaptedMeasurement
+from ._visible_range import visible_view_range
 
 
 class ArmSplines(NamedTuple):
     """The views of an arm as coefficients of cubic splines along it.
 
     Attributes:
-        centre: coefficients of the center view, `[c, y, x]`.
-        others: coefficients of the other views, separate to avoid copies, `[s, c, y, x]`.
-        steps: view steps from the center view to each other one, `[s]`.
-        available: which of the other views are read, `[s]`.
+        centre: coefficients of the center view.
+        others: coefficients of the other views, separate to avoid copies.
+        steps: view steps from the center view to each other one.
+        available: which of the other views are read.
     """
 
     centre: Float[Array, "c y x"]
@@ -43,7 +43,7 @@ class ArmSplines(NamedTuple):
         return ArmSplines(planes[own], others(planes), others(arm.steps), others(arm.available))
 
 
-class Look(NamedTuple):
+class NormalEquations(NamedTuple):
     """Normal equations of every pixel around a map: sums over views, which windows add up.
 
     Let `k = (k_x, k_y)` be the steps of the views minus their weighted mean, `r` the colors and
@@ -74,7 +74,7 @@ class Look(NamedTuple):
     slope: tuple[tuple[Array, ...], ...]
     trend: tuple[tuple[Array, ...], ...]
 
-    def per_pixel(self) -> "Look":
+    def per_pixel(self) -> "NormalEquations":
         """The same with `views` per pixel, so that two of them can be mixed by pixel."""
         return self._replace(views=jnp.broadcast_to(self.views, self.right.shape))
 
@@ -85,7 +85,7 @@ class _Moments(NamedTuple):
     weight: Array
     step: Array
     square: Array
-    colour: list[Array]
+    color: list[Array]
     trend: list[Array]
     power: Array
     gradient: list[Array]
@@ -108,64 +108,55 @@ class CrosshairSplines(NamedTuple):
         return CrosshairSplines(*map(ArmSplines.of, arms))
 
     @jax.jit
-    def look(self, disparity: Float[Array, "y x"], params: Measuring) -> Look:
+    def accumulate(
+        self, disparity: Float[Array, "y x"], params: AdaptedMeasurement
+    ) -> NormalEquations:
         """Accumulates colors and gradients of all views around a map.
 
         Args:
             disparity: px per view step, `[y, x]`.
-            params: see `Measuring`.
+            params: see `AdaptedMeasurement`.
 
         Returns:
-            Inputs of `labels` and `mismatch`. Differentiable.
+            Inputs of `labels` and `residual_variance`. Differentiable.
         """
-        params = cast(params, disparity.dtype)
-
-        def sums(arm: ArmSplines, disparity: Array) -> Look:
-            return _sums(_arm_views(arm, disparity, params), arm)
-
-        # Stored; otherwise the vertical arm is summed across the rows in memory.
-        turned = fenced(sums, self.vertical, disparity.T)
-        return self._joined(fenced(sums, self.horizontal, disparity), turned)
+        return self.accumulate_with_weights(disparity, params)[0]
 
     @jax.jit
-    def look_with_weights(
-        self, disparity: Float[Array, "y x"], params: Measuring
-    ) -> tuple[Look, Float[Array, "s y x"]]:
-        """`look`, and the weight of each view at every pixel.
+    def accumulate_with_weights(
+        self, disparity: Float[Array, "y x"], params: AdaptedMeasurement
+    ) -> tuple[NormalEquations, Float[Array, "s y x"]]:
+        """`accumulate`, and the weight of each view at every pixel.
 
         Args:
             disparity: px per view step, `[y, x]`.
-            params: see `Measuring`.
+            params: see `AdaptedMeasurement`.
 
         Returns:
-            The result of `look`; the weights of the views, those of the vertical arm first, in [0,
+            The normal equations; the weights of the views, those of the vertical arm first, in [0,
             1]: 0 where a nearer surface of the map hides a pixel or the image ends, less than one
             half where colors differ more from the other views than these from each other.
-            Differentiable at the occlusions found.
+            Differentiable at the occlusions chosen.
         """
         params = cast(params, disparity.dtype)
 
-        def arm_look(arm: ArmSplines, disparity: Array) -> tuple[Look, Array]:
-            found = _arm_views(arm, disparity, params)
-            weights = jnp.insert(found.weight, arm.others.shape[0] // 2, found.own, axis=0)
-            return _sums(found, arm), weights
+        def sums(arm: ArmSplines, disparity: Array) -> tuple[NormalEquations, Array]:
+            views = _arm_views(arm, disparity, params)
+            weights = jnp.insert(views.weight, arm.others.shape[0] // 2, views.own, axis=0)
+            return _sums(views, arm), weights
 
-        across, own = fenced(arm_look, self.horizontal, disparity)
-        down, turned = fenced(arm_look, self.vertical, disparity.T)
-        weights = jnp.concatenate([jnp.swapaxes(turned, 1, 2), own])
-        return self._joined(across, down), weights
-
-    @staticmethod
-    def _joined(across: Look, down: Look) -> Look:
-        """The sums of both arms, of which the vertical one is transposed."""
+        across, own = no_fuse(sums, self.horizontal, disparity)
+        # Stored; otherwise the vertical arm is summed across the rows in memory.
+        down, turned = no_fuse(sums, self.vertical, disparity.T)
         down = jax.tree.map(jnp.transpose, down)
-        return Look(
+        equations = NormalEquations(
             *(a + d for a, d in zip(across[:5], down[:5], strict=True)),
             spread=across.spread + down.spread,
             cross=None,
             slope=across.slope + down.slope,
             trend=across.trend + down.trend,
         )
+        return equations, jnp.concatenate([jnp.swapaxes(turned, 1, 2), own])
 
 
 class _ArmViews(NamedTuple):
@@ -178,8 +169,8 @@ class _ArmViews(NamedTuple):
     slopes: list[Array]
 
 
-def _arm_views(arm: ArmSplines, disparity: Array, params: Measuring) -> _ArmViews:
-    negative, positive = occlusion_reach(disparity, radius=params.radius, step=params.slant)
+def _arm_views(arm: ArmSplines, disparity: Array, params: AdaptedMeasurement) -> _ArmViews:
+    negative, positive = visible_view_range(disparity, radius=params.radius, step=params.slant)
     columns = jnp.arange(disparity.shape[1], dtype=disparity.dtype)[None, :]
     last = disparity.shape[1] - 1
     centre, slopes = _sample_whole(arm.centre)
@@ -218,54 +209,54 @@ def _moments(
         own + plane_sum(weight),
         plane_sum(first),
         plane_sum(first * step),
-        [plane_sum(weight * colour) for colour in values],
-        [plane_sum(first * colour) for colour in values],
+        [plane_sum(weight * color) for color in values],
+        [plane_sum(first * color) for color in values],
         plane_sum(weight * sum((c**2 for c in values[1:]), values[0] ** 2)),
         [own * s + plane_sum(weight * g) for s, g in zip(slopes, gradients, strict=True)],
     )
 
 
 def _trusted(
-    seen: Array, values: list[Array], moments: _Moments, params: Measuring
+    seen: Array, values: list[Array], moments: _Moments, params: AdaptedMeasurement
 ) -> tuple[Array, Array]:
     """Weights of the center view and of the others: outliers from the mean weigh less."""
-    means = [c / moments.weight for c in moments.colour]
+    means = [c / moments.weight for c in moments.color]
     spread = moments.power
-    for mean, colour in zip(means, moments.colour, strict=True):
-        spread = spread - mean * colour
+    for mean, color in zip(means, moments.color, strict=True):
+        spread = spread - mean * color
     floor = len(values) * params.noise**2
     scale = params.outlier * jnp.maximum(box_mean(spread / moments.weight, 1), floor)
 
     def one(view: tuple[Array, ...]) -> Array:
-        present, *colours = view
+        present, *colors = view
         distance = jnp.zeros_like(present)
-        for colour, mean in zip(colours, means, strict=True):
-            distance = distance + (colour - mean) ** 2
+        for color, mean in zip(colors, means, strict=True):
+            distance = distance + (color - mean) ** 2
         return present / (1 + box_mean(distance, 1) / scale)
 
     own = one((jnp.ones_like(scale), *(jnp.zeros_like(scale) for _ in values)))
     return own, lax.map(jax.checkpoint(one), (seen, *values))
 
 
-def _sums(seen: _ArmViews, arm: ArmSplines) -> Look:
+def _sums(seen: _ArmViews, arm: ArmSplines) -> NormalEquations:
     """The sums of one arm, whose steps have one axis, per pixel."""
     moments = _moments(seen.weight, arm.steps, seen.relative, seen.gradients, seen.own, seen.slopes)
     mean_step = moments.step / moments.weight
     spread = jnp.maximum(moments.square - mean_step * moments.step, 0)
     gradients = [g / moments.weight for g in moments.gradient]
-    trends = [t - mean_step * c for t, c in zip(moments.trend, moments.colour, strict=True)]
+    trends = [t - mean_step * c for t, c in zip(moments.trend, moments.color, strict=True)]
     right = jnp.zeros_like(mean_step)
     contrast = jnp.zeros_like(mean_step)
     power = moments.power
-    for colour, trend, gradient in zip(moments.colour, trends, gradients, strict=True):
+    for color, trend, gradient in zip(moments.color, trends, gradients, strict=True):
         right = right - gradient * trend
         contrast = contrast + gradient * gradient
-        power = power - colour * colour / moments.weight
+        power = power - color * color / moments.weight
     slope = tuple(spread * g for g in gradients)
     # Half of them, because the sums of both arms are added.
     views = 0.5 * (1 + jnp.sum(arm.available.astype(power.dtype)))
     freedom, trend = moments.weight - 1, tuple(trends)
-    return Look(
+    return NormalEquations(
         right, contrast * spread, power, freedom, views, (spread,), None, (slope,), (trend,)
     )
 

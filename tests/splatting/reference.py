@@ -4,15 +4,11 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from mvedge_jax._params import accepts_numpy, cast
-
-from ._profile import absorption, super_gaussian
-from ._raster import SplatRaster, SplatWidths
-from ._splat import Splat
-from ._tiles import depth_order
+from mvedge_jax._params import cast
+from mvedge_jax.splatting import Splat, SplatRaster, SplatWidths, absorption
+from mvedge_jax.splatting._tiles import depth_order
 
 
-@accepts_numpy
 def splat_reference(
     xy: Float[Array, "n 2"],
     label: Float[Array, "n"],
@@ -58,7 +54,8 @@ def splat_reference(
     absorbed, _, _, constant = absorption(through_centre * gaussian, raster.absorption)
     optical = constant * through_centre * gaussian
     in_front = jnp.exp(-(jnp.cumsum(optical, axis=0) - optical))
-    flat = jnp.where(on, super_gaussian(square, widths.sigma_weight, raster.order), 0)
+    power = (square / (2 * widths.sigma_weight**2)) ** raster.order
+    flat = jnp.where(on, jnp.exp(-power), 0)
     zero = jnp.zeros((), jnp.int32)
     return Splat(
         jnp.sum(label[:, None, None] * absorbed * in_front, axis=0),
