@@ -71,3 +71,20 @@ def test_derivatives_are_those_of_differences():
     check_grads(
         total, (StandardError(), of_labels, disparity), order=1, modes=["rev", "fwd"], eps=1e-6
     )
+
+
+def test_rivals_add_what_the_labels_do_not_contain():
+    flat, labels = jnp.zeros((3, 4)), jnp.full((3, 4), 0.2)
+    alone = StandardError()(labels, flat)
+    np.testing.assert_array_equal(StandardError()(labels, flat, flat + 0.12**2), alone)
+    wide = StandardError()(labels, flat, flat + 0.625**2)
+    np.testing.assert_allclose(wide, np.hypot(alone, 0.5), rtol=1e-12)
+
+    def total(around):
+        found = StandardError()(labels.at[0].set(0.0), flat, around)
+        return jnp.sum(jnp.where(jnp.isfinite(found), found, 0))
+
+    slope = jax.grad(total)(flat + jnp.asarray([[0.0, 0.01, 0.3, 1.0]]))
+    assert bool(jnp.isfinite(slope).all())
+    assert bool((slope[0] == 0).all())
+    assert bool((slope[1:, 2:] > 0).all())
