@@ -176,7 +176,7 @@ def highest_beside(
     for axis in (0, 1):
         margin = [(0, 0), (0, 0)]
         margin[axis] = (1, 1)
-        padded = [jnp.pad(image, margin, mode="edge") for image in (values, companion)]
+        padded = jnp.pad(values, margin, constant_values=-jnp.inf), jnp.pad(companion, margin)
         size = values.shape[axis]
         for offset in (0, 2):
             value, other = (

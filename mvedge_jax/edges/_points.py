@@ -1,5 +1,7 @@
 """Multi-view edge points: the sparse, labeled features of the method."""
 
+from dataclasses import replace
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -41,7 +43,7 @@ class EdgePoints(eqx.Module):
             there = self.valid.reshape(-1, *[1] * (values.ndim - 1))
             return jnp.where(there, values, jnp.zeros_like(values))
 
-        return jax.tree.map(only, self)
+        return replace(jax.tree.map(only, self), valid=self.valid)
 
 
 class EdgeStats(eqx.Module):
