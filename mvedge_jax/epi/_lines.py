@@ -164,7 +164,10 @@ def fit_lines(
 
 def _masked(position: Array, disparity: Array, confidence: Array, valid: Array) -> EpiLines:
     """Lines with zeros in slots that are not valid."""
-    return EpiLines(*(jnp.where(valid, a, 0) for a in (position, disparity, confidence)), valid)
+    position, disparity, confidence = (
+        jnp.where(valid, of, 0) for of in (position, disparity, confidence)
+    )
+    return EpiLines(position, disparity, confidence, valid)
 
 
 def _ends(lines: EpiLines, views: int) -> tuple[Array, Array]:

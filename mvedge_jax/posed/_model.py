@@ -7,21 +7,24 @@ from typing import Any
 import equinox as eqx
 import lineax as lx
 import numpy as np
+from jaxtyping import Array, Float
 
 from mvedge_jax._checks import untraced
-from mvedge_jax._params import as_number, at_least
+from mvedge_jax._params import as_number, at_least, number
 from mvedge_jax._paths import described, replaced
-from mvedge_jax.depth import DenseLabels, MeasuredLabels, Refine
+from mvedge_jax.depth import DenseLabels, Refine
 from mvedge_jax.diffusion import AutoSolver
 from mvedge_jax.photometry.brightness import Brightness
-from mvedge_jax.photometry.matching import Matching
+from mvedge_jax.photometry.matching import Agreement, Matching
 from mvedge_jax.photometry.measuring import Measurement
 from mvedge_jax.smoothness import ColorAndDepth, Smoothness
 
+from ._labels import PhotographLabels
 from ._reference import STEPS, Reference
 
-# Hypotheses per px of movement in the farthest photograph.
-_PER_PX = 4.0
+# Hypotheses per px of movement in the farthest photograph, and the number that is enough unless
+# they are more than a pixel apart: a few photographs far apart show no finer details.
+_PER_PX, _ENOUGH = 4.0, 128
 # The number of hypotheses is a multiple of this, so that similar ranges share a program.
 _ROUND = 16
 # More hypotheses would take gigabytes.
@@ -29,8 +32,8 @@ _MOST = 768
 
 
 def _matching() -> Matching:
-    """Few, distant photographs give less evidence per pixel, so paths are stiffer."""
-    return Matching(truncation=as_number(16.0), slant=as_number(0.4), jump=as_number(2.0))
+    """Photographs far apart show less of a pixel, other gloss, and surfaces that are steeper."""
+    return Matching(jump=as_number(2.0), agreement=Agreement(), reach=7)
 
 
 def _measurement() -> Measurement:
@@ -39,8 +42,11 @@ def _measurement() -> Measurement:
 
 
 def _refine() -> Refine:
-    """Labels of few photographs have errors of hundredths of a pixel, not thousandths."""
-    return Refine(precision=as_number(0.02))
+    """Labels of few photographs have errors of hundredths of a pixel, not thousandths.
+
+    Hypotheses alone are no accepted labels.
+    """
+    return Refine(precision=as_number(0.02), accepted=as_number(0.05))
 
 
 def _solver() -> AutoSolver:
@@ -54,7 +60,16 @@ class StereoDepth(eqx.Module):
         hypotheses: disparities tried per pixel.
         window: half the width of the windows in which hypotheses are compared, px.
         brightness: parameters of gains and noise.
-        matching: costs of the hypotheses of the first map.
+        matching: costs of the hypotheses of the first map; `slant` is not read.
+        tilt: penalty, in these costs, of the step of disparity between neighboring pixels on a
+            surface at 45 degrees to the line of sight, in proportion for others; it replaces
+            `matching.slant`, whatever the distance between hypotheses and between photographs is.
+        surface: lower bound of `measurement.same_surface` in these steps, because neighbors on a
+            steep surface differ by so much.
+        coarse: lower bound of `refine.precision` in these steps, because a window on a steep
+            surface averages over so much.
+        hypothesis: weight of the first map as labels, see `PhotographLabels`; less where a window
+            has no more texture than noise.
         measurement: measurement of every pixel; occluders at any distance are found, `radius` is
             not read.
         dense: weights of the measured labels.
@@ -67,8 +82,12 @@ class StereoDepth(eqx.Module):
     window: int = eqx.field(static=True, default=2)
     brightness: Brightness = eqx.field(default_factory=Brightness)
     matching: Matching = eqx.field(default_factory=_matching)
+    tilt: Float[Array, ""] = number(0.1, "of a cost of at most 2")
+    surface: Float[Array, ""] = number(2.0, "steps at 45 degrees")
+    coarse: Float[Array, ""] = number(0.5, "steps at 45 degrees")
+    hypothesis: Float[Array, ""] = number(0.03, "perfect labels")
     measurement: Measurement = eqx.field(default_factory=_measurement)
-    dense: DenseLabels = eqx.field(default_factory=MeasuredLabels)
+    dense: DenseLabels = eqx.field(default_factory=PhotographLabels)
     smoothness: Smoothness = eqx.field(default_factory=ColorAndDepth)
     solver: lx.AbstractLinearSolver = eqx.field(default_factory=_solver)
     refine: Refine = eqx.field(default_factory=_refine)
@@ -82,7 +101,8 @@ class StereoDepth(eqx.Module):
 
         Args:
             reference: hypotheses over its range of disparities are a quarter of a pixel apart in
-                the farthest photograph, which is four view steps away.
+                the farthest photograph, which is four view steps away, or, if these are more than
+                128, up to a pixel.
             choices: numbers and static fields to set, by path.
 
         Returns:
@@ -97,7 +117,8 @@ class StereoDepth(eqx.Module):
         choices = dict(choices or {})
         count = choices.pop("hypotheses", None)
         if count is None:
-            wanted = _PER_PX * STEPS * (high - low) + 1
+            moved = STEPS * (high - low)
+            wanted = max(min(_PER_PX * moved, _ENOUGH - 1), moved) + 1
             count = _ROUND * max(1, math.ceil(wanted / _ROUND))
             if count > _MOST:
                 raise ValueError(

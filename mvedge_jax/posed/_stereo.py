@@ -8,12 +8,13 @@ from jax.typing import DTypeLike
 from jaxtyping import Array, Bool, Float, Int
 
 from mvedge_jax._compiler import lean_jit
-from mvedge_jax._cpu import checkpoint_stage
+from mvedge_jax._cpu import checkpoint_stage, plane_sum
 from mvedge_jax._params import cast, readable
 from mvedge_jax.color import srgb_to_lab
 from mvedge_jax.depth import map_problems
 from mvedge_jax.depth.solves import Given, Labels, Parts, refine_disparity
-from mvedge_jax.photometry import Noise, prepare, prepare_views
+from mvedge_jax.image import box_mean
+from mvedge_jax.photometry import CalibratedViews, Noise, prepare, prepare_views
 from mvedge_jax.photometry.brightness import PosedViews
 from mvedge_jax.photometry.matching import best_match
 
@@ -37,7 +38,7 @@ class StereoStats(NamedTuple):
             order of `Photographs`.
         searched: lowest and highest disparity searched, px per baseline.
         labeled: share of the pixels with an accepted label, see `Refine.accepted`, in the last
-            solve. The other pixels are diffused from these.
+            solve. The other pixels are diffused from these and from the hypotheses.
     """
 
     iterations: Int[Array, " solves"]
@@ -88,10 +89,11 @@ def stereo(photographs: Photographs, reference: Reference, model: StereoDepth) -
     As `EdgeDepth` without edge points, with a homography and an epipole in place of a shift:
 
     1. Gains and vignettes of the photographs are measured and removed; noise is measured.
-    2. Hypotheses: per pixel, the disparity at which the better half of the photographs agrees best,
-       along paths through the image.
+    2. Hypotheses: per pixel, the disparity at which the photographs that show it agree best, by
+       color and by correlation, along paths through the image.
     3. Every pixel is measured in the photographs that show it, repeatedly, and the labels are
-       diffused, with smoothness that is cut where a color step and a depth step coincide.
+       diffused, together with weak ones by the hypotheses, with smoothness that is cut where a
+       color step and a depth step coincide.
     4. A weighted median moves blurred depth steps onto color steps.
 
     The sparse points only give the range of depths, by `reference_of`.
@@ -135,6 +137,7 @@ def _stereo(
     photographs = Photographs(*read[:3], mask=read[3])
     model, dtype = cast(model, photographs.images.dtype), photographs.images.dtype
     tried = _tried(reference, model, dtype)
+    model = _adapted(model, reference, photographs, tried)
     scene = prepare(
         PosedViews(reference.views(photographs)),
         tried,
@@ -147,7 +150,8 @@ def _stereo(
     assert first is not None
     nothing = jnp.zeros_like(first)
     span = tried[-1] - tried[0]
-    given = Given(Labels(nothing, nothing), prepared, scene.lab, scene.guide, span, nothing, lit)
+    hypotheses = Labels(model.hypothesis * _textured(scene, model.window), first)
+    given = Given(hypotheses, prepared, scene.lab, scene.guide, span, nothing, lit)
     parts = Parts(model.dense, model.smoothness, model.solver, model.refine)
     found = refine_disparity(given, first, parts)
     gain = scene.exposure.gain
@@ -163,6 +167,14 @@ def _stereo(
     maps = _in_depth(found.disparity, disparity_error, photographs, reference)
     mask = None if photographs.mask is None else photographs.mask[reference.index]
     return StereoResult(*maps, first, stats, mask)
+
+
+def _textured(scene: CalibratedViews, reach: int) -> Float[Array, "y x"]:
+    """Share of texture, against noise, in the variance of every window of the reference."""
+    mean, noise = box_mean(scene.guide, reach), scene.noise.deviation**2 * scene.guide.shape[0]
+    variance = plane_sum(box_mean(scene.guide**2, reach) - mean**2)
+    own = jnp.maximum(variance - noise, 0)
+    return own / (own + noise)
 
 
 def _in_depth(
@@ -190,6 +202,24 @@ def _tried(reference: Reference, model: StereoDepth, dtype: DTypeLike) -> Float[
     return low + (high - low) * jnp.linspace(0, 1, model.hypotheses, dtype=dtype)
 
 
+def _adapted(
+    model: StereoDepth, reference: Reference, photographs: Photographs, tried: Array
+) -> StereoDepth:
+    """The model with the numbers that depend on the steps of disparity of steep surfaces."""
+    # From pixel to pixel, a surface at 45 degrees changes its disparity by the disparity over the
+    # focal length.
+    focal = reference.scale(photographs) / reference.baseline.astype(tried.dtype)
+    step = jnp.mean(tried) / focal
+    same, precision = model.measurement.same_surface, model.refine.precision
+    return model.replace(
+        {
+            "matching.slant": model.tilt * (tried[1] - tried[0]) / step,
+            "measurement.same_surface": jnp.maximum(same, model.surface * step),
+            "refine.precision": jnp.maximum(precision, model.coarse * step),
+        }
+    )
+
+
 class PosedSweep(NamedTuple):
     """Depth by the cheapest hypothesis of every pixel.
 
@@ -214,7 +244,7 @@ def posed_sweep(photographs: Photographs, reference: Reference, model: StereoDep
     Returns:
         Depth and disparity. Differentiable at the hypotheses chosen, as `plane_sweep`.
 
-    Source: not in the thesis; the plane sweep of Collins (1996) with the better half of the views.
+    Source: not in the thesis; the plane sweep of Collins (1996) with a soft minimum over the views.
     """
     lab = jnp.moveaxis(srgb_to_lab(photographs.images[reference.index]), -1, 0)
     views, tried = reference.views(photographs), _tried(reference, model, lab.dtype)

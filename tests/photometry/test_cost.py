@@ -62,10 +62,11 @@ def test_hypotheses_do_not_see_a_missing_view():
     assert float((jnp.abs(found[0] - 0.5) < 0.01).mean()) > 0.95
 
 
-def test_paths_are_the_cheapest_of_all_paths():
+@pytest.mark.parametrize(("count", "reach"), [(3, 1), (5, 2), (5, 4)])
+def test_paths_are_the_cheapest_of_all_paths(count, reach):
     # Brute force along a row: every sequence of disparities that ends at the last pixel.
     rng = np.random.default_rng(4)
-    cost, lab = rng.uniform(size=(3, 1, 5)), 10 * rng.uniform(size=(3, 1, 5))
+    cost, lab = rng.uniform(size=(count, 1, 5)), 10 * rng.uniform(size=(3, 1, 5))
     slant, jump, colour = 0.1, 0.5, 6.0
     found = aggregate(
         jnp.asarray(cost),
@@ -73,18 +74,19 @@ def test_paths_are_the_cheapest_of_all_paths():
         slant=jnp.asarray(slant),
         jump=jnp.asarray(jump),
         colour=jnp.asarray(colour),
+        reach=reach,
     )
     steps = np.linalg.norm(np.diff(lab[:, 0], axis=1), axis=0)
     prices = jump / (1 + steps / colour)
 
     def price(path):
         moves = np.abs(np.diff(path))
-        change = np.where(moves == 0, 0, np.where(moves == 1, np.minimum(slant, prices), prices))
+        change = np.where(moves <= reach, np.minimum(moves * slant, prices), prices)
         return sum(cost[d, 0, i] for i, d in enumerate(path)) + change.sum()
 
-    paths = np.array(list(np.ndindex(*[3] * 5)))
+    paths = np.array(list(np.ndindex(*[count] * 5)))
     prices_of_paths = np.array([price(path) for path in paths])
-    ends = np.array([prices_of_paths[paths[:, -1] == d].min() for d in range(3)])
+    ends = np.array([prices_of_paths[paths[:, -1] == d].min() for d in range(count)])
     # The aggregate is normalised along the path, and holds the vertical and the backward paths too,
     # which at the last pixel of a single row are the pixel's own cost.
     expected = ends + 3 * cost[:, 0, -1]

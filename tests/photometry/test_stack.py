@@ -11,7 +11,8 @@ from photometry.scenes import changed, textured
 from mvedge_jax._crosshair import crosshair
 from mvedge_jax.photometry import Noise
 from mvedge_jax.photometry.brightness import measure_noise
-from mvedge_jax.photometry.matching import Matching, best_match
+from mvedge_jax.photometry.matching import Agreement, Matching, best_match
+from mvedge_jax.photometry.matching._agreement import Window
 from mvedge_jax.photometry.matching._cost import _costs
 from mvedge_jax.photometry.matching._unexplained import between_views_variance
 from mvedge_jax.photometry.views import views_of
@@ -83,7 +84,8 @@ def test_a_view_that_is_not_to_be_read_has_no_say():
     np.testing.assert_array_equal(one, other)
 
 
-def test_derivatives_of_the_costs_match_differences():
+@pytest.mark.parametrize("params", [PARAMS, Matching(agreement=Agreement())])
+def test_derivatives_of_the_costs_match_differences(params):
     field = plane_views(0.3, views=(3, 3), size=(12, 14))
     views, noise = views_of(field), Noise.of(jnp.asarray(0.01))
     lab = 100 * jnp.moveaxis(field.centre_view, -1, 0)
@@ -94,8 +96,31 @@ def test_derivatives_of_the_costs_match_differences():
         moved = views._replace(planes=planes)
         return jnp.sum(chosen * _costs(moved, lab, tried, params, noise, 1))
 
-    tree = (views.planes, jnp.asarray([-0.31, 0.17, 0.42]), PARAMS)
+    tree = (views.planes, jnp.asarray([-0.31, 0.17, 0.42]), params)
     check_gradient(total, tree, rtol=1e-4, step=1e-8, key=jax.random.key(1))
+
+
+def test_a_correlation_is_that_of_the_windows_and_knows_no_gain():
+    rng = np.random.default_rng(0)
+    colors, other = jnp.asarray(rng.uniform(size=(2, 3, 8, 9)))
+    weights = jnp.full((9, 8, 9), 1 / 9)
+    window = Window.of(colors, weights, jnp.asarray(1e-9))
+    found = np.asarray(window.unlike(other))[4, 4]
+    both = np.stack([np.asarray(a)[:, 3:6, 3:6].reshape(3, 9) for a in (colors, other)])
+    both = both - both.mean(-1, keepdims=True)
+    expected = (both[0] * both[1]).sum() / np.sqrt((both**2).sum((1, 2)).prod())
+    np.testing.assert_allclose(found, 0.5 * (1 - expected), rtol=1e-6)
+    np.testing.assert_allclose(window.unlike(0.7 * colors + 0.2), 0, atol=1e-6)
+    plain = window.unlike(jnp.full_like(colors, 0.5))
+    np.testing.assert_allclose(plain, 0.5, atol=1e-6)
+
+
+def test_photographs_that_do_not_show_a_pixel_count_little():
+    costs = jnp.asarray([0.1, 0.12, 0.9, 1.0])[:, None, None]
+    found = float(Agreement().pooled(costs)[0, 0])
+    assert 0.1 < found < 0.2
+    np.testing.assert_allclose(Agreement(temperature=100.0).pooled(costs), costs.mean(), rtol=2e-3)
+    np.testing.assert_allclose(Agreement(temperature=1e-5).pooled(costs), 0.1, rtol=1e-3)
 
 
 @pytest.mark.parametrize("sigma", [0.01, 0.03])

@@ -45,12 +45,13 @@ def test_finds_the_wall_from_every_photograph_with_one_program(small):
     for index in range(4):
         found = run(photographs().without_truth(), reference_of(photographs(), index,
                                                                 depth_range=RANGE))  # fmt: skip
-        # In the farthest photograph, four baselines away, px: .022 and .136 on 25 November.
+        # In the farthest photograph, four baselines away, px: .022 and .136 on 25 November; since
+        # hypotheses are weak labels, .023 and .18, the latter at the border, where few are right.
         wanted = reference_of(photographs(), index, depth_range=RANGE)
         truth = float(wanted.scale(photographs())) / DEPTHS[index]
         off = 4 * np.abs(np.asarray(found.disparity) - truth)
         assert np.median(off) < 0.024
-        assert np.quantile(off, 0.9) < 0.15
+        assert np.quantile(off, 0.9) < 0.2
         assert bool(jnp.isfinite(found.error).all())
         np.testing.assert_allclose(found.stats.gain, 1, atol=0.02)
         assert found.problems() == ()
@@ -290,16 +291,20 @@ def test_errors_say_what_is_wrong(make, message):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("name", "fails"), [("livingroom5", False), ("livingroom_wide5", True)])
-def test_a_living_room_seen_from_too_far_apart_is_said_to_fail(name, fails):
+@pytest.mark.parametrize(
+    ("name", "index", "most"),
+    [("livingroom5", 0, 25), ("livingroom5", 3, 25), ("livingroom_wide5", 2, 18),
+     ("livingroom_wide5", 3, 28), ("livingroom_wide5", 4, 18)],
+)  # fmt: skip
+def test_a_living_room_from_near_and_far_apart(name, index, most):
     camera = (525.0, 525.0, 319.5, 239.5)
     view = load_photographs(shared_data("mvs", name), intrinsics=camera, scale=0.5)
-    # Of the third and the fifth in `livingroom_wide5` two thirds are right; nothing tells so.
-    for index in (0, 1, 3):
-        wanted = reference_of(view, index)
-        found = stereo(view.without_truth(), wanted, StereoDepth.of(wanted))
-        said = any("no accepted label" in text for text in found.problems())
-        assert said == fails
+    assert view.depth is not None
+    wanted = reference_of(view, index)
+    found = stereo(view.without_truth(), wanted, StereoDepth.of(wanted))
+    # On 29 November 23, 23, 16, 26 and 15 %; `livingroom_wide5` had 64 before.
+    assert float(depth_errors(found.depth, view.depth[index]).above) < most
+    assert found.problems() == ()
 
 
 @pytest.mark.slow

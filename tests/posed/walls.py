@@ -69,3 +69,19 @@ POSES = np.stack(
         turned(pitch=-2.0, at=(0.02, 0.11, 0.02)),
     ]
 )
+
+
+def room(poses, *, matrix=MATRIX, size=SIZE):
+    """Images and true depths of a steep floor in front of a wall, seen from poses."""
+    images, depths = [], []
+    for pose in poses:
+        floor = depth_of_plane(pose, np.array([0.0, 1.0, 0.0]), 0.45, matrix=matrix, size=size)
+        back = depth_of_plane(pose, np.array([0.1, 0.0, 1.0]), 2.4, matrix=matrix, size=size)
+        near = (floor > 0) & (floor < back)
+        depth = np.where(near, floor, back)
+        point = places(pose, depth, matrix=matrix)
+        # The floor's texture lies in its own plane, and is coarse enough to be seen from afar.
+        turned_up = 0.5 * np.stack([point[..., 0], point[..., 2], point[..., 1]], -1)
+        images.append(np.where(near[..., None], texture(turned_up, seed=1), texture(point)))
+        depths.append(depth)
+    return np.stack(images), np.stack(depths)

@@ -1,5 +1,6 @@
 """The matching cost of hypotheses, pooled and aggregated along paths."""
 
+from ._agreement import Agreement as Agreement
 from ._cost import (
     Hypotheses as Hypotheses,
     Matching as Matching,

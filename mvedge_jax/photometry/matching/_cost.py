@@ -17,6 +17,7 @@ from mvedge_jax.interpolation import vertex
 from .._window import color_weights, contrast
 from ..brightness._noise import Noise
 from ..views import ViewSet
+from ._agreement import Agreement
 from ._arm import Limits, swept
 from ._paths import aggregate
 from ._pooling import Pooling, pooled
@@ -43,7 +44,10 @@ class Matching(eqx.Module):
         pooling: pooling of the costs along surfaces in noisy views.
         temperature: difference of summed costs at which a rival hypothesis is 1/e as likely as the
             best one.
+        agreement: costs of photographs at any positions; None for those of a light field's views.
         outline_reach: radius in which gradients count, px: that of a window and of its drift.
+        reach: hypotheses of the largest step between neighboring pixels that is priced by `slant`,
+            in proportion to its size, where that is less than `jump`.
     """
 
     truncation: Float[Array, ""] = number(4.0, "noise variances")
@@ -56,10 +60,12 @@ class Matching(eqx.Module):
     least_noise: Float[Array, ""] = number(1 / 255, "sRGB")
     pooling: Pooling = eqx.field(default_factory=Pooling)
     temperature: Float[Array, ""] = number(0.2, "of a cost of at most 8")
+    agreement: Agreement | None = None
     outline_reach: int = eqx.field(static=True, default=5)
+    reach: int = eqx.field(static=True, default=1)
 
     def __check_init__(self) -> None:
-        at_least(self, outline_reach=1)
+        at_least(self, outline_reach=1, reach=1)
 
 
 class Hypotheses(NamedTuple):
@@ -166,12 +172,14 @@ def _costs(
     window: int,
 ) -> Float[Array, "d y x"]:
     """The cost of every disparity at every pixel."""
-    truncation = params.truncation * views.centre.shape[0] * noise_variance(noise, params)
+    variance = noise_variance(noise, params)
+    truncation = params.truncation * views.centre.shape[0] * variance
     limits = Limits(truncation, params.drift, noise.alpha)
     share, alike = shared_drift(noise, lab, params), params.same_color
     if isinstance(views, ViewSet):
         support, wide = (color_weights(lab, alike, reach=window, spacing=s) for s in (1, 2))
-        return stack_costs(views, disparities, (support, wide), share, limits)
+        of = (support, wide), share, limits, variance, params.agreement
+        return stack_costs(views, disparities, *of)
     across = swept(views.horizontal, lab, share, alike, window)
     down = swept(views.vertical, jnp.swapaxes(lab, 1, 2), share.T, alike, window)
     return volume(window, Sweep(across, down, disparities, limits))
@@ -188,6 +196,7 @@ def along_paths(
         slant=cheaper * params.slant,
         jump=cheaper * params.jump,
         colour=params.jump_color,
+        reach=params.reach,
     )
 
 

@@ -16,12 +16,13 @@ def aggregate(
     slant: Float[Array, ""],
     jump: Float[Array, ""],
     colour: Float[Array, ""],
+    reach: int = 1,
 ) -> Float[Array, "d y x"]:
     r"""Sums, over four directions, the cost of the cheapest path that ends at each pixel.
 
-    Along a path, a change by one disparity costs `slant` and a larger one
-    $j = \mathrm{jump} / (1 + |\Delta Lab| / \mathrm{color})$:
-    $L(p, d) = C(p, d) + \min(L(q, d), L(q, d \pm 1) + s, \min_k L(q, k) + j) - \min_k L(q, k)$
+    Along a path, a change by $i \le \mathrm{reach}$ disparities costs $i$ times `slant`, and any
+    change costs at most $j = \mathrm{jump} / (1 + |\Delta Lab| / \mathrm{color})$:
+    $L(p, d) = C(p, d) + \min(L(q, d), L(q, d \pm i) + i s, \min_k L(q, k) + j) - \min_k L(q, k)$
     with $q$ the pixel before $p$. Pixels without texture follow their surface, however far its
     texture is.
 
@@ -31,6 +32,7 @@ def aggregate(
         slant: penalty of a step to the next disparity, in units of `cost`.
         jump: penalty of any other step between pixels of the same color.
         colour: step of CIELAB color that halves the penalty of a jump.
+        reach: disparities of the largest step that `slant` prices.
 
     Returns:
         The sum, `[d, y, x]`.
@@ -46,30 +48,29 @@ def aggregate(
         [2, 2, 2, 2, 2]
     """
     across, down = of_both(
-        lambda of: _both_ways(*of, slant, jump, colour),
+        lambda of: _both_ways(*of, slant, jump, colour, reach),
         (jnp.transpose(cost, (2, 0, 1)), jnp.transpose(lab, (2, 0, 1))),
         (jnp.transpose(cost, (1, 0, 2)), jnp.transpose(lab, (1, 0, 2))),
     )
     return jnp.transpose(down, (1, 0, 2)) + jnp.transpose(across, (1, 2, 0))
 
 
-def _both_ways(cost: Array, lab: Array, slant: Array, jump: Array, colour: Array) -> Array:
+def _both_ways(
+    cost: Array, lab: Array, slant: Array, jump: Array, colour: Array, reach: int
+) -> Array:
     """Paths along the first axis, in its direction and against it."""
     square = jnp.zeros_like(lab[1:, 0])
     for channel in range(lab.shape[1]):
         square = square + jnp.diff(lab[:, channel], axis=0) ** 2
     price = jump / (1 + safe_sqrt(square) / colour)
     free = jnp.zeros_like(lab[:1, 0])
-    wall = jnp.full_like(cost[0, :1], jnp.inf)
+    wall = jnp.full_like(cost[0], jnp.inf)
 
     @jax.checkpoint
     def visit(before: Array, item: tuple[Array, Array]) -> tuple[Array, Array]:
         own, price = item
         least = _least(before)
-        beside = jnp.minimum(
-            jnp.concatenate([before[1:], wall]), jnp.concatenate([wall, before[:-1]])
-        )
-        best = jnp.minimum(jnp.minimum(before, beside + slant), (least + price)[None])
+        best = jnp.minimum(_sloped(before, wall, slant, reach), (least + price)[None])
         now = own + best - least[None]
         return now, now
 
@@ -77,6 +78,20 @@ def _both_ways(cost: Array, lab: Array, slant: Array, jump: Array, colour: Array
     forward = lax.scan(visit, start, (cost, jnp.concatenate([free, price])))[1]
     backward = lax.scan(visit, start, (cost, jnp.concatenate([price, free])), reverse=True)[1]
     return forward + backward
+
+
+def _sloped(before: Array, wall: Array, slant: Array, reach: int) -> Array:
+    """Least cost of a step by up to `reach` disparities, by steps of 1, 2, 4, ... of them."""
+    done = 0
+    while done < reach:
+        step = min(done + 1, reach - done)
+        beside = jnp.minimum(
+            jnp.concatenate([before[step:], wall[:step]]),
+            jnp.concatenate([wall[:step], before[:-step]]),
+        )
+        before = jnp.minimum(before, beside + step * slant)
+        done += step
+    return before
 
 
 def _least(values: Array) -> Array:

@@ -9,6 +9,7 @@ from mvedge_jax._cpu import plane_sum, unstack
 
 from .._window import weighted_sum
 from ..views import ViewSet
+from ._agreement import Agreement, Window
 from ._arm import Limits, truncated
 
 
@@ -18,6 +19,8 @@ def stack_costs(
     weights: tuple[Float[Array, "o y x"], Float[Array, "o y x"]],
     share: Float[Array, "y x"],
     limits: Limits,
+    variance: Float[Array, ""],
+    agreement: Agreement | None,
 ) -> Float[Array, "d y x"]:
     """The costs of all disparities, as `volume` has those of two arms.
 
@@ -25,7 +28,8 @@ def stack_costs(
     mean of truncated squared color differences over a color-weighted window. A change of the
     window's mean color is removed first, up to limits that grow with the distance from the
     reference. A view has the largest cost if the pixel is outside of its frame or behind its
-    camera.
+    camera. With an `agreement`, the correlation of the window counts too, and a soft minimum over
+    the views replaces their better half.
 
     Args:
         views: views after gains, low-passed.
@@ -33,12 +37,18 @@ def stack_costs(
         weights: window weights of the cost and of the drift, see `Swept`.
         share: share of the drift that is allowed.
         limits: see `Limits`.
+        variance: of the noise, the unit of `Agreement.contrast`.
+        agreement: see `Agreement`; None for the better half and for colors alone.
 
     Returns:
         Costs, at most 2. Differentiable.
     """
     support, wide = weights
     reference, shape = views.centre, views.planes.shape[2:]
+    window = None
+    if agreement is not None:
+        floor = agreement.contrast * reference.shape[0] * variance
+        window = Window.of(reference, support, floor)
     own = None if views.shown is None else views.shown[0]
     others = views.mapped(lambda planes: jnp.moveaxis(planes, 1, -1)).others
     apart = others.parallax.apart
@@ -52,15 +62,24 @@ def stack_costs(
             view, limit = item
             x, y = view.parallax.positions(everywhere)
             there = view.readable(x, y, shape, own)
-            change = jnp.stack(linear(view.planes, x, y)) - reference
+            seen = jnp.stack(linear(view.planes, x, y))
+            change = seen - reference
             gray = plane_sum(change) / change.shape[0]
             # Changes far beyond any drift belong to another surface and are ignored.
             gray = jnp.where(there, jnp.clip(gray, -3 * limit, 3 * limit), 0)
             drift = weighted_sum(gray[None], wide, spacing=2)[0]
             drift = share * jnp.clip(drift, -limit, limit)
-            return jnp.where(there, truncated(change - drift[None], limits.truncation), 1)
+            differs = jnp.where(there, truncated(change - drift[None], limits.truncation), 1)
+            if agreement is None or window is None:
+                return differs
+            unlike = jnp.where(there, window.unlike(seen), 1)
+            differs = weighted_sum(differs[None], support)[0]
+            return differs + agreement.correlation * (unlike - differs)
 
-        return 2 * better_half(weighted_sum(lax.map(one, (others, most)), support))
+        costs = lax.map(one, (others, most))
+        if agreement is None:
+            return 2 * better_half(weighted_sum(costs, support))
+        return 2 * agreement.pooled(costs)
 
     return lax.map(cost, disparities)
 
