@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
@@ -37,17 +38,8 @@ class Gathered(NamedTuple):
 def gather(path: Path, camera: tuple[float, float, float] | None) -> Gathered:
     """Reads a light field, or a result of `mvedge depth`, `views` or `stereo`.
 
-    Args:
-        path: a scene, a model, or a result.
-        camera: focal length, px, baseline and focus distance, for a light field without a known
-            camera.
-
-    Returns:
-        The photographs and their depth.
-
-    Raises:
-        FileNotFoundError: `path`, or the scene of a result, does not exist.
-        ValueError: a result does not name its scene, or the camera is unknown.
+    `camera` has focal length, px, baseline and focus distance, for a light field that does not know
+    its camera. Errors name the file.
     """
     report = _report(path)
     if report is None:
@@ -107,17 +99,11 @@ def _of_depth(path: Path, field: LightField, camera: Camera) -> Gathered:
     world = local + np.asarray(photographs.centres[index])
     keep = np.isfinite(z)
     observed = _observed(field, visible)
-    dense = Photographs(
-        photographs.images,
-        photographs.poses,
-        photographs.intrinsics,
-        points=world[keep],
-        observed=observed[:, keep],
-        depth=photographs.depth,
-        mask=photographs.mask,
-        names=photographs.names,
-        name=photographs.name,
-        origin=photographs.origin,
+    dense = eqx.tree_at(
+        lambda views: (views.points, views.observed),
+        photographs,
+        (jnp.asarray(world[keep], photographs.images.dtype), jnp.asarray(observed[:, keep])),
+        is_leaf=lambda leaf: leaf is None,
     )
     return Gathered(dense, {index: depth}, {index: error}, doubt[keep])
 
