@@ -1,11 +1,11 @@
 """Photographs for Table 7.1: rendered, COLMAP's depth maps, sparse points, free scales."""
 
+import dataclasses
 import os
 import re
 from pathlib import Path
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -196,12 +196,7 @@ def with_points(photographs: Photographs) -> Photographs:
     )
     mask = None if photographs.mask is None else np.asarray(photographs.mask)
     points, observed = triangulated(np.asarray(photographs.images), poses, matrices, mask)
-    return eqx.tree_at(
-        lambda known: (known.points, known.observed),
-        photographs,
-        (jnp.asarray(points, photographs.images.dtype), jnp.asarray(observed)),
-        is_leaf=lambda leaf: leaf is None,
-    )
+    return dataclasses.replace(photographs, points=points, observed=observed)
 
 
 def read_colmap_depth(path: str | os.PathLike) -> Float[np.ndarray, "y x"]:

@@ -1,10 +1,10 @@
 """Data to export: photographs with cameras, and the depth of an earlier run."""
 
+import dataclasses
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
@@ -99,12 +99,8 @@ def _of_depth(path: Path, field: LightField, camera: Camera) -> Gathered:
     world = local + np.asarray(photographs.centres[index])
     keep = np.isfinite(z)
     observed = _observed(field, visible)
-    dense = eqx.tree_at(
-        lambda views: (views.points, views.observed),
-        photographs,
-        (jnp.asarray(world[keep], photographs.images.dtype), jnp.asarray(observed[:, keep])),
-        is_leaf=lambda leaf: leaf is None,
-    )
+    # The constructor refuses places that are not finite.
+    dense = dataclasses.replace(photographs, points=world[keep], observed=observed[:, keep])
     return Gathered(dense, {index: depth}, {index: error}, doubt[keep])
 
 
