@@ -1,5 +1,6 @@
 """For the table of photographs: COLMAP's maps, labels of a dense map, errors as in the thesis."""
 
+import sys
 from pathlib import Path
 
 import cv2
@@ -7,10 +8,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from experiments.peers.photographs import read_colmap_depth, scale_to
 from mvedge_jax.color import srgb_to_gray
-from mvedge_jax.datasets.photographs import read_colmap_depth
 from mvedge_jax.posed import Photographs, Reference
-from mvedge_jax.posed.scores import DepthErrors, depth_errors, scale_to
+from mvedge_jax.posed.scores import DepthErrors, depth_errors
 from mvedge_jax.posed.sparse import SparseStereoDepth, sparse_stereo
 
 # Labels of a dense map that Ours-C starts from, as many as in the thesis' Figure 7.8.

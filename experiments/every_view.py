@@ -11,7 +11,7 @@ does not show (mean over the off-centre views), and the centre view itself. `off
 of the off-centre views over that of the centre. `cons` is the variance of map - truth between the
 views that truly see a point, x 100; `agree` is `metrics.view_consistency`, which knows no truth,
 x 100: a constant map agrees. `6.10` is that equation as the thesis prints it, x 100, see
-`metrics.printed_view_consistency`; the true maps have `truth 6.10`. A scene without truth in all
+`peers.printed_consistency`; the true maps have `truth 6.10`. A scene without truth in all
 views (HCI's, Stanford's, Lytro's) has only `agree`, `6.10` and the seconds, as in the thesis, which
 uses the central 7x7 views of a Lytro's.
 
@@ -29,13 +29,14 @@ from _report import peak_memory, print_table, timed, write_csv, write_json
 from _views import error_consistency, regions, scene, scores
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullFormatter
+from peers.printed_consistency import printed_view_consistency
 from peers.reprojection import reproject_views
 from peers.thesis_views import Guiding, thesis_views
 
 from mvedge_jax.all_views import ViewDepth, depth_of_views
 from mvedge_jax.depth import DepthResult, EdgeDepth, multiview_edges
 from mvedge_jax.lightfield import LightField
-from mvedge_jax.metrics import printed_view_consistency, view_consistency
+from mvedge_jax.metrics import view_consistency
 from mvedge_jax.plotting import plot_consistency, plot_view_maps
 
 Method = Callable[[LightField, DepthResult], jax.Array]

@@ -32,6 +32,7 @@ from _superpixels import MEASURED, changed, plot_sizes, plot_wrong, torn
 from jax import Array, lax
 from peers.kmeans import KMeansParams, KMeansSizes, kmeans_superpixels
 from peers.lfsp import BUGS, LfspParams, LfspSizes, thesis_superpixels
+from peers.superpixel_scores import code_scores
 
 from mvedge_jax import lean_jit, plotting
 from mvedge_jax.all_views import ViewDepth, ViewDepths, depth_of_views
@@ -289,6 +290,7 @@ def score(labels: Array, case: Case) -> dict[str, float]:
         labels = labels[case.light_field.centre][None, None]
     scores = superpixel_scores(labels, case.ids, case.truth)
     known = {name: float(value) for name, value in scores._asdict().items()}
+    known |= code_scores(*map(np.asarray, (labels, case.ids, case.truth)))
     return {**known, "torn": torn(np.asarray(labels), np.asarray(case.truth))}
 
 

@@ -23,10 +23,11 @@ from _model import (
 )
 from _report import print_table, shared_data, write_csv, write_json
 from _scenes import find_scene
+from peers.relocation import StepRelocation, relocate_steps
 
 from mvedge_jax import lean_jit
 from mvedge_jax.model import DepthModel, Renderer, Start, render_model
-from mvedge_jax.model.approaches import ByEvidence, ByReprojection, StepRelocation
+from mvedge_jax.model.approaches import ByEvidence, ByReprojection
 from mvedge_jax.model.optimisation import Rates
 
 
@@ -83,10 +84,11 @@ def main() -> None:
         options = {"raster": arguments.raster, "iterations": arguments.iterations, "look": look}
         loose = Start(model, jnp.full_like(start.error, 0.1), rendered)
         if arguments.loss == "evidence":
-            doubtful = ByEvidence(relocate=StepRelocation())
-            for number in range(arguments.rounds):
-                approach = doubtful if number == 0 else ByEvidence()
-                after = run_self_supervised(loose, light_field, approach=approach, **options)
+            planes = jnp.moveaxis(light_field.centre_view, -1, 0)
+            near_edges = relocate_steps(loose.disparity, planes, StepRelocation())
+            loose = loose._replace(disparity=near_edges)
+            for _ in range(arguments.rounds):
+                after = run_self_supervised(loose, light_field, approach=ByEvidence(), **options)
                 loose = loose._replace(disparity=after)
             after = loose.disparity
         elif arguments.loss == "reprojection":

@@ -28,11 +28,12 @@ import numpy as np
 from _photographs import Maps, as_printed, from_colmap, from_dense
 from _published import published
 from _report import print_table, shared_data, write_csv, write_json
+from peers.photographs import five_views, scale_to, with_points
 from scipy import interpolate, ndimage
 
 from mvedge_jax.color import srgb_to_gray
 from mvedge_jax.datasets import synthetic
-from mvedge_jax.datasets.photographs import load_photographs, with_points
+from mvedge_jax.datasets.photographs import load_photographs
 from mvedge_jax.diffusion import System, diffuse, edge_weights
 from mvedge_jax.posed import (
     Photographs,
@@ -42,7 +43,7 @@ from mvedge_jax.posed import (
     reference_of,
     stereo,
 )
-from mvedge_jax.posed.scores import depth_errors, scale_to
+from mvedge_jax.posed.scores import depth_errors
 from mvedge_jax.posed.sparse import (
     SparseStereoDepth,
     seen_points,
@@ -200,9 +201,8 @@ def scenes(
     for name in ("edges", "demo"):
         if names and name not in names:
             continue
-        five = synthetic.five_views(
-            synthetic.scene(name), size=(size, size), samples=3, key=jax.random.key(0)
-        )
+        scene = synthetic.scene(name)
+        five = five_views(scene, size=(size, size), samples=3, key=jax.random.key(0))
         yield f"{name}, five views", with_points(five), [0]
 
 

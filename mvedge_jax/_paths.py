@@ -103,6 +103,19 @@ def replaced(module: _Module, choices: Mapping[str, Any]) -> _Module:
     return module
 
 
+class Replaceable(eqx.Module):
+    """A model that makes others like it, and prints its numbers and static fields; abstract."""
+
+    def replace(
+        self: _Module, choices: Mapping[str, Any] | None = None, /, **parts: Any
+    ) -> _Module:
+        """The same model with other parts, numbers or static fields; see `EdgeDepth.replace`."""
+        return replaced(self, {**(choices or {}), **parts})
+
+    def __str__(self) -> str:
+        return "\n".join(described(self))
+
+
 def walk(module: Any) -> Iterator[Described]:
     """All that `describe` lists, and whatever else a user's module holds, such as functions.
 

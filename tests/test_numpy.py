@@ -111,7 +111,7 @@ CALLS = {
     "supervised": lambda: losses.supervised_loss(
         MAP, MAP, MASK, losses.SupervisedWeights(ONE, ONE[None][0])
     ),
-    "terms": lambda: (terms.edge_aware_slopes(MAP, PLANES), terms.ssim(PLANES, PLANES)),
+    "terms": lambda: (terms.edge_aware_smoothness(MAP, PLANES), terms.ssim(PLANES, PLANES)),
     "scores": lambda: metrics.depth_scores(MAP, MAP, mask=MASK, edge_threshold=ONE),
     "bad pixels": lambda: (
         scores.bad_pixels(MAP, MAP, ONE),

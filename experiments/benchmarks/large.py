@@ -22,10 +22,12 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 from experiments._report import peak_memory, print_table, write_json
 from mvedge_jax import EdgeDepth, plotting
 from mvedge_jax.datasets import synthetic
-from mvedge_jax.datasets.stored import render_stored
+from mvedge_jax.datasets.synthetic._render import check_grid, grid_pinhole, regular
+from mvedge_jax.datasets.synthetic._trace import mode_of, trace_view
+from mvedge_jax.datasets.synthetic.world import Scene
 from mvedge_jax.depth import estimate_depth
 from mvedge_jax.metrics import depth_scores
-from mvedge_jax.tiles import Tiling, Window, depth_in_tiles
+from mvedge_jax.tiles import StoredViews, Tiling, Window, depth_in_tiles
 
 
 def main() -> None:
@@ -47,6 +49,36 @@ def main() -> None:
     row = measured(arguments, size)
     print_table([row], title=f"{size}x{size} px, 17 views, tiles within {arguments.memory} GB")
     write_json(arguments.out / f"large_{size}.json", row)
+
+
+def render_stored(
+    scene: Scene, *, shape: tuple[int, int, int, int], samples: int, key: jax.Array
+) -> tuple[StoredViews, np.ndarray]:
+    """The crosshair in 8 bits, and the true disparity; one view at a time is in floating point."""
+    rows, columns, height, width = check_grid(shape, samples)
+    mode = mode_of(scene, (height, width), samples)
+    gain, focus = float(scene.rig.gain), float(scene.rig.focus)
+    centre = rows // 2, columns // 2
+    cross = [
+        (v, u) for v in range(rows) for u in range(columns) if centre[0] == v or centre[1] == u
+    ]
+    planes, truth = {}, np.empty((height, width), np.float32)
+    for v, u in cross:
+        pinhole = grid_pinhole(scene, shape, regular(shape, v, u))
+        number = np.asarray(v * columns + u, np.int32)
+        image, depth, _ = trace_view(scene.world, scene.sensor, pinhole, key, number, mode=mode)
+        planes[v, u] = np.round(255 * np.asarray(image)).astype(np.uint8)
+        if (v, u) == centre:
+            truth[...] = gain / np.asarray(depth) - gain / focus
+    low, high = (float(end) for end in scene.disparity_range)
+    stored = StoredViews(
+        planes,
+        (rows, columns),
+        disparity_range=(low, high),
+        camera=scene.rig.camera(height, width),
+        name=scene.name,
+    )
+    return stored, truth
 
 
 def measured(arguments: argparse.Namespace, size: int) -> dict[str, float]:

@@ -17,10 +17,8 @@ STEP = 0.1
 class Drawing(NamedTuple):
     """The sample that every pixel of a view shows.
 
-    Attributes:
-        sample: index of the sample.
-        hole: pixels without a sample of their own, which show that of a neighbor.
-        spread: difference of the surfaces around a hole, px; 0 elsewhere.
+    `hole` pixels have no sample of their own and show that of a neighbor; `spread` is the
+    difference of the surfaces around a hole, px, 0 elsewhere.
     """
 
     sample: Int[Array, "y x"]
@@ -31,13 +29,7 @@ class Drawing(NamedTuple):
 def drawn(samples: Samples, step: Float[Array, "2"], shape: tuple[int, int]) -> Drawing:
     """Draws samples into a view; holes continue the farthest of the surfaces around them.
 
-    Args:
-        samples: the samples; if none lands in the view, sample 0 is shown.
-        step: `(u_c - u, v_c - v)` of the view.
-        shape: rows and columns of the view.
-
-    Returns:
-        The drawing. A selection: no gradient passes.
+    Of a view without any sample, sample 0 is shown. A selection: no gradient passes.
     """
     disparity = lax.stop_gradient(samples.disparity)
     place, pixels = landed(samples, step, shape), shape[0] * shape[1]
@@ -62,18 +54,7 @@ def decided(
     noise: Float[Array, ""],
     params: Outline,
 ) -> Drawing:
-    """Decides by color on which side of a depth step the pixels beside it are; see `outline`.
-
-    Args:
-        drawing: drawing of the view.
-        samples: samples of the drawing.
-        view: the view, sRGB.
-        noise: standard deviation of the view's noise, sRGB.
-        params: see `Outline`.
-
-    Returns:
-        The drawing, in which pixels beside steps show the front or the back surface. A selection.
-    """
+    """Decides by color on which side of a depth step the pixels beside it are; see `outline`."""
     disparity = samples.disparity[drawing.sample]
     shown = outline(disparity, view, noise, params)
     return drawing._replace(sample=drawing.sample.ravel()[shown])

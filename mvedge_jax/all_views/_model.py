@@ -7,7 +7,7 @@ import equinox as eqx
 from jaxtyping import Array, Float
 
 from mvedge_jax._params import as_number, at_least, number, positive
-from mvedge_jax._paths import described, replaced
+from mvedge_jax._paths import Replaceable
 from mvedge_jax.edges import scene_range
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.photometry import hypothesis_count, occluder_radius
@@ -23,7 +23,7 @@ def _outline() -> Outline:
     return Outline(odds=as_number(0.25))
 
 
-class ViewDepth(eqx.Module):
+class ViewDepth(Replaceable):
     """Depth of every view, with measurement of surfaces that the center view does not show.
 
     Attributes:
@@ -97,10 +97,3 @@ class ViewDepth(eqx.Module):
             measurement=Measurement(radius=radius),
         )
         return model.replace(choices)
-
-    def replace(self, choices: Mapping[str, Any] | None = None, /, **parts: Any) -> "ViewDepth":
-        """The same model with other parts, numbers or static fields; see `EdgeDepth.replace`."""
-        return replaced(self, {**(choices or {}), **parts})
-
-    def __str__(self) -> str:
-        return "\n".join(described(self))

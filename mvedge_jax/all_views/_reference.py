@@ -41,11 +41,7 @@ _CORNERS = ((-1.0, -1.01), (1.01, -1.0), (1.0, 1.01), (-1.01, 1.0))
 def outermost(light_field: LightField) -> Int[Array, "r 2"]:
     """Indices `(v, u)` of the views that show most of the surfaces hidden from the center view.
 
-    Args:
-        light_field: any grid of views.
-
-    Returns:
-        The available views farthest towards the corners; the two ends of a single row or column.
+    The available views farthest towards the corners; the two ends of a single row or column.
     """
     rows, columns = light_field.available.shape
     corners = np.asarray(_CORNERS)[::2] if min(rows, columns) == 1 else np.asarray(_CORNERS)
@@ -80,26 +76,13 @@ class _Reference(NamedTuple):
 
 
 def uncovered(
-    samples: Samples,
-    light_field: LightField,
-    exposure: Exposure,
-    noise: Noise,
-    model: ViewDepth,
+    samples: Samples, light_field: LightField, exposure: Exposure, noise: Noise, model: ViewDepth
 ) -> tuple[Samples, Int[Array, ""]]:
     """Adds the surfaces that the outermost views show and the center view does not.
 
     Views are processed in turn: pixels of a view that no sample explains are measured there,
-    around a first guess that continues the surface behind.
-
-    Args:
-        samples: samples of the center view.
-        light_field: the views.
-        exposure: exposure of all views.
-        noise: noise of all views after exposure.
-        model: see `ViewDepth`.
-
-    Returns:
-        All samples, and the number of samples to add, with overflow. Differentiable.
+    around a first guess that continues the surface behind. Returns all samples, and the number of
+    samples to add, with overflow. Differentiable.
     """
 
     def add(state: tuple[Samples, Array], view: Array) -> tuple[tuple[Samples, Array], None]:

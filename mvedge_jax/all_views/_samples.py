@@ -31,16 +31,7 @@ class Samples(NamedTuple):
 def samples_of(
     disparity: Float[Array, "y x"], error: Float[Array, "y x"], *, capacity: int
 ) -> Samples:
-    """The pixels of the center view as samples, with room for more.
-
-    Args:
-        disparity: map of the center view, px per view step.
-        error: its standard error, px.
-        capacity: slots for samples that other views add.
-
-    Returns:
-        Samples, those of the center view first, row by row.
-    """
+    """The pixels of the center view as samples, row by row, with room for more."""
     size, dtype = disparity.size, disparity.dtype
     rows, columns = jnp.indices(disparity.shape)
     xy = jnp.stack([columns, rows], axis=-1).reshape(-1, 2).astype(dtype)
@@ -64,18 +55,9 @@ def added(
     *,
     count: Int[Array, ""],
 ) -> tuple[Samples, Int[Array, ""]]:
-    """Adds pixels of a view to the samples, in the free slots.
+    """Adds wanted pixels of a view to the samples, in the free slots.
 
-    Args:
-        samples: the samples so far.
-        disparity: map of the view, px per view step.
-        error: its standard error, px.
-        wanted: pixels to add.
-        step: `(u_c - u, v_c - v)` of the view.
-        count: number of samples added so far.
-
-    Returns:
-        The samples and the new count, which may exceed the capacity.
+    Returns the samples and the new count of added ones, which may exceed the capacity.
     """
     shape, slots = disparity.shape, samples.valid.shape[0]
     place = count + jnp.cumsum(wanted.ravel(), dtype=count.dtype) - 1

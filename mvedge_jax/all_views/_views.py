@@ -52,15 +52,13 @@ def _validate(light_field: Any, result: Any, model: Any) -> tuple[Any, ...]:
 def depth_of_views(light_field: LightField, result: DepthResult, model: ViewDepth) -> ViewDepths:
     """Estimates the disparity of every pixel of every view.
 
-    1. The pixels of the center view are surface samples. The corner views show most of the
-       surfaces hidden from it. In each corner view in turn, pixels that no sample explains are
-       measured in the row and the column of views through it, and added.
+    1. The pixels of the center view are surface samples. In each corner view in turn, pixels that
+       no sample explains are measured in the row and the column of views through it, and added.
     2. Every view is drawn from all samples: the nearest wins, a remaining hole continues the
        surface behind it, and the view's own colors decide on which side of a depth step the pixels
        beside it are.
 
-    The maps agree by construction, as every pixel of every view is one of the samples. The center
-    view keeps its own map.
+    The maps agree by construction. The center view keeps its own map.
 
     Args:
         light_field: all available views are read; ground truth is not.

@@ -1,17 +1,16 @@
 """`mvedge batch`: depth of many light fields."""
 
-import csv
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
 import tyro
 
-from ._batch_scene import SCORES, Kind, Options, estimate_of, make, row_of, survey
+from ._batch_scene import Kind, Options, estimate_of, make, row_of, survey
 from ._cluster import connected, outcomes, reason_of
-from ._common import finite, note, warn
+from ._common import SCORES, finite, note, warn
 from ._model import FULL, ModelArg
-from ._output import MARKER, refuse_inputs, write_json
+from ._output import MARKER, refuse_inputs, write_csv, write_json
 from ._paths import scenes_and_out
 from ._slurm import slurm_script
 
@@ -176,12 +175,12 @@ def _summary(rows: dict[str, dict[str, Any]], out: Path) -> int:
     columns = [*first, *SCORES, "warnings", "reason"]
     if any("worker" in row for row in rows.values()):
         columns += ["worker", "attempt"]
-    with (out / "summary.csv").open("w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, fieldnames=columns)
-        writer.writeheader()
-        for name, row in rows.items():
-            row = {"name": name, **row, "warnings": " ".join(row.get("warnings", []))}
-            writer.writerow(row)
+    named = (
+        {"name": name, **row, "warnings": " ".join(row.get("warnings", []))}
+        for name, row in rows.items()
+    )
+    table = ([row.get(column, "") for column in columns] for row in named)
+    write_csv(out / "summary.csv", columns, table)
     write_json(out / "summary.json", rows)
     failed = {name: row for name, row in rows.items() if row["state"] == "failed"}
     for name, row in rows.items():

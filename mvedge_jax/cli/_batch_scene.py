@@ -12,23 +12,15 @@ from mvedge_jax.depth import DepthResult, EdgeDepth, estimate_depth
 from mvedge_jax.edges import scene_range
 from mvedge_jax.lightfield import LightField
 
-from ._common import compiled, missing_views, stage
-from ._depth import depth_report, score_depth, write_depth
-from ._model import ModelOptions, reads_all_views
-from ._output import MARKER, output_folder, write_json
+from ._common import SCORES, compiled, stage
+from ._depth import write_depth
+from ._model import ModelOptions
+from ._output import MARKER, output_folder
 from ._source import read_json, read_scene, source_of
-
-SCORES = ("mse", "q25", "bad_01", "bad_03", "bad_07")
 
 
 class Kind(NamedTuple):
-    """Light fields that share a program: shape, precision and reach of their views.
-
-    Attributes:
-        shape: of the views.
-        dtype: of the views.
-        farthest: see `LightField.farthest`; None for a regular grid.
-    """
+    """What light fields of one program share; `farthest` is None for a regular grid."""
 
     shape: tuple[int, ...]
     dtype: str
@@ -51,19 +43,7 @@ class Options(NamedTuple):
 def survey(
     scene: Path, options: Options, ranges: Mapping[Kind, tuple[float, float]]
 ) -> tuple[Kind, tuple[float, float]]:
-    """Reads a light field to tell its kind and its disparity range.
-
-    Args:
-        scene: its path.
-        options: of the batch.
-        ranges: known ranges, which are not measured again.
-
-    Returns:
-        Its kind; the lowest and highest disparity, px per view step.
-
-    Raises:
-        ValueError, OSError, MemoryError: it cannot be read.
-    """
+    """Reads a light field; its kind and its disparity range, measured if not in `ranges`."""
     with stage(f"reading {scene}"):
         found = read_scene(scene, views=options.views, scale=options.scale)[0].without_truth()
     farthest = None if found.positions is None else found.farthest
@@ -72,30 +52,12 @@ def survey(
 
 
 def make(
-    name: str,
-    scene: Path,
-    out: Path,
-    kind: Kind,
-    ends: tuple[float, float],
-    options: Options,
+    name: str, scene: Path, out: Path, kind: Kind, ends: tuple[float, float], options: Options
 ) -> dict[str, Any]:
-    """Estimates depth of a light field and writes its folder, whole or not at all.
+    """Estimates depth of a light field and writes its folder; returns the row of the summary.
 
-    A folder that is complete is not made again: a worker may die after it wrote one.
-
-    Args:
-        name: of the folder.
-        scene: path of the light field.
-        out: folder of the results.
-        kind: of the light field.
-        ends: lowest and highest disparity of all of this kind, px per view step.
-        options: of the batch.
-
-    Returns:
-        The row of the summary.
-
-    Raises:
-        ValueError, OSError, MemoryError: the light field cannot be read, or the folder not written.
+    A folder that is complete is not made again: a worker may die after it wrote one. `ends` are
+    lowest and highest disparity of all light fields of the kind.
     """
     report_file = out / name / "report.json"
     if not options.again and (out / name / MARKER).exists():
@@ -105,17 +67,9 @@ def make(
     result, model, seconds = estimate_of(kind, options, ends)(found, name)
     # What is there is an earlier result of ours, or the folder refuses.
     with output_folder(out / name, inputs=[scene], overwrite=True) as folder:
-        report = depth_report(found, result, seconds)
-        report |= options.model.described(model) | {"seed": options.seed}
-        write_depth(folder, found, result)
-        report["scores"] = score_depth(folder, found.truth, result)
-        report["source"] = source_of(scene, views=options.views, scale=options.scale)
-        report["warnings"] = [
-            *said,
-            *result.problems(),
-            *(missing_views(found) if reads_all_views(model) else []),
-        ]
-        write_json(folder / "report.json", report)
+        told = options.model.described(model) | {"seed": options.seed, "seconds": seconds}
+        told["source"] = source_of(scene, views=options.views, scale=options.scale)
+        write_depth(folder, found, found.truth, model, result, told | {"warnings": said})
     return row_of(report_file, "done")
 
 

@@ -47,15 +47,8 @@ def extra(who: str, name: str) -> Iterator[None]:
 def connected(workers: int, scheduler: str | None) -> Iterator[Any]:
     """A Dask client whose workers, later ones included, use the compilation cache.
 
-    Args:
-        workers: processes to start on this machine; 0 for none.
-        scheduler: address of a scheduler to use instead.
-
-    Yields:
-        The client; None if there are neither workers nor a scheduler.
-
-    Raises:
-        ValueError: `workers` is negative, Dask is not installed, or no scheduler answers.
+    None without workers to start and without the address of a scheduler. Mistakes in either, and a
+    missing Dask, are ValueErrors.
     """
     if workers < 0:
         raise ValueError(f"--workers must not be negative, got {workers}.")
@@ -87,16 +80,8 @@ def outcomes(
     """Calls a function with each of several arguments; a call that fails stops no other.
 
     Without a client a call begins when the outcome before it was taken, and only mistakes of the
-    user's files are outcomes. With one, calls run on its workers; those of a worker that died, and
-    those that raised what may pass, run again.
-
-    Args:
-        client: see `connected`; None for this process.
-        function: of a module that workers can import.
-        calls: arguments by the name of the call.
-
-    Yields:
-        An outcome per call; with a client in the order in which they are finished.
+    user's files are outcomes. With one, calls run on its workers, and outcomes come as they are
+    finished; calls of a worker that died, and those that raised what may pass, run again.
     """
     if client is not None:
         yield from _on_workers(client, function, calls)

@@ -4,9 +4,10 @@ import contextlib
 import os
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
+import jax
 import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
@@ -18,6 +19,14 @@ from mvedge_jax.lightfield import LightField
 
 from ._interruption import GUARD
 
+# Titles of the scores of a depth map.
+SCORES = {
+    "mse": "MSE*100",
+    "q25": "Q25*100",
+    "bad_01": "BP(0.01) %",
+    "bad_03": "BP(0.03) %",
+    "bad_07": "BP(0.07) %",
+}
 # File names are printed literally: no markup, no emoji for `:names:`, no highlighting.
 _PROGRESS = Console(stderr=True, markup=False, emoji=False, highlight=False)
 
@@ -99,28 +108,14 @@ def _say(*parts: str | tuple[str, str]) -> None:
 
 
 def finite(**options: Sequence[float] | float | None) -> None:
-    """Refuses numbers that are NaN or infinite.
-
-    Args:
-        **options: values by the name of their option; None is fine.
-
-    Raises:
-        ValueError: naming the option and its value.
-    """
+    """Refuses options that are NaN or infinite, by name; None is fine."""
     for name, value in options.items():
         if value is not None and not np.isfinite(value).all():
             raise ValueError(f"--{name} must be finite, got {value}.")
 
 
 def in_unit_range(colour: Sequence[float] | None) -> None:
-    """Refuses an invalid --colour.
-
-    Args:
-        colour: red, green and blue, or None.
-
-    Raises:
-        ValueError: a value is not within 0 and 1.
-    """
+    """Refuses a --colour that is not within 0 and 1."""
     if colour is not None and not all(0 <= value <= 1 for value in colour):
         raise ValueError(f"--colour must be three numbers between 0 and 1, got {colour}.")
 
@@ -134,18 +129,35 @@ def missing_views(light_field: LightField | StoredViews) -> list[str]:
 
 
 def compiled(function: Any, *arguments: Any, **options: Any) -> Callable[..., Any]:
-    """Compiles a `lean_jit` function, or loads the program of an earlier process.
+    """The program of a `lean_jit` function for such arguments, compiled or read from its file.
 
     The compiler's free memory is returned to the system.
-
-    Args:
-        function: to compile.
-        arguments: the arguments of the later call.
-        options: the same, by name.
-
-    Returns:
-        The program, to be called with the same arguments.
     """
     program = function.ahead(*arguments, **options)
     release_memory()
     return program
+
+
+def run(
+    what: str, doing: str, function: Any, *arguments: Any, **options: Any
+) -> tuple[Any, dict[str, float]]:
+    """Compiles a `lean_jit` function and calls it; the result, and the seconds of both."""
+    before = time.perf_counter()
+    with stage(f"compiling {what}, or reading what was compiled before"):
+        program = compiled(function, *arguments, **options)
+    start = time.perf_counter()
+    with stage(doing):
+        result = jax.block_until_ready(program(*arguments, **options))
+    seconds = {"compilation": start - before, "estimation": time.perf_counter() - start}
+    return result, {name: round(value, 3) for name, value in seconds.items()}
+
+
+def score_line(name: str, scores: Mapping[str, float]) -> str:
+    """Scores of a map in a line."""
+    return f"{name}: " + "  ".join(f"{SCORES[key]} {scores[key]:.4g}" for key in SCORES)
+
+
+def aligned(rows: Sequence[Sequence[str]]) -> str:
+    """A table as text."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    return "\n".join("  ".join(map(str.rjust, row, widths)) for row in rows)

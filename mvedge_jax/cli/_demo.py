@@ -1,23 +1,19 @@
 """`mvedge demo`: a synthetic light field, rendered, measured and drawn."""
 
-import csv
 import platform
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import jax
 import numpy as np
 import tyro
-from jax import Array
-from jaxtyping import PRNGKeyArray
 from matplotlib.figure import Figure
 
 from mvedge_jax import plotting
 from mvedge_jax.datasets import synthetic, write_pfm
-from mvedge_jax.depth import EdgeDepth, estimate_depth
-from mvedge_jax.edges import EdgePoints
+from mvedge_jax.depth import DepthResult, estimate_depth
 from mvedge_jax.lightfield import GroundTruth, LightField
 from mvedge_jax.metrics import (
     BoundaryScores,
@@ -28,64 +24,37 @@ from mvedge_jax.metrics import (
 )
 from mvedge_jax.photometry.matching import plane_sweep
 
-from ._common import note, stage
+from ._common import SCORES, aligned, note, stage
 from ._model import FULL, ModelArg, ModelOptions
-from ._output import output_folder, write_json
-
-
-class _Estimate(NamedTuple):
-    """Result of a method: the center view's disparity; its points and model, if any."""
-
-    disparity: Array
-    points: EdgePoints | None = None
-    model: EdgeDepth | None = None
-
-
-def _plane_sweep(light_field: LightField, options: ModelOptions, *, key: PRNGKeyArray) -> _Estimate:
-    del options, key
-    return _Estimate(plane_sweep(light_field).disparity)
-
-
-def _multiview_edges(
-    light_field: LightField, options: ModelOptions, *, key: PRNGKeyArray
-) -> _Estimate:
-    model = options.model(light_field)
-    result = estimate_depth(light_field, model, key=key)
-    return _Estimate(result.disparity, result.points, model)
-
+from ._output import output_folder, write_csv, write_json
 
 # Every method gets the light field without ground truth and is timed, scored and drawn in the same
 # way; this library's is last.
-_METHODS: dict[str, Callable[..., _Estimate]] = {
-    "plane sweep": _plane_sweep,
-    "multi-view edges": _multiview_edges,
-}
-
-# Title of a column of the table -> the figure of a result.
-_COLUMNS: dict[str, Callable[["_Result"], Array]] = {
-    "MSE*100": lambda r: r.depth.mse,
-    "Q25*100": lambda r: r.depth.q25,
-    "BP(0.01) %": lambda r: r.depth.bad_01,
-    "BP(0.03) %": lambda r: r.depth.bad_03,
-    "BP(0.07) %": lambda r: r.depth.bad_07,
-    "edge MSE*100": lambda r: r.depth.edge_mse,
-    "boundary F1": lambda r: r.boundary.peak_f1,
-    "boundary AUC": lambda r: r.boundary.auc,
-    "reprojection*100": lambda r: r.reprojection,
+_METHODS: dict[str, Callable[[LightField, ModelOptions, jax.Array], Any]] = {
+    "plane sweep": lambda views, options, key: plane_sweep(views),
+    "multi-view edges": lambda views, options, key: estimate_depth(
+        views, options.model(views), key=key
+    ),
 }
 
 
 class _Result(NamedTuple):
-    """One method's map and scores."""
+    """What a method found, a map and perhaps points, and its scores."""
 
     name: str
-    disparity: Array
-    points: EdgePoints | None
-    model: EdgeDepth | None
+    found: Any
     seconds: float
     depth: DepthScores
     boundary: BoundaryScores
-    reprojection: Array
+    reprojection: jax.Array
+
+    def row(self) -> dict[str, float]:
+        """Scores by the titles of their columns."""
+        titles = SCORES | {"edge_mse": "edge MSE*100"}
+        scores = {title: getattr(self.depth, name) for name, title in titles.items()}
+        scores |= {"boundary F1": self.boundary.peak_f1, "boundary AUC": self.boundary.auc}
+        scores["reprojection*100"] = self.reprojection
+        return {title: float(score) for title, score in scores.items()}
 
 
 def demo(
@@ -128,46 +97,34 @@ def demo(
             jax.block_until_ready(light_field.views)
         truth = light_field.truth
         assert truth is not None
-        key = jax.random.key(seed)
-        results = [_run(name, light_field, truth, options, key=key) for name in _METHODS]
+        results = [_run(name, light_field, truth, options, seed) for name in _METHODS]
         with stage("writing figures and metrics"):
             for name, figure in _figures(light_field, truth, results):
                 figure.savefig(folder / f"{name}.png")
             for result in results:
                 path = folder / f"disparity_{result.name.replace(' ', '_')}.pfm"
-                write_pfm(path, np.asarray(result.disparity))
+                write_pfm(path, np.asarray(result.found.disparity))
             _write_metrics(folder, light_field, results, options)
     note(_table(results))
     note(f"figures and metrics are in {out}")
 
 
 def _run(
-    name: str,
-    light_field: LightField,
-    truth: GroundTruth,
-    options: ModelOptions,
-    *,
-    key: PRNGKeyArray,
+    name: str, light_field: LightField, truth: GroundTruth, options: ModelOptions, seed: int
 ) -> _Result:
-    blind = light_field.without_truth()
+    given = light_field.without_truth(), options, jax.random.key(seed)
     with stage(f"estimating disparity: {name}, compilation included"):
-        found = jax.block_until_ready(_METHODS[name](blind, options, key=key))
+        found = jax.block_until_ready(_METHODS[name](*given))
     with stage(f"timing a second run: {name}"):
         start = time.perf_counter()
-        jax.block_until_ready(_METHODS[name](blind, options, key=key))
+        jax.block_until_ready(_METHODS[name](*given))
         seconds = time.perf_counter() - start
     with stage(f"scoring: {name}"):
         maps = (found.disparity, truth.disparity)
-        return _Result(
-            name,
-            found.disparity,
-            found.points,
-            found.model,
-            seconds,
-            depth_scores(*maps, mask=truth.valid),
-            boundary_scores(*maps, mask=truth.valid),
-            reprojection_error(found.disparity, light_field).error,
-        )
+        depth = depth_scores(*maps, mask=truth.valid)
+        boundary = boundary_scores(*maps, mask=truth.valid)
+        reprojection = reprojection_error(found.disparity, light_field).error
+    return _Result(name, found, seconds, depth, boundary, reprojection)
 
 
 def _figures(
@@ -176,7 +133,7 @@ def _figures(
     """Figures by name, with a common color range of disparity."""
     known = np.where(np.asarray(truth.valid), np.asarray(truth.disparity), np.nan)
     names = [result.name for result in results]
-    maps = [result.disparity for result in results]
+    maps = [result.found.disparity for result in results]
     captions = [
         f"MSE*100 {float(r.depth.mse):.3g}    BP(0.07) {float(r.depth.bad_07):.3g} %"
         for r in results
@@ -185,13 +142,13 @@ def _figures(
     edges = [
         plotting.plot_edges(
             light_field.centre_view,
-            r.points.xy,
-            r.points.disparity,
-            valid=r.points.valid,
+            r.found.points.xy,
+            r.found.points.disparity,
+            valid=r.found.points.valid,
             limits=limits,
         )
         for r in results
-        if r.points is not None
+        if isinstance(r.found, DepthResult)
     ]
     return [
         ("views", plotting.plot_views(light_field)),
@@ -233,32 +190,23 @@ def _epi(light_field: LightField, truth: GroundTruth) -> Figure:
     )
 
 
-def _values(result: _Result) -> list[float]:
-    return [float(get(result)) for get in _COLUMNS.values()]
-
-
 def _table(results: list[_Result]) -> str:
-    rows = [["method", *_COLUMNS, "seconds"]]
+    rows = [["method", *results[0].row(), "seconds"]]
     for result in results:
-        cells = [f"{value:#.3g}" for value in _values(result)]
+        cells = [f"{value:#.3g}" for value in result.row().values()]
         rows.append([result.name, *cells, f"{result.seconds:.2f}"])
-    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
-    return "\n".join(
-        "  ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True))
-        for row in rows
-    )
+    return aligned(rows)
 
 
 def _write_metrics(
     folder: Path, light_field: LightField, results: list[_Result], options: ModelOptions
 ) -> None:
-    with (folder / "metrics.csv").open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(["scene", "method", *_COLUMNS, "seconds"])
-        for result in results:
-            writer.writerow(
-                [light_field.name, result.name, *_values(result), round(result.seconds, 3)]
-            )
+    rows = [
+        {"scene": light_field.name, "method": r.name, **r.row(), "seconds": round(r.seconds, 3)}
+        for r in results
+    ]
+    write_csv(folder / "metrics.csv", rows[0], (row.values() for row in rows))
+    described = options.described(options.model(light_field.without_truth()))
     summary = {
         "scene": light_field.name,
         "shape [v, u, y, x]": list(light_field.views.shape[:4]),
@@ -270,8 +218,8 @@ def _write_metrics(
             {
                 "name": result.name,
                 "seconds": round(result.seconds, 3),
-                **dict(zip(_COLUMNS, _values(result), strict=True)),
-                **({} if result.model is None else options.described(result.model)),
+                **result.row(),
+                **(described if isinstance(result.found, DepthResult) else {}),
             }
             for result in results
         ],

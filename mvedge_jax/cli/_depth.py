@@ -1,7 +1,6 @@
 """`mvedge depth`: a dense disparity map of the center view."""
 
 import platform
-import time
 from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated, Any
@@ -10,7 +9,6 @@ import cv2
 import jax
 import numpy as np
 import tyro
-from jaxtyping import PRNGKeyArray
 
 from mvedge_jax import plotting, viewer
 from mvedge_jax._stored_views import StoredViews
@@ -19,21 +17,13 @@ from mvedge_jax.depth import DepthResult, DepthStats, EdgeDepth, estimate_depth
 from mvedge_jax.lightfield import GroundTruth, LightField
 from mvedge_jax.metrics import boundary_scores, calibration, depth_scores
 
-from ._common import compiled, missing_views, note, positions_of, stage, warn
-from ._model import FULL, ModelArg, reads_all_views
+from ._common import missing_views, note, positions_of, run, score_line, stage, warn
+from ._model import FULL, ModelArg
 from ._output import output_folder, write_json
 from ._points import valid_points, write_points
 from ._source import read_scene, source_of
 from ._tiles import estimate_tiles, in_tiles, read_stored
 from ._view import show
-
-_COLUMNS = {
-    "mse": "MSE*100",
-    "q25": "Q25*100",
-    "bad_01": "BP(0.01) %",
-    "bad_03": "BP(0.03) %",
-    "bad_07": "BP(0.07) %",
-}
 
 
 def depth(
@@ -107,94 +97,73 @@ def depth(
             blind = light_field.without_truth()
             with stage("choosing sizes"):
                 model = options.model(blind, all_views=all_views)
-            result, seconds = _estimate(blind, model, key=key)
+            doing = "estimating depth"
+            result, seconds = run("depth", doing, estimate_depth, blind, model, key=key)
         with stage("writing"):
-            report = depth_report(light_field, result, seconds)
-            report |= options.described(model) | {"seed": seed}
-            write_depth(folder, light_field, result)
-            scores = score_depth(folder, truth, result)
-            report["scores"] = scores
-            report["source"] = source_of(scene, views=views, scale=scale, **order)
-            every = reads_all_views(model)
-            doubts = [*said, *result.problems(), *(missing_views(light_field) if every else [])]
-            report["warnings"] = doubts
-            write_json(folder / "report.json", report)
-    for doubt in doubts:
+            told = options.described(model) | {"seed": seed, "seconds": seconds, "warnings": said}
+            told["source"] = source_of(scene, views=views, scale=scale, **order)
+            report = write_depth(folder, light_field, truth, model, result, told)
+    for doubt in report["warnings"]:
         warn(doubt)
-    for crop, row in scores.items():
-        figures = "  ".join(f"{_COLUMNS[name]} {row[name]:.4g}" for name in _COLUMNS)
-        note(f"{crop}: {figures}")
+    for crop, row in report["scores"].items():
+        note(score_line(crop, row))
     found, spent = int(result.stats.edges.valid), seconds["estimation"]
     note(f"{found} edge points, {spent:.1f} s; written to {out}")
     if view and isinstance(light_field, LightField):
         show(light_field, [viewer.result_of(result, name=out.name)])
 
 
-def _estimate(
-    blind: LightField, model: EdgeDepth, *, key: PRNGKeyArray
-) -> tuple[DepthResult, dict[str, float]]:
-    """Depth, and the seconds of the estimate."""
-    before = time.perf_counter()
-    with stage("compiling depth, or reading what was compiled before"):
-        estimate = compiled(estimate_depth, blind, model, key=key)
-    start = time.perf_counter()
-    with stage("estimating depth"):
-        result = jax.block_until_ready(estimate(blind, model, key=key))
-    return result, {
-        "compilation": round(start - before, 3),
-        "estimation": round(time.perf_counter() - start, 3),
-    }
-
-
-def write_depth(folder: Path, light_field: LightField | StoredViews, result: DepthResult) -> None:
+def write_depth(
+    folder: Path,
+    light_field: LightField | StoredViews,
+    truth: GroundTruth | None,
+    model: EdgeDepth,
+    result: DepthResult,
+    told: dict[str, Any],
+) -> dict[str, Any]:
+    """Writes all files of a map; the report, with what is `told`, of which warnings come first."""
     disparity = np.asarray(result.disparity)
     write_pfm(folder / "disparity.pfm", disparity)
     low, high = float(disparity.min()), float(disparity.max())
-    levels = (disparity - low) / max(high - low, 1e-12) * 65535
-    _image(folder / "disparity16.png", np.round(levels).astype(np.uint16))
+    levels = np.round((disparity - low) / max(high - low, 1e-12) * 65535).astype(np.uint16)
+    (folder / "disparity16.png").write_bytes(cv2.imencode(".png", levels)[1].tobytes())
     error = np.asarray(result.error)
     write_pfm(folder / "standard_error.pfm", error)
-    figure = plotting.plot_error(
-        error, np.zeros_like(error), label="standard error (px per view step)"
-    )
+    label = "standard error (px per view step)"
+    figure = plotting.plot_error(error, np.zeros_like(error), label=label)
     figure.savefig(folder / "standard_error.png")
     plotting.plot_disparity(disparity).savefig(folder / "disparity.png")
     if light_field.camera is not None:
         write_pfm(folder / "depth.pfm", np.asarray(light_field.camera.depth(result.disparity)))
-    keep = np.asarray(result.points.valid)
-    surface = np.asarray(result.surface.offset)[keep]
+    surface = np.asarray(result.surface.offset)[np.asarray(result.points.valid)]
     write_points(folder, valid_points(result.points), surface=surface)
+    every = model.measurement is not None and model.measurement.views == "all"
+    doubts = [*told["warnings"], *result.problems(), *(missing_views(light_field) if every else [])]
+    report = _report(light_field, result) | told | {"warnings": doubts}
+    report["scores"] = {} if truth is None else _score(folder, truth, result)
+    write_json(folder / "report.json", report)
+    return report
 
 
-def _image(path: Path, image: np.ndarray) -> None:
-    path.write_bytes(cv2.imencode(".png", image)[1].tobytes())
-
-
-def score_depth(folder: Path, truth: GroundTruth | None, result: DepthResult) -> dict[str, Any]:
-    """Scores by crop, and error maps, if there is ground truth."""
-    if truth is None:
-        return {}
+def _score(folder: Path, truth: GroundTruth, result: DepthResult) -> dict[str, Any]:
+    """Scores by crop; writes error maps."""
     known = np.where(np.asarray(truth.valid), np.asarray(truth.disparity), np.nan)
-    disparity = np.asarray(result.disparity)
     for kind in ("log", "signed"):
-        figure = plotting.plot_error(disparity, known, kind=kind)
+        figure = plotting.plot_error(np.asarray(result.disparity), known, kind=kind)
         figure.savefig(folder / f"error_{kind}.png")
     scores = {}
     for crop in (0, 15):
         if 2 * crop >= min(known.shape):
             continue
-        maps = (result.disparity, truth.disparity)
-        found = depth_scores(*maps, mask=truth.valid, crop=crop)
-        boundary = boundary_scores(*maps, mask=truth.valid, crop=crop)
-        known_to = calibration(
-            result.disparity, result.error, truth.disparity, mask=truth.valid, crop=crop
-        )
+        maps, pixels = (result.disparity, truth.disparity), {"mask": truth.valid, "crop": crop}
+        boundary = boundary_scores(*maps, **pixels)
+        stated = calibration(result.disparity, result.error, truth.disparity, **pixels)
         scores[f"crop {crop}"] = {
-            **{name: float(value) for name, value in found._asdict().items()},
+            **{name: float(v) for name, v in depth_scores(*maps, **pixels)._asdict().items()},
             "boundary_peak_f1": float(boundary.peak_f1),
             "boundary_auc": float(boundary.auc),
-            "within_two_errors": float(known_to.within[1]),
-            "ause": float(known_to.ause),
+            "within_two_errors": float(stated.within[1]),
+            "ause": float(stated.ause),
         }
     return scores
 
@@ -214,12 +183,8 @@ def _photometry(stats: DepthStats) -> dict[str, Any]:
     }
 
 
-def depth_report(
-    light_field: LightField | StoredViews,
-    result: DepthResult,
-    seconds: dict[str, float],
-) -> dict[str, Any]:
-    """The report: options, statistics, warnings."""
+def _report(light_field: LightField | StoredViews, result: DepthResult) -> dict[str, Any]:
+    """Statistics of a map."""
     stored = isinstance(light_field, StoredViews)
     disparity = np.asarray(result.disparity)
     stats = result.stats
@@ -232,7 +197,6 @@ def depth_report(
         "positions": positions_of(light_field),
         "disparity range": [float(disparity.min()), float(disparity.max())],
         "standard error, median and 95 %": spread,
-        "seconds": seconds,
         "photometry": _photometry(stats),
         "counts": {
             **{name: int(value) for name, value in vars(stats.edges).items()},

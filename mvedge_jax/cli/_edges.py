@@ -1,6 +1,5 @@
 """`mvedge edges`: the sparse multi-view edges of a light field."""
 
-import time
 from pathlib import Path
 from typing import Annotated
 
@@ -13,7 +12,7 @@ from mvedge_jax.depth import multiview_edges
 from mvedge_jax.edges import Edges
 from mvedge_jax.lightfield import LightField
 
-from ._common import compiled, note, stage, warn
+from ._common import note, run, stage, warn
 from ._model import FULL, ModelArg
 from ._output import output_folder, write_json
 from ._points import valid_points, write_points
@@ -65,16 +64,8 @@ def edges(
     with output_folder(out, inputs=[scene], overwrite=overwrite) as folder:
         with stage("choosing sizes"):
             model, key = options.model(light_field), jax.random.key(seed)
-        before = time.perf_counter()
-        with stage("compiling edges, or reading what was compiled before"):
-            find = compiled(multiview_edges, light_field, model, key=key)
-        start = time.perf_counter()
-        with stage("finding edges"):
-            found = jax.block_until_ready(find(light_field, model, key=key))
-        seconds = {
-            "compilation": round(start - before, 3),
-            "finding": round(time.perf_counter() - start, 3),
-        }
+        found, spent = run("edges", "finding edges", multiview_edges, light_field, model, key=key)
+        seconds = {"compilation": spent["compilation"], "finding": spent["estimation"]}
         with stage("writing"):
             _write(folder, light_field, found)
             report = {

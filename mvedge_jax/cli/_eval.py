@@ -1,7 +1,5 @@
 """`mvedge eval`: scores a disparity map against a scene's ground truth."""
 
-import csv
-import json
 from pathlib import Path
 from typing import Annotated
 
@@ -12,19 +10,11 @@ import tyro
 from mvedge_jax.datasets import load_ground_truth, read_pfm
 from mvedge_jax.metrics import DepthScores, depth_scores
 
-from ._common import note, stage, warn
-from ._output import output_folder
+from ._common import SCORES, aligned, note, stage, warn
+from ._output import output_folder, write_csv, write_json
 
-_COLUMNS = {
-    "mse": "MSE*100",
-    "mae": "MAE",
-    "q25": "Q25*100",
-    "bad_01": "BP(0.01) %",
-    "bad_03": "BP(0.03) %",
-    "bad_07": "BP(0.07) %",
-    "edge_mse": "edge MSE*100",
-    "edge_bad_07": "edge BP(0.07) %",
-}
+_COLUMNS = {"mse": SCORES["mse"], "mae": "MAE"} | SCORES
+_COLUMNS |= {"edge_mse": "edge MSE*100", "edge_bad_07": "edge BP(0.07) %"}
 
 
 def evaluate(
@@ -110,31 +100,21 @@ def _table(scores: dict[int, DepthScores]) -> str:
     for crop, values in scores.items():
         cells = [f"{float(getattr(values, name)):#.4g}" for name in _COLUMNS]
         rows.append([str(crop), *cells, str(int(values.pixels))])
-    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
-    return "\n".join(
-        "  ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True))
-        for row in rows
-    )
+    return aligned(rows)
 
 
 def _write_scores(folder: Path, result: Path, scene: Path, scores: dict[int, DepthScores]) -> None:
-    records = [_record(crop, values) for crop, values in scores.items()]
-    summary = {"result": str(result), "scene": str(scene), "scores": records}
-    (folder / "scores.json").write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
-    with (folder / "scores.csv").open("w", newline="", encoding="utf-8") as stream:
-        writer = csv.DictWriter(stream, fieldnames=list(records[0]))
-        writer.writeheader()
-        writer.writerows(records)
-
-
-def _record(crop: int, values: DepthScores) -> dict[str, int | float | None]:
-    """The scores by name; None for infinite or undefined ones, which JSON does not have."""
-    numbers = {name: float(getattr(values, name)) for name in _COLUMNS}
-    return (
+    records = [
         {"crop": crop}
-        | {name: value if np.isfinite(value) else None for name, value in numbers.items()}
+        | {name: float(getattr(values, name)) for name in _COLUMNS}
         | {"not_finite": int(values.not_finite), "pixels": int(values.pixels)}
-    )
+        for crop, values in scores.items()
+    ]
+    summary = {"result": str(result), "scene": str(scene), "scores": records}
+    write_json(folder / "scores.json", summary)
+    # Infinite and undefined scores are left empty.
+    rows = ([v if np.isfinite(v) else "" for v in record.values()] for record in records)
+    write_csv(folder / "scores.csv", records[0], rows)
 
 
 def _draw(

@@ -9,7 +9,7 @@ import tyro
 
 from mvedge_jax.datasets.exchange import from_origin, write_colmap, write_nerfstudio, write_ply
 from mvedge_jax.posed import Photographs
-from mvedge_jax.posed.cloud import surface_of
+from mvedge_jax.posed.cloud import Surface, surface_of
 
 from ._common import note, stage
 from ._gathered import Gathered, gather
@@ -81,17 +81,21 @@ def _files(counts: dict[str, int]) -> str:
     return ", ".join(names[:3]) + (", ..." if len(names) > 3 else "")
 
 
+def _surface(views: Photographs, index: int, depth: np.ndarray) -> tuple[Surface, np.ndarray]:
+    """The surface that a photograph shows, and its colors."""
+    pose = views.poses[index]
+    surface = surface_of(jnp.asarray(depth, pose.dtype), pose, views.intrinsics[index])
+    return surface, np.round(255 * np.asarray(views.images[index])).astype(np.uint8)
+
+
 def _dense(folder: Path, found: Gathered) -> dict[str, int]:
     """Writes a cloud of every view with depth; returns their numbers of points."""
     counts, views = {}, found.photographs
     stems = stems_of(views.names)
     for index, depth in found.depth.items():
-        pose, matrix = views.poses[index], views.intrinsics[index]
-        surface = surface_of(jnp.asarray(depth, pose.dtype), pose, matrix)
+        surface, colours = _surface(views, index, depth)
         keep = np.isfinite(depth) & (depth > 0)
-        colours = np.round(255 * np.asarray(views.images[index])).astype(np.uint8)
-        stem = stems[views.names[index]]
-        error = found.error.get(index)
+        stem, error = stems[views.names[index]], found.error.get(index)
         write_ply(
             folder / f"{stem}.ply",
             from_origin(np.asarray(surface.points)[keep], views.origin),
@@ -113,9 +117,7 @@ def _edges(folder: Path, found: Gathered, source: Path) -> dict[str, int]:
         )
     index, depth = next(iter(found.depth.items()))
     row, column = _pixels(views, index)
-    pose, matrix = views.poses[index], views.intrinsics[index]
-    surface = surface_of(jnp.asarray(depth, pose.dtype), pose, matrix)
-    colours = np.round(255 * np.asarray(views.images[index])).astype(np.uint8)
+    surface, colours = _surface(views, index, depth)
     write_ply(
         folder / "edges.ply",
         from_origin(np.asarray(views.points), views.origin),

@@ -1,5 +1,6 @@
 """Data to export: photographs with cameras, and the depth of an earlier run."""
 
+import dataclasses
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -37,17 +38,8 @@ class Gathered(NamedTuple):
 def gather(path: Path, camera: tuple[float, float, float] | None) -> Gathered:
     """Reads a light field, or a result of `mvedge depth`, `views` or `stereo`.
 
-    Args:
-        path: a scene, a model, or a result.
-        camera: focal length, px, baseline and focus distance, for a light field without a known
-            camera.
-
-    Returns:
-        The photographs and their depth.
-
-    Raises:
-        FileNotFoundError: `path`, or the scene of a result, does not exist.
-        ValueError: a result does not name its scene, or the camera is unknown.
+    `camera` has focal length, px, baseline and focus distance, for a light field that does not know
+    its camera. Errors name the file.
     """
     report = _report(path)
     if report is None:
@@ -107,18 +99,8 @@ def _of_depth(path: Path, field: LightField, camera: Camera) -> Gathered:
     world = local + np.asarray(photographs.centres[index])
     keep = np.isfinite(z)
     observed = _observed(field, visible)
-    dense = Photographs(
-        photographs.images,
-        photographs.poses,
-        photographs.intrinsics,
-        points=world[keep],
-        observed=observed[:, keep],
-        depth=photographs.depth,
-        mask=photographs.mask,
-        names=photographs.names,
-        name=photographs.name,
-        origin=photographs.origin,
-    )
+    # The constructor refuses places that are not finite.
+    dense = dataclasses.replace(photographs, points=world[keep], observed=observed[:, keep])
     return Gathered(dense, {index: depth}, {index: error}, doubt[keep])
 
 

@@ -6,20 +6,12 @@ from typing import Annotated
 import numpy as np
 import tyro
 
-from mvedge_jax.datasets import (
-    ConventionCheck,
-    camera_spacing,
-    check_convention,
-    open_source,
-)
+from mvedge_jax.datasets import ConventionCheck, check_convention, open_source
 from mvedge_jax.lightfield import Camera, GroundTruth, LightField
-from mvedge_jax.photometry.brightness import Exposure, rough_brightness
+from mvedge_jax.photometry.brightness import rough_brightness
 
 from ._common import note, positions_of, stage, warn
 from ._source import read_scene
-
-# A camera that is off by more than this many steps moves a point of disparity 1 as many pixels.
-_IRREGULAR = 0.05
 
 
 def info(
@@ -66,8 +58,6 @@ def info(
         ("camera", _camera(light_field.camera, light_field.disparity_range)),
         *_photometry(light_field),
     ]
-    if layout == "Stanford archive":
-        lines.append(("camera spacing", _spacing(path, flip_u, flip_v)))
     if quick:
         _print(lines)
         return
@@ -146,34 +136,19 @@ def _camera(camera: Camera | None, limits) -> str:
     return text + f", range {near:.3g} .. {far:.3g} m"
 
 
-def _unevenness(exposure: Exposure) -> str:
-    most = 100 * float(np.max(exposure.unevenness))
-    if not most:
-        return "none beyond the centre view's"
-    return f"up to {most:.1f} % (standard deviation) against the centre view's"
-
-
 def _photometry(light_field: LightField) -> list[tuple[str, str]]:
     exposure, noise = rough_brightness(light_field.bare())
     scale, gain = float(exposure.scale), np.asarray(exposure.gain)
     vc, uc = light_field.centre
     cross = np.concatenate([gain[vc], gain[:, uc]])
+    most = 100 * float(np.max(exposure.unevenness))
+    uneven = f"up to {most:.1f} % (standard deviation) against" if most else "none beyond"
     return [
         ("brightness", "as it is" if scale == 1 else f"dark; raised {scale:.2f} times"),
         ("gain of the views", f"{cross.min():.3f} .. {cross.max():.3f} of the centre view's"),
-        ("vignette of the views", _unevenness(exposure)),
+        ("vignette of the views", f"{uneven} the centre view's"),
         ("noise", f"{255 * float(noise.deviation) / scale:.2f} of 255 at most"),
     ]
-
-
-def _spacing(path: Path, flip_u: bool, flip_v: bool) -> str:
-    spacing = camera_spacing(path)
-    x, y = spacing.step
-    text = (
-        f"{-x if flip_u else x:.4g} per column, {-y if flip_v else y:.4g} per row; at most "
-        f"{100 * spacing.deviation:.1f} % of a step off a regular grid"
-    )
-    return text + (" (irregular)" if spacing.deviation > _IRREGULAR else "")
 
 
 def _votes(result: ConventionCheck) -> str:

@@ -1,7 +1,6 @@
 """`mvedge learn`: numbers of the model learned by gradient from scenes with truth."""
 
 import contextlib
-import csv
 import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -26,7 +25,7 @@ from mvedge_jax.lightfield import LightField
 
 from ._common import note, progress_bar, stage
 from ._model import FULL, ModelArg, settings_of
-from ._output import output_folder, write_json
+from ._output import output_folder, write_csv, write_json
 from ._paths import scenes_and_out
 
 _Fields = Sequence[LightField]
@@ -171,11 +170,9 @@ def _write(folder: Path, found: Learned, preset: str, report: dict[str, Any]) ->
     learned = {"preset": preset, "factors": found.factors(), "numbers": numbers}
     write_json(folder / "learned.json", learned)
     checks = dict(found.validation)
-    with (folder / "curves.csv").open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(["step", "loss", "validation"])
-        for step, loss in enumerate([float("nan"), *found.losses.tolist()]):
-            writer.writerow([step, "" if step == 0 else loss, checks.get(step, "")])
+    losses = ["", *found.losses.tolist()]
+    rows = ([step, loss, checks.get(step, "")] for step, loss in enumerate(losses))
+    write_csv(folder / "curves.csv", ["step", "loss", "validation"], rows)
     plot_learning(found).savefig(folder / "learning.png")
     write_json(folder / "report.json", report)
 

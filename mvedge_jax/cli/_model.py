@@ -44,19 +44,7 @@ class ModelOptions:
         return self._settled(of_preset(self.preset), all_views)
 
     def model(self, light_field: LightField, *, all_views: bool = False) -> EdgeDepth:
-        """The model for a light field.
-
-        Args:
-            light_field: its disparity range is measured where it does not come with one.
-            all_views: measure labels in all views at the end.
-
-        Returns:
-            The model.
-
-        Raises:
-            ValueError: the light field has one view, a setting is none of the preset's or out of
-                range, or `all_views` asks a preset without dense labels.
-        """
+        """The model for a light field, whose disparity range is measured if it is unknown."""
         views = "all" if all_views else "crosshair"
         model = EdgeDepth.for_light_field(light_field, preset=self.preset, views=views)
         return self._settled(model, all_views)
@@ -83,18 +71,7 @@ FULL = ModelOptions()
 
 
 def settled(model: _Module, words: tuple[str, ...]) -> _Module:
-    """A model with what `--set` asks for.
-
-    Args:
-        model: any.
-        words: `PATH=VALUE`, one a setting; later ones win.
-
-    Returns:
-        The new model.
-
-    Raises:
-        ValueError: naming the setting, and what was expected.
-    """
+    """A model with what `--set` asks for: `PATH=VALUE`, later ones win; errors name the setting."""
     for path, value in settings_of(words).items():
         try:
             model = with_settings(model, {path: value})
@@ -104,20 +81,10 @@ def settled(model: _Module, words: tuple[str, ...]) -> _Module:
 
 
 def with_learned(model: _Module, path: Path, preset: str) -> _Module:
-    """A model with what was learned, or found by a sweep.
+    """A model with what `mvedge learn` learned or `mvedge sweep` found for its preset.
 
-    Args:
-        model: of a preset.
-        path: learned.json or best.json.
-        preset: its name.
-
-    Returns:
-        The new model. Factors change what the model has for the views of its light field: numbers
-        in px per view step depend on how many there are.
-
-    Raises:
-        FileNotFoundError: there is no such file.
-        ValueError: naming the file, and what is wrong in it.
+    Factors change what the model has for the views of its light field: numbers in px per view step
+    depend on how many there are. Errors name the file.
     """
     if not path.is_file():
         raise FileNotFoundError(f"--model {path}: there is no such file.")
@@ -144,17 +111,7 @@ def with_learned(model: _Module, path: Path, preset: str) -> _Module:
 
 
 def settings_of(words: tuple[str, ...]) -> dict[str, Setting]:
-    """Values by path.
-
-    Args:
-        words: `PATH=VALUE`, one a setting; later ones win.
-
-    Returns:
-        What they mean, unchecked.
-
-    Raises:
-        ValueError: a word is not of this form.
-    """
+    """Values by path of words `PATH=VALUE`, unchecked; later ones win."""
     found = {}
     for word in words:
         path, _, text = word.partition("=")
@@ -191,8 +148,3 @@ def _plain(value: Any) -> Any:
         array = np.asarray(value)
         return float(str(array)) if array.ndim == 0 else array.tolist()
     return value if isinstance(value, bool | int | float | str | tuple) else repr(value)
-
-
-def reads_all_views(model: EdgeDepth) -> bool:
-    """Whether labels are measured in all views, missing ones included."""
-    return model.measurement is not None and model.measurement.views == "all"

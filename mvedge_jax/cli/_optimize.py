@@ -1,6 +1,5 @@
 """`mvedge optimize`: fit the differentiable multi-view edge model to the views."""
 
-import csv
 import time
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -39,18 +38,10 @@ from mvedge_jax.model.optimisation import (
     one_at_a_time,
 )
 
-from ._common import compiled, missing_views, note, stage, warn
+from ._common import compiled, missing_views, note, score_line, stage, warn
 from ._model import FULL, ModelArg, ModelOptions
-from ._output import output_folder, write_json
+from ._output import output_folder, write_csv, write_json
 from ._source import read_scene
-
-_COLUMNS = {
-    "mse": "MSE*100",
-    "q25": "Q25*100",
-    "bad_01": "BP(0.01) %",
-    "bad_03": "BP(0.03) %",
-    "bad_07": "BP(0.07) %",
-}
 
 
 def optimize(
@@ -237,11 +228,9 @@ def _write(
 
 def _write_history(folder: Path, history: History) -> None:
     losses, gradient = (np.asarray(part) for part in history)
-    with (folder / "loss.csv").open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(["iteration", "loss", "grad_Q", "grad_Z", "grad_R", "grad_xy"])
-        for i, (loss, norms) in enumerate(zip(losses, gradient, strict=True)):
-            writer.writerow([i, loss, *norms])
+    rows = ([i, loss, *norms] for i, (loss, norms) in enumerate(zip(losses, gradient, strict=True)))
+    header = ["iteration", "loss", "grad_Q", "grad_Z", "grad_R", "grad_xy"]
+    write_csv(folder / "loss.csv", header, rows)
     figure = Figure(layout="constrained")
     axes = figure.subplots()
     axes.plot(losses)
@@ -283,5 +272,5 @@ def _doubts(result: Optimised) -> list[str]:
 
 def _conclude(scores: dict[str, Any], result: Optimised, seconds: float, out: Path) -> None:
     for name, row in scores.items():
-        note(f"{name}: " + "  ".join(f"{_COLUMNS[k]} {row[k]:.4g}" for k in _COLUMNS))
+        note(score_line(name, row))
     note(f"{len(result.history.loss)} iterations, {seconds:.1f} s; written to {out}")

@@ -1,17 +1,20 @@
 """Result folders: written atomically, and never in place of foreign files."""
 
 import contextlib
+import csv
 import json
 import math
 import os
 import re
 import shutil
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from filelock import FileLock, Timeout
+from PIL import Image
 
 from mvedge._version import package_version
 
@@ -51,8 +54,8 @@ def output_folder(
         ValueError: if `path` is, holds or lies in an input; if it is the working directory or
             holds it; if it is a link or a mount point; if another process writes it.
         FileExistsError: if `path` is a file; if it is not empty and `overwrite` is off, or holds
-            other files than an earlier result; if files appeared in it while the body ran. In the
-            last case the new result is kept beside it, and the message says where.
+            other files than an earlier result; if files appeared in it while the body ran. Then
+            the new result is kept beside it.
         OSError: if a file cannot be written; the message names `path`.
     """
     if Path(path).is_symlink():
@@ -140,15 +143,7 @@ def _refuse(path: Path, inputs: Sequence[Path], overwrite: bool) -> None:
 
 
 def refuse_inputs(path: Path, inputs: Sequence[Path]) -> None:
-    """Raises if an output would touch an input.
-
-    Args:
-        path: the folder to make, resolved.
-        inputs: files and folders that the command reads.
-
-    Raises:
-        ValueError: `path` is, holds or lies in one of them.
-    """
+    """Raises a ValueError if an output, resolved, is, holds or lies in an input."""
     for given in inputs:
         # The location of the input and, if it is a link, of its target.
         for source in (Path(os.path.abspath(given)), Path(given).resolve()):
@@ -259,12 +254,7 @@ def _remove(result: Path) -> None:
 
 
 def write_json(path: Path, value: Any) -> None:
-    """Writes a report in standard JSON; numbers that are not finite become null.
-
-    Args:
-        path: the file.
-        value: dictionaries, lists, numbers, text, None.
-    """
+    """Writes a report in standard JSON; numbers that are not finite become null."""
     text = json.dumps(_finite(value), indent=2, allow_nan=False)
     path.write_text(text + "\n", encoding="utf-8")
 
@@ -275,3 +265,16 @@ def _finite(value: Any) -> Any:
     if isinstance(value, list | tuple):
         return [_finite(part) for part in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def write_csv(path: Path, header: Iterable[str], rows: Iterable[Iterable[Any]]) -> None:
+    """Writes a table."""
+    with path.open("w", newline="", encoding="utf-8") as file:
+        csv.writer(file).writerows([header, *rows])
+
+
+def write_animation(path: Path, pictures: Iterable[np.ndarray]) -> None:
+    """Writes a .gif that never ends."""
+    first, *others = map(Image.fromarray, pictures)
+    options: dict[str, Any] = {"save_all": True, "append_images": others, "loop": 0}
+    first.save(path, duration=60, **options)

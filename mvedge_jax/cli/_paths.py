@@ -7,18 +7,7 @@ from pathlib import Path
 
 
 def scenes_and_out(paths: Sequence[Path]) -> tuple[list[Path], Path]:
-    """Splits `SCENES... OUT`.
-
-    Args:
-        paths: as given.
-
-    Returns:
-        The scenes, and the folder to write.
-
-    Raises:
-        ValueError: there are fewer than two.
-        FileNotFoundError: a scene does not exist.
-    """
+    """Splits `SCENES... OUT`, and refuses scenes that do not exist."""
     if len(paths) < 2:
         raise ValueError(f"expected SCENES... OUT, at least one scene and OUT, got {len(paths)}.")
     *scenes, out = map(Path, paths)
@@ -29,14 +18,9 @@ def scenes_and_out(paths: Sequence[Path]) -> tuple[list[Path], Path]:
 
 
 def stems_of(names: Sequence[str]) -> dict[str, str]:
-    """Stems of the files of photographs, which may be in subfolders.
+    """Stems of the files of photographs, which may be in subfolders, by their names.
 
-    Args:
-        names: names of all photographs, all different.
-
-    Returns:
-        The folders and the name of each without its ending; with ending, and if needed a number,
-        where stems would be equal.
+    Folders and name without its ending; with it, if needed with a number, where stems are equal.
     """
     stems: dict[str, str] = {}
     for whole in (False, True):

@@ -18,13 +18,7 @@ def valid_points(points: EdgePoints) -> EdgePoints:
 
 
 def write_points(folder: Path, points: EdgePoints, *, surface: np.ndarray | None = None) -> None:
-    """Writes `points.npz` and `points.csv` of points without empty slots.
-
-    Args:
-        folder: the folder to write into.
-        points: from `valid_points`.
-        surface: surface vector of each point, `(x, y)` in px; None to leave it out.
-    """
+    """Writes `points.npz` and `points.csv` of `valid_points`, with surface vectors if given."""
     fields = {name: value for name, value in vars(points).items() if name != "valid"}
     names = ("xy", "disparity", "confidence", "error", "normal")
     columns = [np.asarray(fields[name]) for name in names]

@@ -6,12 +6,10 @@ from typing import Annotated
 import jax
 import numpy as np
 import tyro
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
 from mvedge_jax.datasets import synthetic, write_hci
 
-from ._common import note
+from ._common import note, progress_bar
 from ._output import output_folder
 
 
@@ -63,7 +61,7 @@ def render(
     )
     shape = (views, views, *size)
     centre = (views // 2, views // 2)
-    with output_folder(out, overwrite=overwrite) as folder, _progress() as bar:
+    with output_folder(out, overwrite=overwrite) as folder, progress_bar() as bar:
         task = bar.add_task("rendering", total=views * views)
 
         def advance(done: int, total: int) -> None:
@@ -84,13 +82,3 @@ def render(
         task = bar.add_task("writing", total=views * views)
         write_hci(light_field, folder, visible=visible, progress=advance)
     note(f"{out}: {scene.name}, {views}x{views} views of {size[1]}x{size[0]} px")
-
-
-def _progress() -> Progress:
-    return Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TaskProgressColumn(),
-        TimeRemainingColumn(),
-        console=Console(stderr=True),
-    )

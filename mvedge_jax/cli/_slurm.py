@@ -36,13 +36,9 @@ if __name__ == "__main__":
 
 
 def slurm_script(words: Sequence[str]) -> str:
-    """A Python script that starts a dask-jobqueue cluster and runs a command on it.
+    """A Python script that runs words of the command line on a cluster of dask-jobqueue.
 
-    Args:
-        words: of the command line, without the program's name.
-
-    Returns:
-        The script's text. Number of jobs, memory and time stand in it, to be edited.
+    Number of jobs, memory and time stand in it, to be edited.
     """
     lines = "\n".join(f"    {word!r}," for word in words)
     return _SCRIPT.format(command=words[0], words=lines)

@@ -22,17 +22,7 @@ _READING: dict[str, tuple[type, ...]] = {
 
 
 def read_json(path: Path) -> dict[str, Any]:
-    """Reads a report of an earlier run.
-
-    Args:
-        path: the file.
-
-    Returns:
-        Its fields.
-
-    Raises:
-        ValueError: the file is not regular, too long, or not a report.
-    """
+    """Reads the report of an earlier run; a ValueError names what is none."""
     try:
         if path.is_file() and path.stat().st_size <= _MOST:
             found = json.loads(path.read_text(encoding="utf-8"))
@@ -44,15 +34,7 @@ def read_json(path: Path) -> dict[str, Any]:
 
 
 def read_scene(scene: Path, **reading: Any) -> tuple[LightField, list[str]]:
-    """Reads a light field.
-
-    Args:
-        scene: folder or file.
-        reading: options of `load_light_field`.
-
-    Returns:
-        The light field, and warnings of its reader, for the user and the report.
-    """
+    """A light field, and the warnings of its reader, for the user and the report."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", UserWarning)
         light_field = load_light_field(scene, **reading)
@@ -60,31 +42,14 @@ def read_scene(scene: Path, **reading: Any) -> tuple[LightField, list[str]]:
 
 
 def source_of(scene: Path, **reading: Any) -> dict[str, Any]:
-    """The record of a light field in a report, for `scene_of`.
-
-    Args:
-        scene: its path.
-        reading: options of `load_light_field` with which it was read.
-
-    Returns:
-        The record.
-    """
+    """The record in a report of a light field and how it was read, for `scene_of`."""
     return {"path": str(scene.resolve()), **reading}
 
 
 def scene_of(result: Path, *, advice: str) -> tuple[Path, dict[str, Any]]:
-    """The light field of a result.
+    """Path and options of `load_light_field` of the light field of a result, by its report.
 
-    Args:
-        result: a folder with a report.
-        advice: what to do if the report does not name it, as the end of a sentence.
-
-    Returns:
-        Its path, and the options of `load_light_field` with which it was read.
-
-    Raises:
-        ValueError: the report does not name its light field.
-        FileNotFoundError: the light field does not exist.
+    `advice`, the end of a sentence, says what to do if it is not told or gone.
     """
     file = result / "report.json"
     try:

@@ -13,13 +13,7 @@ from mvedge_jax import plotting
 from mvedge_jax.datasets import write_pfm
 from mvedge_jax.datasets.photographs import load_photographs, open_photographs
 from mvedge_jax.model.optimisation import Progress
-from mvedge_jax.posed import (
-    Photographs,
-    Reference,
-    StereoDepth,
-    reference_of,
-    stereo as estimate,
-)
+from mvedge_jax.posed import Photographs, Reference, StereoDepth, reference_of, stereo as estimate
 from mvedge_jax.posed.scores import depth_errors
 from mvedge_jax.posed.sparse import SparseStereoDepth, sparse_stereo
 
@@ -92,12 +86,12 @@ def stereo(
                         scale=scale,
                         points=range is None or method == "points",
                     )
-            stem = stems[loaded.names[loaded.index(name)]]
-            base = folder / stem
+            base = folder / stems[loaded.names[loaded.index(name)]]
+            chosen = reference_of(loaded, name, depth_range=range)
             if method == "dense":
-                rows[name] = _dense(base, loaded, name, range, set)
+                rows[name] = _dense(base, loaded, name, chosen, set)
             else:
-                rows[name] = _points(base, loaded, name, range)
+                rows[name] = _points(base, loaded, name, chosen)
         report = {
             "model": str(model.resolve()),
             "method": method,
@@ -113,14 +107,9 @@ def stereo(
 
 
 def _dense(
-    base: Path,
-    photographs: Photographs,
-    name: str,
-    limits: tuple[float, float] | None,
-    settings: tuple[str, ...],
+    base: Path, photographs: Photographs, name: str, chosen: Reference, settings: tuple[str, ...]
 ) -> dict[str, Any]:
     """Depth and its error by measurement; writes files and returns the report."""
-    chosen = reference_of(photographs, name, depth_range=limits)
     model = StereoDepth.of(chosen, choices=settings_of(settings))
     start = time.perf_counter()
     with stage(f"estimating depth of {name} (the first one compiles)"):
@@ -130,10 +119,10 @@ def _dense(
     doubt = np.asarray(result.disparity_error)
     figure = plotting.plot_error(doubt, np.zeros_like(doubt), label="standard error (px)")
     figure.savefig(_file(base, "error.png"))
-    row = _written(base, photographs, chosen, result.depth, result.disparity)
-    row |= {
+    error = np.asarray(result.error)[_opaque(photographs, chosen)]
+    row = _written(base, photographs, chosen, result.depth, result.disparity) | {
         "seconds, compilation included": round(seconds, 3),
-        "standard error, median": float(np.median(_shown(result.error, photographs, chosen))),
+        "standard error, median": float(np.median(error)),
         "pixels without an accepted label, %": 100 * (1 - float(result.stats.labeled)),
         "noise of 255": 255 * float(result.stats.noise.deviation),
         "gains": dict(zip(photographs.names, np.asarray(result.stats.gain).tolist(), strict=True)),
@@ -145,20 +134,12 @@ def _dense(
     return row
 
 
-def _points(
-    base: Path, photographs: Photographs, name: str, limits: tuple[float, float] | None
-) -> dict[str, Any]:
+def _points(base: Path, photographs: Photographs, name: str, chosen: Reference) -> dict[str, Any]:
     """Depth by the thesis' method, from sparse points."""
-    chosen = reference_of(photographs, name, depth_range=limits)
+    given = photographs.without_truth(), chosen, SparseStereoDepth()
     start = time.perf_counter()
     with stage(f"optimising the points of {name}"):
-        result = sparse_stereo(
-            photographs.without_truth(),
-            chosen,
-            SparseStereoDepth(),
-            key=jax.random.key(0),
-            progress=_tell,
-        )
+        result = sparse_stereo(*given, key=jax.random.key(0), progress=_tell)
     seconds = time.perf_counter() - start
     loss = np.asarray(result.loss)
     return _written(base, photographs, chosen, result.depth, result.disparity) | {
@@ -168,12 +149,11 @@ def _points(
     }
 
 
-def _shown(
-    values: jax.Array | np.ndarray, photographs: Photographs, chosen: Reference
-) -> np.ndarray:
-    """Values of a map at the opaque pixels of its photograph."""
-    values, mask = np.asarray(values), photographs.mask
-    return values.ravel() if mask is None else values[np.asarray(mask[int(chosen.index)])]
+def _opaque(photographs: Photographs, chosen: Reference) -> np.ndarray:
+    """The opaque pixels of a photograph."""
+    if photographs.mask is None:
+        return np.ones(photographs.images.shape[1:3], bool)
+    return np.asarray(photographs.mask[int(chosen.index)])
 
 
 def _file(base: Path, end: str) -> Path:
@@ -186,19 +166,13 @@ def _tell(now: Progress) -> None:
 
 
 def _written(
-    base: Path,
-    photographs: Photographs,
-    chosen: Reference,
-    depth: jax.Array,
-    disparity: jax.Array,
+    base: Path, photographs: Photographs, chosen: Reference, depth: jax.Array, disparity: jax.Array
 ) -> dict[str, Any]:
     """Writes a depth map of either method and returns its report."""
-    index = int(chosen.index)
+    index, mask = int(chosen.index), _opaque(photographs, chosen)
     name = photographs.names[index]
-    mask = None if photographs.mask is None else np.asarray(photographs.mask[index])
     depths, disparities = (
-        np.asarray(values) if mask is None else np.where(mask, np.asarray(values), np.nan)
-        for values in (depth, disparity)
+        np.where(mask, values, np.nan) for values in map(np.asarray, (depth, disparity))
     )
     write_pfm(_file(base, "depth.pfm"), depths)
     figure = plotting.plot_disparity(disparities, label="disparity (px per baseline)")
@@ -206,19 +180,16 @@ def _written(
     row: dict[str, Any] = {
         "baseline": float(chosen.baseline),
         "disparity range": np.asarray(chosen.disparity_range).tolist(),
-        "depth, 5, 50 and 95 %": np.quantile(
-            _shown(depths, photographs, chosen), (0.05, 0.5, 0.95)
-        ).tolist(),
+        "depth, 5, 50 and 95 %": np.quantile(depths[mask], (0.05, 0.5, 0.95)).tolist(),
         "measured in": list(photographs.names),
         "points": 0 if photographs.points is None else int(photographs.points.shape[0]),
     }
-    if mask is not None and not mask.all():
+    if not mask.all():
         row["transparent, without depth %"] = 100 * float(1 - mask.mean())
         note(f"{name}: {100 * (1 - mask.mean()):.1f} % is transparent and has no depth (NaN)")
-    truth = None if photographs.depth is None else np.asarray(photographs.depth[index])
-    if truth is not None and mask is not None:
-        truth = np.where(mask, truth, 0)
-    if truth is not None and bool((truth > 0).any()):
+    truth = np.zeros(()) if photographs.depth is None else np.asarray(photographs.depth[index])
+    truth = np.where(mask, truth, 0)
+    if bool((truth > 0).any()):
         scores = depth_errors(jnp.asarray(depths), jnp.asarray(truth))
         row["scores"] = {
             "median relative error %": float(scores.median),

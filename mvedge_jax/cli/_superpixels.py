@@ -1,30 +1,23 @@
 """`mvedge superpixels`: one label per surface patch in every view."""
 
-import csv
 from pathlib import Path
 from typing import Annotated, Any
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import tyro
-from PIL import Image
 
 from mvedge_jax import plotting
 from mvedge_jax.datasets import write_hci
 from mvedge_jax.edit import paint
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.metrics.superpixels import labels_per_pixel, superpixel_scores
-from mvedge_jax.superpixels import (
-    SuperpixelClustering,
-    Superpixels,
-    superpixels as cut,
-)
+from mvedge_jax.superpixels import SuperpixelClustering, Superpixels, superpixels as cut
 
-from ._common import compiled, in_unit_range, note, stage, warn
+from ._common import in_unit_range, note, run, stage, warn
 from ._every_view import every_view
 from ._model import FULL, ModelArg
-from ._output import output_folder, write_json
+from ._output import output_folder, write_animation, write_csv, write_json
 from ._source import read_scene
 
 
@@ -85,10 +78,7 @@ def superpixels(
         model = SuperpixelClustering.for_depths(depths, choices={"size": size})
         room = max(model.capacity, int(4 * height * width / size**2))
         model = model.replace(capacity=min(room, 32000))
-        with stage("compiling superpixels, or reading what was compiled before"):
-            program = compiled(cut, blind, depths, model)
-        with stage("cutting"):
-            found = jax.block_until_ready(program(blind, depths, model))
+        found, _ = run("superpixels", "cutting", cut, blind, depths, model)
         with stage("writing"):
             _write(folder, blind, found)
             report: dict[str, Any] = {"scene": light_field.name, "count": int(found.number)}
@@ -116,30 +106,26 @@ def _write(folder: Path, light_field: LightField, found: Superpixels) -> None:
     labels, views = np.asarray(found.labels), np.asarray(light_field.views)
     np.save(folder / "labels.npy", labels)
     rows = np.flatnonzero(np.asarray(found.valid))
-    with (folder / "superpixels.csv").open("w", newline="") as file:
-        writer = csv.writer(file)
-        names = ("x", "y", "disparity", "slope_x", "slope_y", "red", "green", "blue")
-        writer.writerow(["label", *names, "area", "parent"])
-        numbers = np.concatenate(
-            [np.asarray(a)[rows] for a in (found.xy, found.plane, found.colour)], axis=1
-        )
-        wholes = np.stack([rows + 1, *(np.asarray(a)[rows] for a in (found.area, found.parents))])
-        for (label, area, parent), values in zip(wholes.T, numbers, strict=True):
-            writer.writerow([label, *(f"{value:.6g}" for value in values), area, parent])
-    pairs, linked = np.asarray(found.neighbours), np.asarray(found.linked)
-    used = pairs[:, 0] > 0
-    with (folder / "neighbours.csv").open("w", newline="") as file:
-        writer = csv.writer(file)
-        writer.writerow(["label", "neighbour", "same_surface"])
-        writer.writerows(
-            [*pair, int(same)] for pair, same in zip(pairs[used], linked[used], strict=True)
-        )
+    numbers = np.concatenate(
+        [np.asarray(a)[rows] for a in (found.xy, found.plane, found.colour)], axis=1
+    )
+    wholes = np.stack([rows + 1, *(np.asarray(a)[rows] for a in (found.area, found.parents))])
+    names = ("x", "y", "disparity", "slope_x", "slope_y", "red", "green", "blue")
+    write_csv(
+        folder / "superpixels.csv",
+        ["label", *names, "area", "parent"],
+        (
+            [label, *(f"{value:.6g}" for value in values), area, parent]
+            for (label, area, parent), values in zip(wholes.T, numbers, strict=True)
+        ),
+    )
+    touching = np.column_stack([np.asarray(found.neighbours), np.asarray(found.linked)])
+    used = touching[touching[:, 0] > 0]
+    write_csv(folder / "neighbours.csv", ["label", "neighbour", "same_surface"], used)
     colours = plotting.label_colours(int(labels.max()))
     plotting.plot_superpixels(views, labels).savefig(folder / "superpixels.png")
     plotting.plot_superpixels(views, labels, colours=colours).savefig(folder / "colours.png")
-    frames = [Image.fromarray(frame) for frame in plotting.superpixel_frames(views, labels)]
-    options: dict[str, Any] = {"save_all": True, "append_images": frames[1:], "loop": 0}
-    frames[0].save(folder / "superpixels.gif", duration=60, **options)
+    write_animation(folder / "superpixels.gif", plotting.superpixel_frames(views, labels))
 
 
 def _score(folder: Path, light_field: LightField, found: Superpixels) -> dict[str, float]:

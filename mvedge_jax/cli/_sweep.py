@@ -1,6 +1,5 @@
 """`mvedge sweep`: the parameters that score best on some scenes."""
 
-import csv
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -14,7 +13,7 @@ from mvedge_jax.datasets import load_light_field
 from ._cluster import connected, extra
 from ._common import note, progress_bar
 from ._model import FULL, ModelArg, ModelOptions, read_value, settings_of
-from ._output import output_folder, write_json
+from ._output import output_folder, write_csv, write_json
 from ._paths import scenes_and_out
 
 
@@ -125,10 +124,9 @@ def _write(
     """The setting, every trial, and what was done."""
     best = {"preset": options.preset, "setting": found.choices, objective: found.value}
     write_json(folder / "best.json", best)
-    with (folder / "trials.csv").open("w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, fieldnames=list(found.rows[0]))
-        writer.writeheader()
-        writer.writerows(found.rows)
+    columns = list(found.rows[0])
+    rows = ([row[column] for column in columns] for row in found.rows)
+    write_csv(folder / "trials.csv", columns, rows)
     report = {
         "scenes": [str(scene) for scene in scenes],
         "objective": objective,

@@ -21,18 +21,7 @@ from ._model import ModelOptions
 def in_tiles(
     tile: int | None, memory: float | None, *, all_views: bool, scale: float, view: bool
 ) -> bool:
-    """Whether the options ask for tiles.
-
-    Args:
-        tile: side of the tiles, px.
-        memory: gigabytes.
-        all_views: option of the command.
-        scale: option of the command, which tiles do not have.
-        view: option of the command, which tiles do not have.
-
-    Raises:
-        ValueError: options contradict each other, or no tile fits.
-    """
+    """Whether the options ask for tiles; refuses those that contradict each other or fit none."""
     if tile is None and memory is None:
         return False
     given = f"--tile {tile}" if memory is None else f"--memory {memory:g}"
@@ -57,13 +46,7 @@ def _tiling(tile: int | None, memory: float | None, stored: StoredViews | None) 
 def read_stored(
     scene: Path, *, range: tuple[float, float] | None, **reading: Any
 ) -> tuple[StoredViews, GroundTruth | None, list[str]]:
-    """The crosshair of a light field, its ground truth if any, and what the reader warns of.
-
-    Args:
-        scene: folder or file.
-        range: lowest and highest disparity, px per view step; None for what the files tell.
-        reading: other options of `load_stored_views`.
-    """
+    """The crosshair of a light field, its ground truth if any, and warnings of the reader."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", UserWarning)
         stored = load_stored_views(scene, disparity_range=range, **reading)
@@ -81,15 +64,7 @@ def estimate_tiles(
     *,
     key: PRNGKeyArray,
 ) -> tuple[EdgeDepth, DepthResult, dict[str, float]]:
-    """The model, the depth, and the seconds it took, compilation included.
-
-    Args:
-        stored: the views.
-        tile: side of the tiles, px; None for as large as `memory` allows.
-        memory: gigabytes; None with `tile`.
-        options: of the model.
-        key: of parts that draw.
-    """
+    """The model, the depth, and the seconds it took, compilation included."""
     tiling = _tiling(tile, memory, stored)
     start = time.perf_counter()
     with stage("choosing sizes"):
@@ -99,8 +74,11 @@ def estimate_tiles(
     with progress_bar() as bar:
         task = bar.add_task("tiles", total=None)
 
-        def advance(done: int, total: int) -> None:
-            bar.update(task, completed=done, total=total)
-
-        result = depth_in_tiles(stored, model=model, tiling=tiling, key=key, progress=advance)
+        result = depth_in_tiles(
+            stored,
+            model=model,
+            tiling=tiling,
+            key=key,
+            progress=lambda done, total: bar.update(task, completed=done, total=total),
+        )
     return model, result, {"estimation": round(time.perf_counter() - start, 3)}

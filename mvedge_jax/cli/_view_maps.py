@@ -10,20 +10,9 @@ _KINDS = {"disparity": "f", "error": "f", "source": "iu"}
 
 
 def view_maps(path: Path, shape: tuple[int, ...], *names: str) -> list[np.ndarray]:
-    """Arrays of a views.h5.
+    """Arrays of a views.h5 with views of a shape, by name: disparity, error or source.
 
-    Args:
-        path: the file.
-        shape: `[v, u, y, x]` of the views.
-        *names: disparity, error, or source: 0 for surfaces visible in the center view, 1 in other
-            views only, 2 in none.
-
-    Returns:
-        One array per name.
-
-    Raises:
-        FileNotFoundError: there is no such file.
-        ValueError: the file is damaged, or its views have another shape.
+    A source is 0 for surfaces visible in the center view, 1 in other views only, 2 in none.
     """
     if not path.is_file():
         raise FileNotFoundError(f"{path} does not exist; `mvedge views` writes it.")

@@ -6,7 +6,6 @@ from typing import Annotated, Any
 import h5py
 import numpy as np
 import tyro
-from PIL import Image
 
 from mvedge_jax import plotting
 from mvedge_jax.all_views import ViewDepths
@@ -18,7 +17,7 @@ from mvedge_jax.metrics.depth import bad_pixels, mse
 from ._common import note, stage, warn
 from ._every_view import every_view
 from ._model import FULL, ModelArg
-from ._output import output_folder, write_json
+from ._output import output_folder, write_animation, write_json
 from ._source import read_scene, source_of
 
 
@@ -55,7 +54,7 @@ def views(
         found, model, seconds, doubts = every_view(blind, options=options, seed=seed)
         with stage("writing"):
             _write(folder, found)
-            report = {"scene": light_field.name, "seconds": round(seconds, 3), **_report(found)}
+            report = {"scene": light_field.name, "seconds": seconds, **_report(found)}
             report |= options.described(model) | {"seed": seed}
             report["scores"] = _score(folder, light_field, found)
             report["source"] = source_of(scene, views=views)
@@ -80,9 +79,7 @@ def _write(folder: Path, found: ViewDepths) -> None:
         file.attrs["axes"] = "v, u, y, x"
         file.attrs["source"] = "0: seen by the centre view, 1: by other views only, 2: by none"
     plotting.plot_view_maps(maps).savefig(folder / "views.png")
-    frames = [Image.fromarray(frame) for frame in plotting.view_frames(maps)]
-    options: dict[str, Any] = {"save_all": True, "append_images": frames[1:], "loop": 0}
-    frames[0].save(folder / "views.gif", duration=60, **options)
+    write_animation(folder / "views.gif", plotting.view_frames(maps))
 
 
 def _report(found: ViewDepths) -> dict[str, Any]:

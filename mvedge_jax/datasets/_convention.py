@@ -31,11 +31,9 @@ class ConventionCheck:
     contour belongs to the nearer surface and moves with it: an edge of the image that moves like
     the surface on one side and unlike the one on the other votes for its owner. A spot that is
     hidden in the views to one side votes for the surface that moves over it there. A reversed view
-    axis negates all disparities along it, and so all its votes. The two axes are also compared:
-    both must have the same disparity. If that does not decide, votes at half the size are added.
-
-    If hardly anything can be matched along the axes, but much across them, rows and columns of the
-    grid are exchanged; all other fields then describe the grid with exchanged axes.
+    axis negates all disparities along it, and so all its votes. Both axes must also have the same
+    disparity. If that does not decide, votes at half the size are added. If hardly anything can be
+    matched along the axes, but much across them, rows and columns of the grid are exchanged.
 
     Attributes:
         columns: votes along `u`, (for the convention, against it).
@@ -44,8 +42,8 @@ class ConventionCheck:
         flip_u: whether the view columns are reversed; None if undecided.
         flip_v: whether the view rows are reversed; None if undecided.
         disparity_range: (low, high) of the matches, px per view step; None without matches.
-        swap_axes: whether rows and columns of the grid are exchanged. The flips then apply after
-            exchanging them.
+        swap_axes: whether rows and columns of the grid are exchanged; all other fields then
+            describe the grid with exchanged axes.
     """
 
     columns: tuple[int, int]
@@ -75,21 +73,18 @@ def check_convention(
     """Checks from the EPIs whether the view axes follow the convention.
 
     Photo-consistency does not detect a reversed axis, which only negates its disparities;
-    occlusions do. Photo-consistency does detect exchanged rows and columns. Ground truth is not
-    read. NumPy on the host, a few seconds for 9x9 views of 512x512.
+    occlusions do. Ground truth is not read. NumPy on the host, seconds for 9x9 views of 512x512.
 
     Args:
         light_field: at least 3x3 views; the crosshair is enough.
-        disparity_range: where to search, (low, high) in px per view step; by default the light
-            field's own range, widened, or the result of a coarse search. The negated range is
-            searched, too, because an axis may be reversed.
+        disparity_range: where to search, and of the other sign, (low, high) in px per view step;
+            by default the light field's own range, widened, or the result of a coarse search.
 
     Returns:
         The votes, and the required changes.
 
     Raises:
-        ValueError: if there are fewer than three views on an arm, or the views are too small to
-            hold a matching window.
+        ValueError: if there are fewer than three views on an arm, or the views are too small.
 
     Example:
         >>> import jax.numpy as jnp

@@ -32,18 +32,10 @@ _TURNS = {
 
 
 def read_image(path: Path, *, upright: bool = True) -> Shaped[np.ndarray, "y x 3"]:
-    """Reads an 8 or 16 bit image as RGB; gray becomes RGB, an alpha channel is dropped.
+    """Reads an 8 or 16 bit PNG, JPEG or BMP file as RGB; gray becomes RGB, alpha is dropped.
 
-    Args:
-        path: a PNG, JPEG or BMP file.
-        upright: rotate a JPEG by its EXIF orientation, as viewers do.
-
-    Returns:
-        uint8 or uint16.
-
-    Raises:
-        FileNotFoundError: if there is no such file.
-        ValueError: if it is truncated, damaged, not an image, or of another depth.
+    `upright` rotates a JPEG by its EXIF orientation, as viewers do. A file that is truncated,
+    damaged, no image, or of another depth is a ValueError.
     """
     return _rgb(read_raw(path, upright=upright))
 
@@ -51,18 +43,9 @@ def read_image(path: Path, *, upright: bool = True) -> Shaped[np.ndarray, "y x 3
 def read_cutout(
     path: Path, *, upright: bool = True
 ) -> tuple[Shaped[np.ndarray, "y x 3"], Bool[np.ndarray, "y x"] | None]:
-    """Reads an image as RGB, and which of its pixels are opaque.
+    """As `read_image`; also where alpha is at least one half, None if that is everywhere.
 
-    Args:
-        path: see `read_image`.
-        upright: see there.
-
-    Returns:
-        uint8 or uint16; and where alpha is at least one half, None if that is everywhere.
-
-    Raises:
-        FileNotFoundError: if there is no such file.
-        ValueError: as `read_image`, or all of it is transparent.
+    An image that is transparent everywhere is a ValueError, too.
     """
     pixels = read_raw(path, upright=upright)
     if pixels.ndim == 2 or pixels.shape[2] < 4:
@@ -82,16 +65,16 @@ def _rgb(pixels: np.ndarray) -> Shaped[np.ndarray, "y x 3"]:
 
 
 def read_raw(path: Path, *, upright: bool = True) -> np.ndarray:
-    """Reads the stored channels of an image file as they are (`[y, x]` or `[y, x, bgr(a)]`).
+    """Reads the stored channels of a PNG, JPEG or BMP file as they are.
 
     Of a JPEG with more behind its end marker (motion photographs, MPO), the first image is read.
 
     Args:
-        path: a PNG, JPEG or BMP file.
-        upright: see `read_image`.
+        path: the file.
+        upright: rotate a JPEG by its EXIF orientation, as viewers do.
 
     Returns:
-        uint8 or uint16.
+        uint8 or uint16, `[y, x]` or `[y, x, bgr(a)]`.
 
     Raises:
         FileNotFoundError: if there is no such file.
@@ -157,14 +140,7 @@ def _opened(data: bytes) -> Iterator[Image.Image]:
 
 
 def image_orientation(path: Path) -> int:
-    """The EXIF orientation of a JPEG file.
-
-    Args:
-        path: an image file.
-
-    Returns:
-        1 to 8; 1 (upright) without an entry.
-    """
+    """The EXIF orientation of a JPEG file, 1 to 8; 1 (upright) without an entry."""
     with path.open("rb") as stream:
         return _orientation(stream.read(_HEAD))
 
@@ -182,18 +158,9 @@ def _orientation(data: bytes) -> int:
 
 
 def image_size(path: Path, *, upright: bool = True) -> tuple[int, int]:
-    """Height and width of an image from its header; nothing is decoded.
+    """Height and width of an image, px, from its header; nothing is decoded.
 
-    Args:
-        path: a PNG, JPEG or BMP file.
-        upright: see `read_image`.
-
-    Returns:
-        In px.
-
-    Raises:
-        FileNotFoundError: if there is no such file.
-        ValueError: if it is of another type, or ends before its size.
+    A file of another type, or that ends before its size, is a ValueError.
     """
     if not path.is_file():
         raise FileNotFoundError(f"{path} is missing; expected an image.")
@@ -205,15 +172,7 @@ def image_size(path: Path, *, upright: bool = True) -> tuple[int, int]:
 
 
 def write_image(path: Path, pixels: np.ndarray) -> None:
-    """Writes a PNG file, whatever the name of its folder.
-
-    Args:
-        path: the file.
-        pixels: uint8 or uint16, `[y, x]` or `[y, x, bgr]`.
-
-    Raises:
-        OSError: if it cannot be written.
-    """
+    """Writes `[y, x]` or `[y, x, bgr]`, uint8 or uint16, as a PNG file."""
     path.write_bytes(cv2.imencode(".png", pixels)[1].tobytes())
 
 
@@ -262,17 +221,10 @@ def _damage(data: bytes) -> str | None:
 
 
 def picked(values: np.ndarray, size: tuple[int, int], ratio: tuple[float, float]) -> np.ndarray:
-    """Shrinks maps that must not be averaged, such as depth or labels, by their middle pixels.
+    """Shrinks a map that must not be averaged, such as depth or labels, by its middle pixels.
 
-    OpenCV's nearest interpolation takes the pixel in the corner.
-
-    Args:
-        values: `[y, x]`.
-        size: height and width of the result, px.
-        ratio: of new to old pixels along y and x, at most 1.
-
-    Returns:
-        Values of `values`, `[y, x]`.
+    OpenCV's nearest interpolation takes the pixel in the corner. `size` is that of the result, px,
+    `ratio` that of new to old pixels along y and x, at most 1.
     """
     y, x = (
         ((np.arange(few) + 0.5) / share).astype(int).clip(max=many - 1)

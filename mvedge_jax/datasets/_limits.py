@@ -14,17 +14,7 @@ LIFT = "`max_gb`, --max-gb or MVEDGE_MAX_GB lifts this limit"
 
 
 def memory_limit(max_gb: float | None) -> float:
-    """The largest size of a light field in bytes.
-
-    Args:
-        max_gb: gigabytes; None for the value of `MVEDGE_MAX_GB`, or 8.
-
-    Returns:
-        Bytes.
-
-    Raises:
-        ValueError: it is not a positive number.
-    """
+    """The largest size of a light field in bytes: of `max_gb`, of `MVEDGE_MAX_GB`, or 8 GB."""
     name, wish = "`max_gb`", max_gb
     if wish is None:
         name, wish = "MVEDGE_MAX_GB", os.environ.get("MVEDGE_MAX_GB") or _DEFAULT_GB
@@ -38,17 +28,7 @@ def memory_limit(max_gb: float | None) -> float:
 
 
 def check_memory(what: str, shape: Sequence[int], limit: float, *, size: int = 4) -> None:
-    """Refuses arrays above the limit.
-
-    Args:
-        what: name of the file and its part, for the error.
-        shape: of the array in memory.
-        limit: bytes, from `memory_limit`.
-        size: bytes per number.
-
-    Raises:
-        ValueError: the array exceeds the limit.
-    """
+    """Refuses an array of a shape, of `size` bytes per number, above a limit in bytes."""
     need = math.prod(map(int, shape)) * size
     if need > limit:
         sides = "x".join(map(str, shape))
@@ -59,16 +39,7 @@ def check_memory(what: str, shape: Sequence[int], limit: float, *, size: int = 4
 
 
 def check_grid(where: Path | str, rows: int, columns: int) -> None:
-    """Refuses implausibly large grids.
-
-    Args:
-        where: the file or folder, for the error.
-        rows: of views.
-        columns: of views.
-
-    Raises:
-        ValueError: there are more than 10,000 views.
-    """
+    """Refuses grids of more than 10,000 views."""
     if rows * columns > _MOST_VIEWS:
         raise ValueError(
             f"{where} claims a grid of {_number(rows)}x{_number(columns)} views (rows x columns); "
@@ -77,16 +48,9 @@ def check_grid(where: Path | str, rows: int, columns: int) -> None:
 
 
 def read_text(path: Path) -> str:
-    """Reads a small text file, with or without a byte order mark.
+    """Reads a small text file in UTF-8, with or without a byte order mark.
 
-    Args:
-        path: the file; a device or a pipe, which may have no end, is refused.
-
-    Returns:
-        The text.
-
-    Raises:
-        ValueError: the file is not regular, too long, or not UTF-8.
+    Devices and pipes, which may have no end, long files and other encodings are ValueErrors.
     """
     if not path.is_file():
         raise ValueError(f"{path} is not a regular file; expected a text file.")
@@ -101,15 +65,7 @@ def read_text(path: Path) -> str:
 
 
 def some(names: Iterable[str], *, most: int = 4) -> str:
-    """The first of many names, for an error.
-
-    Args:
-        names: all of them.
-        most: how many to show.
-
-    Returns:
-        One line.
-    """
+    """The first of many names in one line, for an error."""
     every = [name if len(name) <= 60 else name[:57] + "..." for name in names]
     more = f" and {len(every) - most} more" if len(every) > most else ""
     return ", ".join(every[:most]) + more if every else "nothing"
@@ -118,11 +74,7 @@ def some(names: Iterable[str], *, most: int = 4) -> str:
 def plain_name(path: Path) -> str:
     r"""A folder's name as text that can be printed, drawn and encoded everywhere.
 
-    Args:
-        path: bytes that are not UTF-8 become escapes such as `\xff`.
-
-    Returns:
-        The name.
+    Bytes that are not UTF-8 become escapes such as `\xff`.
     """
     text = os.fsencode(path.name).decode("utf-8", "backslashreplace")
     return "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)

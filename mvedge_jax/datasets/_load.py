@@ -1,6 +1,8 @@
 """`load_light_field`: recognizes a layout and reads its views by the convention."""
 
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import jax
@@ -43,42 +45,38 @@ def load_light_field(
 
     In the first layout the ground truth may also be there for every view, as
     `gt_disp_lowres_CamNNN.pfm` and `objectids_lowres_CamNNN.png`. A folder that holds a single
-    `.h5` or `.mat` file and no views stands for that file. Views outside the crosshair may be
-    missing; they are then not `available`. Nor are views that do not show the scene, wherever
-    they are (`find_dead_views`): these are named in a warning.
+    `.h5` or `.mat` file and no views stands for that file. Views outside the crosshair that are
+    missing, and views that do not show the scene (`find_dead_views`, with a warning), are not
+    `available`.
 
     **Order of views.** By the convention a point of disparity `d` moves by `(u_c - u) d` and `(v_c
     - v) d` px, and larger `d` is nearer: near points move left as `u` grows, and up as `v` grows.
-    The benchmarks are read in this order. Other cameras may number their views in reverse on
-    either axis. All disparities then have the wrong sign, which shows at occlusions only: surfaces
-    estimated as near are covered by those estimated as far. `check_convention` and `mvedge info`
-    detect this and name the required flips, and exchanged rows and columns, as in files named by
-    column and row.
+    The benchmarks are read in this order. Cameras that number their views in reverse give all
+    disparities the wrong sign, which shows at occlusions only. `check_convention` and `mvedge info`
+    name the required flips, and exchanged rows and columns.
 
-    **Positions.** Cameras need not be on a regular square grid. If files give positions (the names
-    of the Stanford archive, `parameters.cfg` as `write_hci` writes it, or `positions`) that
-    deviate from such a grid by more than 2 % of a step, the light field stores and uses them. A
-    view step is then the median distance of neighboring columns, unless the file defines it.
+    **Positions.** If files give positions of cameras (the names of the Stanford archive,
+    `parameters.cfg` as `write_hci` writes it, or `positions`) that deviate from a regular square
+    grid by more than 2 % of a step, the light field stores and uses them. A view step is then the
+    median distance of neighboring columns, unless the file defines it.
 
     Args:
         path: a folder or a file.
         views: keeps the central `views` x `views` (odd), of a single row or column the central
-            `views`. The rest is not read. A Lytro's outer views are dark and distorted; 7 or 9 are
-            usual.
-        scale: shrinks the views by this factor in (0, 1], averaging areas, as they are read;
-            disparities, range and camera shrink alike.
+            `views`; 7 or 9 of a Lytro's, whose outer views are dark and distorted.
+        scale: shrinks the views by this factor in (0, 1], averaging areas; disparities, range and
+            camera shrink alike.
         flip_u: reverses the view columns, in addition to a reversal by the layout.
         flip_v: reverses the view rows in the same way.
         swap_axes: exchanges view rows and columns, before they are reversed.
-        positions: a text file with a line `v u x y` per view, which replaces positions of the
-            files: row and column in file order, counted from 0, and position to the right and down
-            in view steps (disparities are in px per view step). Rows and columns without a line
-            are not read.
+        positions: a text file with a line `v u x y` per view: row and column in file order,
+            counted from 0, and position to the right and down in view steps. Rows and columns
+            without a line are not read.
         disparity_range: `(low, high)` in px per view step of the stored size, if missing or wrong
             in the files.
         name: name of the scene; by default that of the folder or file.
-        max_gb: gigabytes that the views may take; more is refused from the headers of the files,
-            before anything is decoded. By default the environment variable `MVEDGE_MAX_GB`, or 8.
+        max_gb: gigabytes that the views may take, by the headers of the files; by default the
+            environment variable `MVEDGE_MAX_GB`, or 8.
 
     Returns:
         The light field, float32.
@@ -90,9 +88,6 @@ def load_light_field(
             do not form an odd square grid or a single odd row or column, claim more than `max_gb`,
             or hold ground truth that is not finite; if the center view does not show the scene; or
             if an option is out of range. The message names the file.
-
-    Warns:
-        UserWarning: views do not show the scene and are left out.
 
     Example:
         >>> import tempfile
@@ -110,10 +105,8 @@ def load_light_field(
     if not 0 < scale <= 1:
         raise ValueError(f"`scale` must be in (0, 1], got {scale}.")
     limit = memory_limit(max_gb)
-    with open_source(Path(path), max_gb=max_gb) as opened:
-        placed = opened if positions is None else with_positions(opened, Path(positions))
-        source = placed.exchanged() if swap_axes else placed
-        rows, columns = places_of(source, views, flip_u, flip_v)
+    order = {"flip_u": flip_u, "flip_v": flip_v, "swap_axes": swap_axes, "positions": positions}
+    with opened(path, views=views, max_gb=max_gb, **order) as (source, rows, columns):
         images, available = read_views(source, rows, columns, scale, limit)
         leave_out_dead_views(images, available, source, rows, columns)
         truth = None
@@ -132,6 +125,24 @@ def load_light_field(
             camera=camera,
             name=source.name if name is None else name,
         )
+
+
+@contextmanager
+def opened(
+    path: str | os.PathLike,
+    *,
+    views: int | None = None,
+    flip_u: bool = False,
+    flip_v: bool = False,
+    swap_axes: bool = False,
+    positions: str | os.PathLike | None = None,
+    max_gb: float | None = None,
+) -> Iterator[tuple[Source, list[int], list[int]]]:
+    """A light field, and the rows and columns to read of it in the order of the convention."""
+    with open_source(Path(path), max_gb=max_gb) as source:
+        placed = source if positions is None else with_positions(source, Path(positions))
+        turned = placed.exchanged() if swap_axes else placed
+        yield turned, *_places_of(turned, views, flip_u, flip_v)
 
 
 def load_ground_truth(path: str | os.PathLike) -> GroundTruth:
@@ -165,7 +176,7 @@ def load_ground_truth(path: str | os.PathLike) -> GroundTruth:
         return _ground_truth(source, source.truth(), rows, columns, 1.0, _size(source, *centre))
 
 
-def places_of(
+def _places_of(
     source: Source, views: int | None, flip_u: bool, flip_v: bool
 ) -> tuple[list[int], list[int]]:
     """The rows and columns of the file order to read, in the order of the convention."""

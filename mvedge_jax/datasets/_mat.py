@@ -11,17 +11,10 @@ _HEAD = 4096
 
 
 def check_elements(path: Path, limit: float) -> None:
-    """Refuses a version 5 file whose elements claim more than there is, or than is allowed.
+    """Refuses a version 5 file whose elements claim more than there is, or than `limit` bytes.
 
     SciPy allocates memory by the stated length and unpacks compressed data into it: four megabytes
     can claim four gigabytes.
-
-    Args:
-        path: the file.
-        limit: bytes that one part of a variable may have.
-
-    Raises:
-        ValueError: naming the file, the claimed size and the limit.
     """
     size = path.stat().st_size
     with path.open("rb") as stream:

@@ -82,16 +82,7 @@ class Matches:
 
 
 def match(views: Views, reach: float, count: int) -> Matches:
-    """Matches windows of strips of rows.
-
-    Args:
-        views: of an arm.
-        reach: largest disparity of either sign, px per view step.
-        count: largest number of strips.
-
-    Returns:
-        The matches.
-    """
+    """Matches windows of at most `count` strips of rows, up to `reach` px per view step."""
     arm, middle, farthest = views.images, views.middle, views.farthest
     height, width = arm.shape[1:3]
     number = 2 * math.ceil(reach * farthest / _STEP) + 1

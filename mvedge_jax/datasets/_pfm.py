@@ -23,8 +23,7 @@ def read_pfm(path: str | os.PathLike) -> Float[np.ndarray, "y x"]:
     """Reads a single-channel portable float map.
 
     Values are divided by the magnitude of the header's scale, as in Netpbm and OpenCV, except for
-    the scale 1/255 of Middlebury's files, whose values are not scaled. A warning reports either
-    case; the usual scale of 1 has none.
+    the scale 1/255 of Middlebury's files. A warning reports either case.
 
     Args:
         path: a `.pfm` file. It is stored bottom-up; the result is not.

@@ -32,20 +32,11 @@ class DamagedPng(ValueError):
 
 
 def plain_png(data: bytes) -> bytes:
-    """Reduces a PNG file to its pixels, uncompressed.
+    """Reduces a PNG file to its pixels, uncompressed, or raises `DamagedPng`.
 
     OpenCV's libpng prints messages about profiles and damage to the standard error. To avoid them,
     chunks that do not change pixels are dropped, checksums, sizes and filters are checked, and the
     pixels are inflated here, once.
-
-    Args:
-        data: the file.
-
-    Returns:
-        A file of the same pixels.
-
-    Raises:
-        DamagedPng: it is truncated or damaged.
     """
     kept: dict[bytes, list[bytes]] = {}
     for position, kind, body in _chunks(data):

@@ -18,19 +18,9 @@ _REGULAR = 0.02
 def with_positions(source: Source, path: Path) -> Source:
     """Applies a file of positions to a source and keeps the rows and columns that it names.
 
-    Args:
-        source: as its files are.
-        path: a text file with a line `v u x y` for every view: row and column in file order, then
-            the position to the right and down, in view steps; `#` begins a comment.
-
-    Returns:
-        The source without the rows and columns that the file leaves out.
-
-    Raises:
-        FileNotFoundError: there is no such file.
-        ValueError: the file cannot be read, a line is malformed, names a view that is not in the
-            grid or was named before, or the remaining rows and columns have another center view,
-            which has no ground truth.
+    The file has a line `v u x y` for every view: row and column in file order, then the position to
+    the right and down, in view steps; `#` begins a comment. Malformed lines, views that are not in
+    the grid or named twice, and a center view whose ground truth is unknown are ValueErrors.
     """
     if not path.exists():
         raise FileNotFoundError(f"{path} is not there; expected a text file of positions.")
@@ -78,20 +68,10 @@ def view_positions(
 ) -> Float[np.ndarray, "v u 2"] | None:
     """Positions of the views that are read, as `LightField` has them.
 
-    Positions in another unit are divided by the median distance of neighboring columns (for a
-    single column, rows). Signs follow the order of the views: columns increase to the right, rows
-    down.
-
-    Args:
-        source: its positions may be NaN where a view is missing.
-        rows: of the file order, for each row of views.
-        columns: likewise.
-
-    Returns:
-        View steps from the center view; None if unknown, or regular to 2 % of a step.
-
-    Raises:
-        ValueError: the positions do not form rows and columns; names the source.
+    View steps from the center view; None if unknown, or regular to 2 % of a step. Positions in
+    another unit are divided by the median distance of neighboring columns (for a single column,
+    rows). Signs follow the order of the views: columns increase to the right, rows down. Positions
+    may be NaN where a view is missing; those that do not form rows and columns are a ValueError.
     """
     if source.positions is None:
         return None

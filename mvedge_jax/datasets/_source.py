@@ -24,19 +24,10 @@ class Truth:
     view_disparity: Float[np.ndarray, "v u y x"] | None = None
     view_ids: Int[np.ndarray, "v u y x"] | None = None
 
-    def taken(self, rows: Sequence[int], columns: Sequence[int]) -> "Truth":
-        """Ground truth of some rows and columns of the grid."""
-        window = np.ix_(rows, columns)
+    def regridded(self, change: Callable[[np.ndarray], np.ndarray]) -> "Truth":
+        """Ground truth of another grid, after a change of maps `[v, u, ...]`."""
         disparity, ids = (
-            None if values is None else values[window]
-            for values in (self.view_disparity, self.view_ids)
-        )
-        return dataclasses.replace(self, view_disparity=disparity, view_ids=ids)
-
-    def exchanged(self) -> "Truth":
-        """Ground truth of the grid with exchanged rows and columns."""
-        disparity, ids = (
-            None if values is None else values.swapaxes(0, 1)
+            None if values is None else change(values)
             for values in (self.view_disparity, self.view_ids)
         )
         return dataclasses.replace(self, view_disparity=disparity, view_ids=ids)
@@ -81,40 +72,39 @@ class Source:
     in_steps: bool = False
 
     def taken(self, rows: Sequence[int], columns: Sequence[int], **changes: Any) -> "Source":
-        """The light field of some rows and columns of this one.
-
-        Args:
-            rows: to keep, in file order.
-            columns: likewise.
-            **changes: further fields of `Source`, of the whole grid.
-        """
-        whole = dataclasses.replace(self, **changes)
-        header, truth, window = whole.header, whole.truth, np.ix_(rows, columns)
-        return dataclasses.replace(
-            whole,
-            available=whole.available[window],
-            read=lambda row, column: whole.read(rows[row], columns[column]),
-            label=lambda row, column: whole.label(rows[row], columns[column]),
-            header=None if header is None else lambda r, c: header(rows[r], columns[c]),
-            truth=None if truth is None else lambda: truth().taken(rows, columns),
-            positions=None if whole.positions is None else whole.positions[window],
+        """The light field of some rows and columns of this one, after `changes` of whole fields."""
+        whole, window = dataclasses.replace(self, **changes), np.ix_(rows, columns)
+        return whole._regridded(
+            lambda row, column: (rows[row], columns[column]), lambda values: values[window]
         )
 
     def exchanged(self) -> "Source":
         """The light field with exchanged rows and columns of views."""
+        turned = self._regridded(
+            lambda row, column: (column, row), lambda values: values.swapaxes(0, 1)
+        )
+        return dataclasses.replace(
+            turned,
+            positions=None if turned.positions is None else turned.positions[..., ::-1],
+            flip_v=self.flip_u,
+            flip_u=self.flip_v,
+        )
+
+    def _regridded(
+        self,
+        places: Callable[[int, int], tuple[int, int]],
+        change: Callable[[np.ndarray], np.ndarray],
+    ) -> "Source":
+        """The light field of another grid: where its views are in this one, and arrays of views."""
         header, truth = self.header, self.truth
         return dataclasses.replace(
             self,
-            available=self.available.T,
-            read=lambda row, column: self.read(column, row),
-            label=lambda row, column: self.label(column, row),
-            header=None if header is None else lambda row, column: header(column, row),
-            truth=None if truth is None else lambda: truth().exchanged(),
-            positions=(
-                None if self.positions is None else self.positions.swapaxes(0, 1)[..., ::-1]
-            ),
-            flip_v=self.flip_u,
-            flip_u=self.flip_v,
+            available=change(self.available),
+            read=lambda row, column: self.read(*places(row, column)),
+            label=lambda row, column: self.label(*places(row, column)),
+            header=None if header is None else lambda row, column: header(*places(row, column)),
+            truth=None if truth is None else lambda: truth().regridded(change),
+            positions=None if self.positions is None else change(self.positions),
         )
 
 
@@ -126,18 +116,9 @@ def image_source(
     expected: Callable[[int, int], str],
     **known,
 ) -> Source:
-    """A source whose views are image files.
+    """A source whose views are image files, by row and column.
 
-    Args:
-        path: the folder.
-        layout: name of the layout.
-        files: file of each view (row, column) that is there.
-        grid: numbers of rows and columns.
-        expected: file name that view (row, column) should have, for errors.
-        **known: further fields of `Source`.
-
-    Returns:
-        The source.
+    `expected` names the file that a view should have, for errors; `known` are further fields.
     """
     available = np.zeros(grid, bool)
     for place in files:
@@ -159,16 +140,7 @@ def image_source(
 
 
 def check_truth(values: np.ndarray, path: Path | str, what: str = "disparity") -> None:
-    """Refuses ground truth that is NaN or infinite.
-
-    Args:
-        values: the ground truth.
-        path: the file, for the error.
-        what: the quantity, for the error.
-
-    Raises:
-        ValueError: naming the file, the number of bad values and the position of the first one.
-    """
+    """Refuses ground truth that is NaN or infinite, and names the first such place."""
     bad = ~np.isfinite(values)
     if bad.any():
         place = tuple(int(i) for i in np.argwhere(bad)[0])

@@ -35,21 +35,19 @@ def write_hci(
     | `gt_disp_lowres_CamNNN.pfm`, `objectids_lowres_CamNNN.png` | the same for every view |
     | `visible_CamNNN.png` | 255 where view `NNN` shows the center view's pixel, 0 elsewhere |
 
-    The last two rows are more than the benchmark has, as are `positions_x` and `positions_y` of all
-    views in `parameters.cfg`, row by row, of views that are on no regular grid. `load_light_field`
-    reads all but the last.
+    The last two rows are more than the benchmark has, as are `positions_x` and `positions_y` of
+    irregular views in `parameters.cfg`, row by row. `load_light_field` reads all but the last.
 
     Args:
-        light_field: the light field; missing views, and unknown parts of camera and ground truth,
-            are left out.
+        light_field: its missing views, and what is unknown of it, are left out.
         path: a folder, created if needed. Files of the same names are replaced.
         visible: occlusion masks of the center view, see `synthetic.visibility`.
         progress: called with the number of finished views and their total.
 
     Raises:
         OSError: if a file cannot be written.
-        ValueError: if `visible` has another shape, if ground truth is there but not known at every
-            pixel (the layout has no place for a mask), or an object id does not fit 16 bits.
+        ValueError: if `visible` has another shape, ground truth is not known at every pixel (the
+            layout has no place for a mask), or an object id does not fit 16 bits.
     """
     folder = Path(path)
     rows, columns, height, width, _ = light_field.views.shape

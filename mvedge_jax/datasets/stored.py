@@ -1,8 +1,7 @@
-"""The crosshair of large light fields, in the bits of their files: read, or rendered."""
+"""The crosshair of large light fields, in the bits of their files."""
 
 import os
 from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,12 +10,10 @@ from mvedge_jax._stored_views import StoredViews
 
 from ._dead import leave_out_dead_views
 from ._limits import check_memory, memory_limit
-from ._load import places_of
-from ._open import open_source
-from ._positions import view_positions, with_positions
+from ._load import opened
+from ._positions import view_positions
 from ._read import differs
 from ._source import Source
-from .synthetic._render_stored import render_stored as render_stored
 
 # Dead views show in pictures of this size.
 _SMALL = 256
@@ -25,43 +22,26 @@ _SMALL = 256
 def load_stored_views(
     path: str | os.PathLike,
     *,
-    views: int | None = None,
-    flip_u: bool = False,
-    flip_v: bool = False,
-    swap_axes: bool = False,
-    positions: str | os.PathLike | None = None,
     disparity_range: tuple[float, float] | None = None,
     name: str | None = None,
     max_gb: float | None = None,
+    **order: Any,
 ) -> StoredViews:
     """Reads the centre row and the centre column of views, for depth in tiles.
 
     Args:
         path: a folder or a file, of any layout that `load_light_field` reads.
-        views: see `load_light_field`, as are all others.
-        flip_u: reverses the view columns.
-        flip_v: reverses the view rows.
-        swap_axes: exchanges view rows and columns.
-        positions: a text file with a line `v u x y` per view.
         disparity_range: `(low, high)` in px per view step.
         name: what to call the scene.
         max_gb: gigabytes that the views may take, in the bits of their files.
+        **order: `views`, `flip_u`, `flip_v`, `swap_axes` and `positions` of `load_light_field`.
 
     Returns:
-        The views in 8 or 16 bits, in the order of the convention.
-
-    Raises:
-        FileNotFoundError: see `load_light_field`.
-        ValueError: see `load_light_field`.
-
-    Warns:
-        UserWarning: views do not show the scene and are left out.
+        The views in 8 or 16 bits, in the order of the convention. Errors and warnings are those of
+        `load_light_field`.
     """
     limit = memory_limit(max_gb)
-    with open_source(Path(path), max_gb=max_gb) as opened:
-        placed = opened if positions is None else with_positions(opened, Path(positions))
-        source = placed.exchanged() if swap_axes else placed
-        rows, columns = places_of(source, views, flip_u, flip_v)
+    with opened(path, max_gb=max_gb, **order) as (source, rows, columns):
         planes = _read(source, rows, columns, limit)
         _leave_out_dead(planes, source, rows, columns)
         return StoredViews(

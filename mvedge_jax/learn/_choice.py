@@ -32,12 +32,7 @@ class Choice:
         return {path: self._inward(path, value_at(model, path)) for path in self.paths}
 
     def into(self, model: Any, coordinates: Values) -> Any:
-        """The model with learned leaves.
-
-        Args:
-            model: with leaves of the same paths.
-            coordinates: by path, as `start` gives them.
-        """
+        """The model with learned leaves, by coordinates as `start` gives them."""
         return replaced(model, self.outward(coordinates))
 
     def outward(self, coordinates: Values) -> Values:
@@ -54,15 +49,13 @@ def chosen(model: eqx.Module, what: Sequence[str] | Callable[[str], bool]) -> Ch
     Args:
         model: any.
         what: paths of numbers and arrays, or of parts, which stand for all of theirs; or a function
-            that says of a path whether it is chosen. Of parts and by a function, what has no
-            derivative is left out: thresholds, and numbers at 0.
+            of a path. Parts and functions leave out thresholds and numbers at 0.
 
     Returns:
         The choice.
 
     Raises:
-        ValueError: a path is none of the model's or holds no floating-point array, a number that is
-            named is a threshold or 0, or nothing is left.
+        ValueError: a path holds no floating-point array, a threshold or 0, or nothing is left.
 
     Example:
         >>> from mvedge_jax.smoothness import ColorAndDepth

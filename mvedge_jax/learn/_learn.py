@@ -95,13 +95,11 @@ def learn(
         scenes: light fields of equal shapes, with truth unless the loss needs none; read when they
             are drawn. `of_one_range` gives them one disparity range, for which the model is made.
         validation: scenes that are only measured; the best values on them are kept.
-        loss: of what the model returns and the light field; `RobustLoss()` by default. It is
-            compiled in, so it has to be hashable: a function or a frozen dataclass.
+        loss: of what the model returns and the light field, hashable; `RobustLoss()` by default.
         optimizer: of Optax; Adam by default, whose rate falls from .02 to 0 along a cosine.
         steps: minibatches.
         batch: scenes of a step. They go through one program, a few side by side (`batched`).
-        prior: curvature of a quadratic penalty on the distance from the start: the logarithm of a
-            number is pulled back by `prior` times its change.
+        prior: pull back to the start, as a factor of the change of a number's logarithm.
         limit: of the norm of the gradient of a scene; longer ones are shortened.
         check_every: steps between validations, and between checkpoints.
         patience: validations without a better one after which learning stops; None for never.

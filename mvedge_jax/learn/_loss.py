@@ -13,26 +13,19 @@ Loss = Callable[[Any, LightField], Float[Array, ""]]
 
 
 def robust_loss(
-    disparity: Float[Array, "y x"],
-    light_field: LightField,
-    *,
-    scales: Sequence[float] = (0.03,),
+    disparity: Float[Array, "y x"], light_field: LightField, *, scales: Sequence[float] = (0.03,)
 ) -> Float[Array, ""]:
     """Mean of `log(1 + (error / scale)²)` over the pixels whose truth is known, and over scales.
 
-    Errors well above a scale count little more than those near it: a few pixels beside depth steps
-    don't rule it.
+    Errors well above a scale count little more than those near it.
 
     Args:
         disparity: a map of the centre view, px per view step.
-        light_field: with ground truth.
+        light_field: with ground truth, or a ValueError says that it has none.
         scales: px per view step, positive.
 
     Returns:
         The loss. Differentiable.
-
-    Raises:
-        ValueError: the light field has no ground truth.
     """
     truth = light_field.truth
     if truth is None:

@@ -43,11 +43,7 @@ def _without_camera(field: LightField) -> LightField:
 
 
 class Scenes:
-    """Scenes of one kind, read one by one and stacked.
-
-    Attributes:
-        fields: light fields of equal shapes and of equal knowledge.
-    """
+    """Scenes of one kind, light fields of equal shapes, read one by one and stacked."""
 
     def __init__(self, name: str, fields: Sequence[LightField], like: LightField | None = None):
         if len(fields) == 0:
@@ -78,13 +74,7 @@ class Scenes:
         return jax.tree.map(lambda *leaves: jnp.stack(leaves), *found)
 
     def drawn(self, step: int, count: int, seed: Sequence[int]) -> list[int]:
-        """Places of the scenes of a step: all in a random order, then in another one.
-
-        Args:
-            step: from 0 on.
-            count: of the scenes of a step.
-            seed: of the orders.
-        """
+        """Places of the scenes of a step, from 0 on: all in a random order, then in another one."""
         found = []
         for number in range(step * count, (step + 1) * count):
             turn, place = divmod(number, len(self))

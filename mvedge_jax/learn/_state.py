@@ -45,12 +45,7 @@ class State(eqx.Module):
         )
 
     def save(self, folder: Path, settings: dict[str, Any]) -> None:
-        """Writes the state, whole or not at all.
-
-        Args:
-            folder: made if it is not there.
-            settings: of the run, without which its state means something else.
-        """
+        """Writes the state, whole or not at all, with the settings of its run."""
         folder.mkdir(parents=True, exist_ok=True)
         unfinished = folder / f"{_FILE}.{os.getpid()}"
         try:
@@ -64,12 +59,7 @@ class State(eqx.Module):
     def resumed(self, folder: Path, settings: dict[str, Any]) -> "State":
         """The state in a folder; this one, which a run begins with, if there is none.
 
-        Args:
-            folder: of an earlier run.
-            settings: of this run.
-
-        Raises:
-            ValueError: the earlier run had other settings, or the file is damaged.
+        A ValueError says that the earlier run had other settings, or that the file is damaged.
         """
         path = folder / _FILE
         if not path.is_file():

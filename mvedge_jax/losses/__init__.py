@@ -13,10 +13,6 @@ from ._losses import (
     self_supervised_loss as self_supervised_loss,
     supervised_loss as supervised_loss,
 )
-from ._views import (
-    Views as Views,
-    all_views as all_views,
-    gather_views as gather_views,
-)
+from ._views import Views as Views, all_views as all_views, gather_views as gather_views
 
 register(__name__)

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from mvedge_jax._params import accepts_numpy, cast, number
-from mvedge_jax.warping import visible as exact_visible, visible_binned
+from mvedge_jax.warping import visible as exact_visible
 
 from ._views import Views
 from .features import Colours
@@ -57,14 +57,7 @@ class LossTerms(NamedTuple):
     error: Float[Array, "y x"]
 
     def weighted(self, weights: LossWeights) -> Float[Array, ""]:
-        """The loss (7.16).
-
-        Args:
-            weights: of the terms.
-
-        Returns:
-            One number. Differentiable.
-        """
+        """The loss (7.16), differentiable."""
         return (
             weights.reprojection * self.reprojection
             + weights.smoothness * self.smoothness
@@ -74,21 +67,17 @@ class LossTerms(NamedTuple):
 
 
 @accepts_numpy
-def occlusion_masks(
-    disparity: Float[Array, "y x"], views: Views, *, binned: bool = False
-) -> Bool[Array, "k y x"]:
+def occlusion_masks(disparity: Float[Array, "y x"], views: Views) -> Bool[Array, "k y x"]:
     """Pixels of the center view that each view shows, without gradient.
 
     Args:
         disparity: of the center view.
         views: the views; masks of missing ones are 0.
-        binned: by the authors' 32 bins rather than by an exact z-buffer.
 
     Returns:
         M of (7.15).
     """
-    mask = visible_binned if binned else exact_visible
-    seen = jax.lax.map(lambda step: mask(disparity, step), views.steps)
+    seen = jax.lax.map(lambda step: exact_visible(disparity, step), views.steps)
     return seen & views.available[:, None, None]
 
 
@@ -116,8 +105,7 @@ def self_supervised_loss(
         The loss and its terms. Differentiable with respect to `disparity`, the views and the
         weights.
 
-    Source:
-        Thesis 7.1.4, Eq. 7.15-7.16; docs/method.md has signs and weights.
+    Source: Thesis 7.1.4, Eq. 7.15-7.16; docs/method.md has signs and weights.
     """
     weights = cast(weights, disparity.dtype)
     visible = occlusion_masks(disparity, views) if visible is None else visible
@@ -168,8 +156,7 @@ def supervised_loss(
     Returns:
         The loss; zero if no pixel is known.
 
-    Source:
-        Thesis 7.1.4 and 7.2.3.
+    Source: Thesis 7.1.4 and 7.2.3.
     """
     weights = cast(weights, disparity.dtype)
     error = jnp.where(valid, disparity - jnp.where(valid, truth, 0), 0)

@@ -36,8 +36,7 @@ class Colours(eqx.Module):
 class FilterBank(eqx.Module):
     """Colors, and Gabor filters of the gray image at several scales and orientations.
 
-    A fixed stand-in for the first layers of a trained network: it compares structure beside
-    color and needs no weights. Filters are zero-mean and of unit absolute sum.
+    A stand-in for the first layers of a network. Filters are zero-mean, of unit absolute sum.
 
     Attributes:
         wavelengths: px per period, one per scale.
@@ -91,8 +90,7 @@ class Vgg16(eqx.Module):
         second: weights of conv1_2, `[64, 64, 3, 3]`.
         second_bias: its bias.
 
-    Source:
-        Thesis 7.1.5, "Distance".
+    Source: Thesis 7.1.5, "Distance".
     """
 
     first: Float[Array, "64 3 3 3"]

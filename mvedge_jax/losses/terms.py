@@ -50,10 +50,7 @@ def warp_views(
 
 @accepts_numpy
 def reprojection_error(
-    disparity: Float[Array, "y x"],
-    views: Views,
-    visible: Bool[Array, "k y x"],
-    features: Features,
+    disparity: Float[Array, "y x"], views: Views, visible: Bool[Array, "k y x"], features: Features
 ) -> Float[Array, "y x"]:
     r"""Difference of the warped views from the center view.
 
@@ -70,8 +67,7 @@ def reprojection_error(
     Returns:
         The error per pixel; zero where no view is visible.
 
-    Source:
-        Thesis 7.1.4, Eq. 7.15.
+    Source: Thesis 7.1.4, Eq. 7.15.
     """
     reference = features(views.centre)
     visible = visible & views.available[:, None, None]
@@ -101,8 +97,7 @@ def gradient_reward(error: Float[Array, "y x"]) -> Float[Array, "y x"]:
     Returns:
         Magnitude per pixel; Sobel, unnormalized as in the authors' code (8 times the slope).
 
-    Source:
-        Thesis 7.1.4, Eq. 7.16.
+    Source: Thesis 7.1.4, Eq. 7.16.
     """
     gx, gy = _sobel(error)
     return jnp.sqrt(64 * (gx**2 + gy**2) + 1e-10)
@@ -121,25 +116,15 @@ def edge_aware_smoothness(
     Returns:
         `|S_x D| exp(-mean |S_x I|)` plus the same in y, with unnormalized Sobel filters.
 
-    Source:
-        Thesis 7.1.4, E_S of Eq. 7.16.
+    Source: Thesis 7.1.4, E_S of Eq. 7.16.
     """
-    return jnp.sum(jnp.abs(edge_aware_slopes(disparity, centre)), axis=0)
+    return jnp.sum(jnp.abs(_edge_aware_slopes(disparity, centre)), axis=0)
 
 
-@accepts_numpy
-def edge_aware_slopes(
+def _edge_aware_slopes(
     disparity: Float[Array, "y x"], centre: Float[Array, "c y x"]
 ) -> Float[Array, "2 y x"]:
-    """The slopes across and down whose magnitudes `edge_aware_smoothness` adds.
-
-    Args:
-        disparity: px per view step.
-        centre: the image.
-
-    Returns:
-        `S D exp(-mean |S I|)`, with unnormalized Sobel filters.
-    """
+    """`S D exp(-mean |S I|)` across and down."""
     pairs = zip(_sobel(disparity), _sobel(centre), strict=True)
     return jnp.stack(
         [8 * slope * jnp.exp(-8 * jnp.mean(jnp.abs(edge), axis=0)) for slope, edge in pairs]
@@ -161,8 +146,7 @@ def ssim(
     Returns:
         Similarity per pixel, 1 for equal images.
 
-    Source:
-        Wang et al. 2004, with constants .01² and .03²; thesis 7.1.4, E_SSIM.
+    Source: Wang et al. 2004, with constants .01² and .03²; thesis 7.1.4, E_SSIM.
     """
     axis = jnp.arange(-radius, radius + 1, dtype=a.dtype)
     window = jnp.exp(-(axis**2) / (2 * sigma**2))

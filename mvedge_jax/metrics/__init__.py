@@ -9,7 +9,6 @@ from ._boundary import BoundaryScores as BoundaryScores, boundary_scores as boun
 from ._calibration import Calibration as Calibration, calibration as calibration
 from ._consistency import (
     ViewConsistency as ViewConsistency,
-    printed_view_consistency as printed_view_consistency,
     view_consistency as view_consistency,
     view_consistency_map as view_consistency_map,
 )

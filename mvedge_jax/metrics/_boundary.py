@@ -54,23 +54,19 @@ def boundary_scores(
 
     The strength of a boundary at a pixel is the larger of the absolute jumps of disparity to its
     right and lower neighbor. The true boundary is where the truth's strength exceeds
-    `truth_threshold`. For each threshold $t$ of the sweep, the detected boundary is where the
-    map's strength exceeds $t$, and with both kinds of match "within `tolerance` px" (Euclidean;
-    1.5 px is the 3x3 neighborhood; not one-to-one):
+    `truth_threshold`, the detected one where the map's exceeds a threshold $t$. A match is within
+    `tolerance` px (Euclidean; 1.5 px is the 3x3 neighborhood; not one-to-one):
 
     - precision: share of the detected pixels that match a true one (1 if nothing was detected);
     - recall: share of the true pixels that match a detected one;
     - F1: harmonic mean, 0 where both are 0;
-    - area: $\int_0^1 \max\{P(t) : R(t) \ge r\}\, dr$, the area that the curve dominates, hence no
-      extrapolation beyond the largest recall.
+    - area: $\int_0^1 \max\{P(t) : R(t) \ge r\}\, dr$, without extrapolation beyond the largest
+      recall.
 
-    A blurred depth edge is a wide ramp whose pixels miss the truth; an edge invented in a flat
-    region costs precision at every threshold below its height. Beyond the jumps of the scene
-    nothing is left to detect, so that even the truth's own mean F1 is below 1. The thesis does not
-    print its tolerance and thresholds: compare with Tab. 6.3 in order, not in digits.
-
-    A jump to or from a disparity that is not finite is counted as detected at every threshold,
-    matches nothing and finds nothing, so that it never improves a score.
+    Beyond the jumps of the scene nothing is left to detect, so that even the truth's own mean F1 is
+    below 1. The thesis does not print its tolerance and thresholds: compare with Tab. 6.3 in order,
+    not in digits. A jump to or from a disparity that is not finite is detected at every threshold
+    and matches nothing.
 
     Args:
         disparity: The map to score, `[y, x]`, px per view step.
@@ -95,8 +91,6 @@ def boundary_scores(
         >>> truth = jnp.zeros((8, 32)).at[:, :16].set(1.0)
         >>> boundary_scores(truth, truth).auc.item()
         1.0
-        >>> boundary_scores(0 * truth, truth).peak_f1.item()
-        0.0
     """
     check_maps(disparity, truth, mask, crop)
     dtype = disparity.dtype

@@ -54,18 +54,15 @@ def calibration(
         truth: ground truth, `[y, x]`, px per view step; NaN where unknown.
         mask: pixels that count, `[y, x]`; all by default.
         crop: pixels to leave out on each side.
-        groups: of pixels of like standard error, and shares that are left out; at most one per
-            pixel.
+        groups: of pixels of like standard error, and shares that are left out.
 
     Returns:
         See `Calibration`; NaN, and no groups, if no pixel counts.
 
     Raises:
-        ValueError: shapes differ, `groups` is not positive, or, where pixels count, `disparity` is
-            not finite or `error` not positive.
+        ValueError: shapes differ, or `groups`, `disparity` or `error` are out of range.
 
-    Source: sparsification as in Ilg et al. 2018, "Uncertainty estimates and multi-hypotheses
-    networks for optical flow"; not in the thesis.
+    Source: sparsification as in Ilg et al. 2018; not in the thesis.
 
     Example:
         >>> import jax, jax.numpy as jnp

@@ -12,9 +12,8 @@ from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int
 
 from mvedge_jax._params import accepts_numpy
-from mvedge_jax.warping import landing, z_buffer
 
-from ._region import cropped
+from ._region import check_crop, cropped
 
 # Positions that rounding leaves this far below a whole pixel are that pixel, px.
 _SLACK = 1e-3
@@ -35,7 +34,7 @@ class ViewConsistency(NamedTuple):
     mean: Float[Array, ""]
 
 
-def _check(disparities: Array, available: Array | None, crop: int) -> Array:
+def check_views(disparities: Array, available: Array | None, crop: int) -> Array:
     if disparities.ndim != 4:
         raise ValueError(
             f"`disparities` must have the axes [v, u, y, x], one map per view, got shape "
@@ -46,11 +45,7 @@ def _check(disparities: Array, available: Array | None, crop: int) -> Array:
             f"`available` must have the shape of the view grid {disparities.shape[:2]}, got "
             f"{available.shape}."
         )
-    if not 0 <= 2 * crop < min(disparities.shape[2:]):
-        raise ValueError(
-            f"`crop` must be at least 0 and leave pixels of maps of "
-            f"{disparities.shape[2]}x{disparities.shape[3]}, got {crop}."
-        )
+    check_crop(disparities.shape[2:], crop)
     return jnp.ones(disparities.shape[:2], bool) if available is None else available
 
 
@@ -75,9 +70,8 @@ def view_consistency(
     $$C(s) = \frac{1}{n_s} \sum_i (\rho_i(s) - \mu_s)^2, \quad \mu_s = \frac{1}{n_s} \sum_i
     \rho_i(s), \quad C = \frac{1}{|S|} \sum_{s \in S} C(s),$$
 
-    where S are the pixels with $n_s \ge 2$. `printed_view_consistency` has the equations as the
-    thesis prints them. True maps score about 0, but so does one constant: read it beside the error
-    of the maps.
+    where S are the pixels with $n_s \ge 2$. True maps score about 0, but so does one constant: read
+    it beside the error of the maps.
 
     Args:
         disparities: One map per view, each on its own pixels, `[v, u, y, x]`, px per view step.
@@ -92,68 +86,20 @@ def view_consistency(
         a pixel lies in other views.
 
     Raises:
-        ValueError: if the shapes do not fit together, the crop leaves nothing or the stride is
-            below 1.
+        ValueError: if shapes do not fit, the crop leaves nothing or the stride is below 1.
 
-    Source: Thesis 6.2.3, Eq. 6.9 and 6.10 with the normalisation corrected, see the
-        documentation's page of equations.
+    Source: Thesis 6.2.3, Eq. 6.9 and 6.10 with the normalisation corrected.
 
     Example:
         >>> import jax.numpy as jnp
         >>> view_consistency(jnp.ones((3, 3, 8, 8))).mean.item()
         0.0
     """
-    available = _check(disparities, available, crop)
+    available = check_views(disparities, available, crop)
     if stride < 1:
         raise ValueError(f"`stride` must be at least 1, got {stride}.")
     limit = jnp.asarray(tolerance, disparities.dtype)
     return _per_view(disparities, available, limit, crop=crop, stride=stride)
-
-
-@accepts_numpy
-def printed_view_consistency(
-    disparities: Float[Array, "v u y x"],
-    *,
-    available: Bool[Array, "v u"] | None = None,
-    crop: int = 0,
-) -> ViewConsistency:
-    r"""Eq. 6.9 and 6.10 as the thesis prints them, for comparison with its figures.
-
-    All maps are warped forward onto the target view, nearest pixel and nearest surface, and
-    $\rho_0, \dots, \rho_n$ is what lands on a pixel s, the target's own map included:
-
-    $$C(s) = \frac{1}{n} \sum_{i=0}^n (\rho_i(s) - \mu_s)^2, \quad
-    \mu_s = \frac{1}{n} \sum_{i=0}^n \rho_i(s), \quad C = \frac{1}{|S|} \sum_{s \in S} C(s).$$
-
-    It differs from `view_consistency` in three ways. The n + 1 terms are divided by n, which adds
-    $m^2 (n + 1) / n^3$ of the mean m: about m²/n², so that the score depends on which surface has
-    disparity 0. Surfaces that one view shows and another does not are compared with each other, so
-    that true maps do not score 0. A slanted surface is charged for the rounding to whole pixels.
-    The thesis does not say what holes count: a map with a hole at s has no say there, and n is the
-    number of the others without one.
-
-    Args:
-        disparities: One map per view, each on its own pixels, `[v, u, y, x]`, px per view step.
-        available: Views that take part, `[v, u]`; all by default.
-        crop: Pixels to leave out on each side of the target, static.
-
-    Returns:
-        The scores, over pixels where two maps or more land. If a map that takes part is not finite
-        somewhere, every score is infinite. Work grows with the square of the number of views.
-        Not differentiable with respect to where a pixel lands.
-
-    Raises:
-        ValueError: if the shapes do not fit together or the crop leaves nothing.
-
-    Source: Thesis 6.2.3, Eq. 6.9 and 6.10.
-
-    Example:
-        >>> import jax.numpy as jnp
-        >>> printed_view_consistency(jnp.zeros((3, 3, 8, 8))).mean.item()
-        0.0
-    """
-    available = _check(disparities, available, crop)
-    return _printed_per_view(disparities, available, crop=crop)
 
 
 @accepts_numpy
@@ -177,12 +123,11 @@ def view_consistency_map(
         that is not finite in its own map is infinite; in other maps it is a hole.
 
     Raises:
-        ValueError: if the shapes do not fit together, or the view is not one of the grid; not seen
-            where `view` is traced.
+        ValueError: if shapes do not fit, or the view, unless traced, is not one of the grid.
 
     Source: Thesis 6.2.3, Eq. 6.9.
     """
-    available = _check(disparities, available, 0)
+    available = check_views(disparities, available, 0)
     if not isinstance(view, Tracer):
         v, u = (int(index) for index in view)
         rows, columns = disparities.shape[:2]
@@ -249,48 +194,10 @@ def _all_views(disparities, available, limit, *, crop, stride) -> ViewConsistenc
     def score(view: Array) -> tuple[Array, Array]:
         return _map(disparities, low, high, view, available, limit, crop=crop, stride=stride)
 
-    return _scores(score, disparities, available)
+    return average_over_views(score, disparities, available)
 
 
-def _all_views_printed(disparities, available, *, crop) -> ViewConsistency:
-    def score(view: Array) -> tuple[Array, Array]:
-        variance, count = _printed_map(disparities, view, available)
-        return cropped(variance, crop), cropped(count, crop)
-
-    return _scores(score, disparities, available)
-
-
-def _printed_map(disparities, view, available) -> tuple[Array, Array]:
-    """(6.9) of one view, and the number of maps that land on each of its pixels."""
-    rows, columns, height, width = disparities.shape
-    dtype = disparities.dtype
-    grid = np.indices((rows, columns)).reshape(2, -1).T
-
-    def add(state: tuple[Array, Array, Array], item: tuple[Array, ...]):
-        count, mean, squares = state
-        disparity, source, use = item
-        # From map i to the target: (u_i - u, v_i - v) steps.
-        index, stays = landing(disparity, (source - view)[::-1].astype(dtype))
-        nearest = z_buffer(jnp.where(stays, disparity, -jnp.inf), index)[:-1]
-        nearest = nearest.reshape(height, width)
-        lands = use & jnp.isfinite(nearest)
-        value = jnp.where(lands, nearest, mean)
-        count = count + lands.astype(count.dtype)
-        delta = value - mean
-        mean = mean + delta / jnp.maximum(count, 1).astype(dtype)
-        return (count, mean, squares + delta * (value - mean)), None
-
-    empty = jnp.zeros((height, width), dtype)
-    items = (disparities.reshape(-1, height, width), jnp.asarray(grid, jnp.int32))
-    start = (empty.astype(jnp.int32), empty, empty)
-    (count, mean, squares), _ = lax.scan(add, start, (*items, available.ravel()))
-    terms = count.astype(dtype)
-    n = jnp.maximum(terms - 1, 1)
-    # The printed mean is (n + 1) / n of the mean, so every term is off by mean / n.
-    return (squares + terms * (mean / n) ** 2) / n, count
-
-
-def _scores(
+def average_over_views(
     score: Callable[[Array], tuple[Array, Array]], disparities: Array, available: Array
 ) -> ViewConsistency:
     """(6.10) in every view, of what `score` says of a view's pixels and of how many maps."""
@@ -314,4 +221,3 @@ def _scores(
 
 
 _per_view = jax.jit(_all_views, static_argnames=("crop", "stride"))
-_printed_per_view = jax.jit(_all_views_printed, static_argnames="crop")

@@ -17,20 +17,14 @@ class Agreement(NamedTuple):
     Attributes:
         distance: between centroids, px, over labels, of what both views see.
         labels: that both have.
-        distance_code: the same of all pixels, the labels hidden in either left out.
-        labels_code: that both have.
         seen: whether the view sees a pixel of the center view.
         differs: whether it sees it and gives it a label that is not around it.
-        differs_code: whether what lands on it, if anything, has a label that is not around it.
     """
 
     distance: Float[Array, ""]
     labels: Int[Array, ""]
-    distance_code: Float[Array, ""]
-    labels_code: Int[Array, ""]
     seen: Int[Array, "y x"]
     differs: Int[Array, "y x"]
-    differs_code: Int[Array, "y x"]
 
 
 def _centroids(labels: Array, weight: Array, x: Array, y: Array, count: int) -> tuple[Array, ...]:
@@ -60,24 +54,6 @@ def _around(label: Array, labels: Array) -> Array:
     return found
 
 
-def _landed(labels: Array, x: Array, y: Array, step: Array, disparity: Array) -> Array:
-    """The label that lands on each pixel of the center view, least horizontal motion first."""
-    height, width = labels.shape
-    column, row = (jnp.floor(a + 0.5).astype(jnp.int32) for a in (x, y))
-    inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
-    place = jnp.where(inside, row * width + column, height * width)
-    motion = jnp.abs(step[0] * disparity)
-    least = jnp.full(height * width + 1, jnp.inf, motion.dtype).at[place].min(motion)
-    rows, columns = jnp.indices(labels.shape, dtype=jnp.int32)
-    # Among equals the first in order of columns.
-    order = jnp.where(motion == least[place], columns * height + rows, height * width)
-    first = jnp.full(height * width + 1, height * width, jnp.int32).at[place].min(order)[:-1]
-    hit = first < height * width
-    first = jnp.where(hit, first, 0)
-    landed = labels[first % height, first // height]
-    return jnp.where(hit, landed, 0).reshape(labels.shape)
-
-
 def agreement(
     labels: Int[Array, "v u y x"],
     disparity: Float[Array, "v u y x"],
@@ -85,17 +61,9 @@ def agreement(
     *,
     count: int,
 ) -> Agreement:
-    """Compares the labels of every view with those of the center view.
+    """Compares the labels of every other view with those of the center view, by true disparities.
 
-    Args:
-        labels: 0 for none.
-        disparity: true, px per view step.
-        available: views that take part.
-        count: of labels, 0 included.
-
-    Returns:
-        Sums over the views that take part; what is not of the authors' program leaves out the
-        center view.
+    Sums over the views that take part; `count` labels, 0 (none) included.
     """
     rows, columns, height, width = labels.shape
     vc, uc = rows // 2, columns // 2
@@ -103,49 +71,31 @@ def agreement(
     centre, depth = labels[vc, uc], disparity[vc, uc]
     x = jnp.broadcast_to(jnp.arange(width, dtype=dtype)[None], centre.shape)
     y = jnp.broadcast_to(jnp.arange(height, dtype=dtype)[:, None], centre.shape)
-    ones = jnp.ones_like(depth)
-    own = _centroids(centre, ones, x, y, count)
 
-    def one(view: Array, truth: Array, step: Array, use: Array, other: Array) -> Agreement:
+    def one(view: Array, truth: Array, step: Array, use: Array) -> Agreement:
         column, row = (
             jnp.floor(a + s * depth + 0.5).astype(jnp.int32)
             for a, s in ((x, step[0]), (y, step[1]))
         )
         inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
         index = jnp.where(inside, row * width + column, 0)
-        seen = inside & other & (jnp.abs(truth.ravel()[index] - depth) <= _SAME)
+        seen = use & inside & (jnp.abs(truth.ravel()[index] - depth) <= _SAME)
         label = view.ravel()[index]
         weight = seen.astype(dtype)
         apart = _apart(
             _centroids(centre, weight, x, y, count), _centroids(label, weight, x, y, count)
         )
-        moved = x - step[0] * truth, y - step[1] * truth
-        apart_code = _apart(own, _centroids(view, ones, *moved, count))
-        agrees = _around(label, centre) & (label > 0)
-        agrees_code = _around(_landed(view, *moved, step, truth), centre)
-        found = Agreement(
-            *apart,
-            *apart_code,
-            seen.astype(jnp.int32),
-            (seen & ~agrees).astype(jnp.int32),
-            (~agrees_code).astype(jnp.int32),
-        )
-        return jax.tree.map(lambda a: jnp.where(use, a, 0), found)
+        differs = seen & ~(_around(label, centre) & (label > 0))
+        return Agreement(*apart, seen.astype(jnp.int32), differs.astype(jnp.int32))
 
     v, u = jnp.indices((rows, columns))
     steps = jnp.stack([uc - u, vc - v], axis=-1).reshape(-1, 2).astype(dtype)
-    items = (
-        labels.reshape(-1, height, width),
-        disparity.reshape(-1, height, width),
-        steps,
-        available.ravel(),
-        available.ravel() & jnp.any(steps != 0, axis=1),
-    )
+    use = available.ravel() & jnp.any(steps != 0, axis=1)
+    items = labels.reshape(-1, height, width), disparity.reshape(-1, height, width), steps, use
 
     def add(total: Agreement, item: tuple[Array, ...]) -> tuple[Agreement, None]:
         return jax.tree.map(jnp.add, total, one(*item)), None
 
-    zero, none = jnp.zeros((), dtype), jnp.zeros((), jnp.int32)
     empty = jnp.zeros(centre.shape, jnp.int32)
-    start = Agreement(zero, none, zero, none, empty, empty, empty)
+    start = Agreement(jnp.zeros((), dtype), jnp.zeros((), jnp.int32), empty, empty)
     return lax.scan(add, start, items)[0]

@@ -25,10 +25,14 @@ def check_maps(
                 f"`{name}` must have the shape of `disparity`, {disparity.shape}, got "
                 f"{other.shape}; crop the larger one to its centre first."
             )
-    if not 0 <= 2 * crop < min(disparity.shape):
+    check_crop(disparity.shape, crop)
+
+
+def check_crop(shape: tuple[int, ...], crop: int) -> None:
+    """Raises a ValueError if a crop leaves nothing of a map of height and width."""
+    if not 0 <= 2 * crop < min(shape):
         raise ValueError(
-            f"`crop` must be at least 0 and leave pixels of a {disparity.shape[0]}x"
-            f"{disparity.shape[1]} map, got {crop}."
+            f"`crop` must be at least 0 and leave pixels of {shape[0]}x{shape[1]}, got {crop}."
         )
 
 
@@ -47,14 +51,9 @@ def counted_pixels(
 
 
 def depth_steps(disparity: Float[Array, "y x"], counted: Bool[Array, "y x"]) -> Float[Array, "y x"]:
-    """Largest jump of disparity from a pixel to its right and lower neighbor.
+    """Largest jump of disparity from a pixel to its right and lower neighbor, px per view step.
 
-    Args:
-        disparity: `[y, x]`, px per view step.
-        counted: pixels that take part, `[y, x]`; a jump to any other pixel is 0.
-
-    Returns:
-        `[y, x]`, px per view step, at least 0; infinite where a value on either side is not finite.
+    Infinite where a value on either side is not finite, 0 to pixels that are not counted.
     """
 
     def jump(here: Array, there: Array, both: Array) -> Array:

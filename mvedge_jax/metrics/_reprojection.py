@@ -14,7 +14,7 @@ from mvedge_jax.color import srgb_to_lab
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.warping import backward_warp, visible
 
-from ._region import cropped
+from ._region import check_crop, cropped
 
 # What a pixel without a disparity is charged: the whole range of a channel, black against white.
 _WORST = {"rgb": 1.0, "lab": 100.0}
@@ -53,8 +53,8 @@ def reprojection_error(
     difference of the channels of sRGB in [0, 1], x 100. Lab: Euclidean distance, CIE 1976
     $\Delta E$. A pixel whose disparity is not finite is charged 100 in either space.
 
-    It is a proxy where there is no ground truth: a map may be wrong on textureless surfaces without
-    any error, and an exact map has an error at blurred depth edges, noise and highlights.
+    A proxy where there is no ground truth: a map may be wrong on plain surfaces without any error,
+    and an exact map has an error at blurred depth edges, noise and highlights.
 
     Args:
         disparity: Disparity of the center view, `[y, x]`, px per view step.
@@ -62,16 +62,14 @@ def reprojection_error(
         space: `rgb` (Tab. C.1) or `lab`, static.
         targets: Views `(v, u)` to compare with, static; by default the four corners.
         crop: Pixels of the center view to leave out on each side, static.
-        tolerance: Parallax from which on a nearer pixel hides one that lands on the same place, px
-            in the target view, traced.
+        tolerance: Parallax from which on a nearer pixel hides another, px in the target, traced.
 
     Returns:
         The error, per target view and per pixel. Differentiable with respect to `disparity` and
         the views, visibility being held fixed.
 
     Raises:
-        ValueError: if the shapes differ, the crop leaves nothing, or a target view is missing or
-            outside the grid.
+        ValueError: if shapes differ, the crop leaves nothing, or a target view is missing.
 
     Source: Thesis Appendix C.1, Tab. C.1.
     """
@@ -80,10 +78,7 @@ def reprojection_error(
         raise ValueError(
             f"`disparity` must have the size of the views, {tuple(shape)}, got {disparity.shape}."
         )
-    if not 0 <= 2 * crop < min(shape):
-        raise ValueError(
-            f"`crop` must be at least 0 and leave pixels of {shape[0]}x{shape[1]}, got {crop}."
-        )
+    check_crop((shape[0], shape[1]), crop)
     if space not in _WORST:
         raise ValueError(f"`space` must be 'rgb' or 'lab', got {space!r}.")
     if targets is None:

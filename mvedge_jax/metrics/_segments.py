@@ -30,14 +30,12 @@ class Shape(NamedTuple):
 
     Attributes:
         compactness: (5.4) with the sides of pixels as perimeter.
-        median: median of its terms, with the pixels at the border as perimeter.
         density: share of neighboring pixels with different labels.
         pieces: number of connected pieces.
         present: number of labels.
     """
 
     compactness: Float[Array, ""]
-    median: Float[Array, ""]
     density: Float[Array, ""]
     pieces: Int[Array, ""]
     present: Int[Array, ""]
@@ -80,30 +78,12 @@ def _at_steps(labels: Int[Array, "y x"]) -> Bool[Array, "y x"]:
     return beside | jnp.pad(down, ((0, 1), (0, 0))) | jnp.pad(down, ((1, 0), (0, 0)))
 
 
-def _at_gradients(ids: Int[Array, "y x"]) -> Bool[Array, "y x"]:
-    """Pixels where Sobel's operator finds something in the numbers of labels themselves."""
-    p = jnp.pad(ids, 1, mode="edge")
-    tall = p[:-2] + 2 * p[1:-1] + p[2:]
-    wide = p[:, :-2] + 2 * p[:, 1:-1] + p[:, 2:]
-    return (tall[:, 2:] != tall[:, :-2]) | (wide[2:] != wide[:-2])
-
-
 def recalled(
-    labels: Int[Array, "y x"], objects: Int[Array, "y x"], *, code: bool
+    labels: Int[Array, "y x"], objects: Int[Array, "y x"]
 ) -> tuple[Int[Array, ""], Int[Array, ""]]:
-    """How many pixels at outlines of objects have a boundary of superpixels near, and how many are.
-
-    Args:
-        labels: of superpixels, 0 for none.
-        objects: their ids, from 0.
-        code: outlines by Sobel's operator on the numbers.
-    """
-    found, wanted = (
-        (_at_gradients(labels), _at_gradients(objects))
-        if code
-        else (_at_steps(labels), _at_steps(objects + 1))
-    )
-    near = highest(found.astype(jnp.float32), _REACH) > 0
+    """How many pixels at outlines of objects have a boundary of superpixels near; how many are."""
+    wanted = _at_steps(objects + 1)
+    near = highest(_at_steps(labels).astype(jnp.float32), _REACH) > 0
     return jnp.sum(wanted & near, dtype=jnp.int32), jnp.sum(wanted, dtype=jnp.int32)
 
 
@@ -123,19 +103,13 @@ def shape_of(labels: Int[Array, "y x"], count: int, dtype) -> Shape:
 
     area = per_label(jnp.ones(labels.shape, dtype))
     length = per_label(sides.astype(dtype))
-    border = per_label((sides > 0).astype(dtype))
     there = area > 0
-
-    def terms(perimeter: Array) -> Array:
-        round_off = 4 * jnp.pi * area**2 / jnp.where(there, perimeter, 1) ** 2
-        return jnp.where(there, round_off, jnp.nan) / labels.size
-
+    terms = jnp.where(there, 4 * jnp.pi * area**2 / jnp.where(there, length, 1) ** 2, 0)
     root = components(jnp.pad(~right, ((0, 0), (0, 1))), jnp.pad(~down, ((0, 1), (0, 0)))).ravel()
     first = (root == jnp.arange(root.size, dtype=jnp.int32)) & (labels.ravel() > 0)
     pairs = right.size + down.size
     return Shape(
-        jnp.nansum(terms(length)[1:]),
-        jnp.nanmedian(terms(border)),
+        jnp.sum(terms[1:]) / labels.size,
         (jnp.sum(right, dtype=jnp.int32) + jnp.sum(down, dtype=jnp.int32)).astype(dtype) / pairs,
         jnp.sum(first, dtype=jnp.int32),
         jnp.sum(there[1:], dtype=jnp.int32),

@@ -78,17 +78,14 @@ def mae(
     """Mean absolute error.
 
     Args:
-        disparity: The map to score, `[y, x]`, px per view step.
-        truth: Ground truth, `[y, x]`, px per view step; NaN where unknown.
-        mask: Pixels that count, `[y, x]`; all by default.
-        crop: Pixels to leave out on each side, static.
+        disparity: As for `mse`.
+        truth: As for `mse`.
+        mask: As for `mse`.
+        crop: As for `mse`.
 
     Returns:
         px per view step; infinite if a counted disparity is not finite, NaN if no pixel counts.
         Differentiable with respect to `disparity`.
-
-    Raises:
-        ValueError: if the shapes differ or the crop leaves nothing.
     """
     error, counted = _errors(disparity, truth, mask, crop)
     return _mean(jnp.abs(error), counted)
@@ -106,17 +103,14 @@ def error_percentile(
     """Percentile of the absolute error, interpolated linearly between order statistics.
 
     Args:
-        disparity: The map to score, `[y, x]`, px per view step.
-        truth: Ground truth, `[y, x]`, px per view step; NaN where unknown.
+        disparity: As for `mse`.
+        truth: As for `mse`.
         percent: Which percentile, 0..100, traced.
-        mask: Pixels that count, `[y, x]`; all by default.
-        crop: Pixels to leave out on each side, static.
+        mask: As for `mse`.
+        crop: As for `mse`.
 
     Returns:
         px per view step. A disparity that is not finite ranks last. NaN if no pixel counts.
-
-    Raises:
-        ValueError: if the shapes differ or the crop leaves nothing.
     """
     error, counted = _errors(disparity, truth, mask, crop)
     ordered = jnp.sort(jnp.where(counted, jnp.abs(error), jnp.inf).ravel())
@@ -143,16 +137,13 @@ def q25(
     """25th percentile of the absolute error x 100.
 
     Args:
-        disparity: The map to score, `[y, x]`, px per view step.
-        truth: Ground truth, `[y, x]`, px per view step; NaN where unknown.
-        mask: Pixels that count, `[y, x]`; all by default.
-        crop: Pixels to leave out on each side, static.
+        disparity: As for `mse`.
+        truth: As for `mse`.
+        mask: As for `mse`.
+        crop: As for `mse`.
 
     Returns:
         100 x px per view step, NaN if no pixel counts.
-
-    Raises:
-        ValueError: if the shapes differ or the crop leaves nothing.
 
     Source: Thesis 6.2.3 and the HCI benchmark.
     """
@@ -171,19 +162,16 @@ def bad_pixels(
     """Share of pixels whose absolute error exceeds a threshold: BadPix(t).
 
     Args:
-        disparity: The map to score, `[y, x]`, px per view step.
-        truth: Ground truth, `[y, x]`, px per view step; NaN where unknown.
+        disparity: As for `mse`.
+        truth: As for `mse`.
         threshold: Largest error of a good pixel, px per view step, traced; `jax.vmap` over it
             gives a curve. The benchmark uses 0.01, 0.03 and 0.07.
-        mask: Pixels that count, `[y, x]`; all by default.
-        crop: Pixels to leave out on each side, static.
+        mask: As for `mse`.
+        crop: As for `mse`.
 
     Returns:
         Percent of the counted pixels; a disparity that is not finite is bad. NaN if no pixel
         counts. Not differentiable (its gradient is zero).
-
-    Raises:
-        ValueError: if the shapes differ or the crop leaves nothing.
 
     Source: Thesis 7.2.3, Table 7.1, and the HCI benchmark.
 

@@ -17,29 +17,24 @@ from ._segments import overlap, recalled, shape_of, table
 class SuperpixelScores(NamedTuple):
     """Scores of superpixels; see `superpixel_scores`. Lengths are in px.
 
-    `_code` is the form of the authors' program, which the figures of the thesis are in; NaN is what
-    cannot be told without the object ids, the disparity, or other views.
+    NaN is what cannot be told without the object ids, the disparity, or other views. The forms of
+    the authors' program, which the figures of the thesis are in, are in
+    `experiments/peers/superpixel_scores.py`.
 
     Attributes:
         accuracy: achievable accuracy, share of pixels, each superpixel on the object that it has
             most pixels of in all views together.
-        accuracy_code: the same, on the object that it has most pixels of in any one view.
         recall: boundary recall (5.2), pooled over views; boundaries are where labels of neighbors
             differ, on both sides.
-        recall_code: mean over views; boundaries by Sobel's operator on the numbers of the labels.
         undersegmentation: (5.3), mean over objects and views.
         undersegmentation_area: leaks over pixels, counted for both objects; mean over views.
         undersegmentation_once: the same, each leak once.
         compactness: (5.4) as printed, 0..1, with the sides of pixels as perimeter, mean over views.
         compactness_centre: of the center view.
-        compactness_code: median of the terms of (5.4) in the center view, with pixels at the border
-            as perimeter; grows with the size of superpixels.
         self_similarity: px between centroids of a label in the center view and in another one, of
             what both see; mean over labels and views.
-        self_similarity_code: the same, of everything in either view, the center view included.
         labels_per_pixel: 1 + number of views that see a pixel of the center view and give it a
             label that is not within 1 px of it.
-        labels_per_pixel_code: the same, views that do not see the pixel disagree.
         inconsistent: share of the pairs of a pixel and another view seeing it that disagree.
         boundary_density: share of neighboring pixels with different labels, mean over views.
         unlabelled: share of pixels without a label.
@@ -52,19 +47,14 @@ class SuperpixelScores(NamedTuple):
     """
 
     accuracy: Float[Array, ""]
-    accuracy_code: Float[Array, ""]
     recall: Float[Array, ""]
-    recall_code: Float[Array, ""]
     undersegmentation: Float[Array, ""]
     undersegmentation_area: Float[Array, ""]
     undersegmentation_once: Float[Array, ""]
     compactness: Float[Array, ""]
     compactness_centre: Float[Array, ""]
-    compactness_code: Float[Array, ""]
     self_similarity: Float[Array, ""]
-    self_similarity_code: Float[Array, ""]
     labels_per_pixel: Float[Array, ""]
-    labels_per_pixel_code: Float[Array, ""]
     inconsistent: Float[Array, ""]
     boundary_density: Float[Array, ""]
     unlabelled: Float[Array, ""]
@@ -86,8 +76,7 @@ def superpixel_scores(
 ) -> SuperpixelScores:
     """Scores superpixels of all views.
 
-    Pixels without a label are wrong, and no label of theirs agrees with any; in the forms of the
-    authors' program they are one more superpixel.
+    Pixels without a label are wrong, and no label of theirs agrees with any.
 
     Args:
         labels: `[v, u, y, x]`, at least 0; 0 for none. Of one view alone, `[1, 1, y, x]`.
@@ -96,13 +85,12 @@ def superpixel_scores(
         available: views that take part, all by default; the center view has to.
 
     Returns:
-        The scores. Not differentiable. Call it outside of `jit`: how many labels there are sets
-        shapes.
+        The scores. Not differentiable, nor for `jit`: the number of labels sets shapes.
 
     Raises:
         ValueError: if shapes do not fit together, or labels or ids are negative.
 
-    Source: Thesis 5.2.3, Eq. 5.2-5.4, with what the authors' program makes of them.
+    Source: Thesis 5.2.3, Eq. 5.2-5.4.
 
     Example:
         >>> import jax.numpy as jnp
@@ -131,16 +119,13 @@ def labels_per_pixel(
     """How many views label a pixel of the center view otherwise, plus one: Fig. 5.9.
 
     Args:
-        labels: `[v, u, y, x]`, at least 0; 0 for none.
+        labels: see `superpixel_scores`.
         disparity: true, of every view, px per view step.
         available: views that take part, all by default.
 
     Returns:
         `[y, x]`: 1 + number of views that see the pixel and disagree, as in
-        `SuperpixelScores.labels_per_pixel`.
-
-    Raises:
-        ValueError: if shapes do not fit together, or labels are negative.
+        `SuperpixelScores.labels_per_pixel`. Errors are those of `superpixel_scores`.
 
     Example:
         >>> import jax.numpy as jnp
@@ -216,7 +201,6 @@ def _scores(labels, object_ids, disparity, available, *, count, kinds) -> Superp
         **known,
         compactness=jnp.sum(weight * shapes.compactness),
         compactness_centre=shapes.compactness[middle],
-        compactness_code=shapes.median[middle],
         boundary_density=jnp.sum(weight * shapes.density),
         unlabelled=jnp.sum(weight * none),
         number=jnp.sum(there, dtype=jnp.int32),
@@ -231,46 +215,31 @@ def _scores(labels, object_ids, disparity, available, *, count, kinds) -> Superp
 # In the order in which they are made.
 _OF_OBJECTS = (
     "accuracy",
-    "accuracy_code",
     "recall",
-    "recall_code",
     "undersegmentation",
     "undersegmentation_area",
     "undersegmentation_once",
 )
-_OF_VIEWS = (
-    "self_similarity",
-    "self_similarity_code",
-    "labels_per_pixel",
-    "labels_per_pixel_code",
-    "inconsistent",
-)
+_OF_VIEWS = ("self_similarity", "labels_per_pixel", "inconsistent")
 
 
 def _against(maps, object_ids, use, count, kinds, dtype) -> dict[str, Array]:
-    """Accuracy, recall and undersegmentation, each in its forms."""
+    """Accuracy, recall and undersegmentation."""
     objects = object_ids.reshape(maps.shape)
 
-    def one(state: tuple[Array, Array], item: tuple[Array, ...]):
-        summed, most = state
+    def one(summed: Array, item: tuple[Array, ...]):
         view, truth, there = item
         counts = jnp.where(there, table(view, truth, (count, kinds)), 0)
-        rates = [jnp.stack(recalled(view, truth, code=code)) for code in (False, True)]
-        state = summed + counts, jnp.maximum(most, counts)
-        return state, (overlap(counts, dtype), *(jnp.where(there, r, 0) for r in rates))
+        hits = jnp.where(there, jnp.stack(recalled(view, truth)), 0)
+        return summed + counts, (overlap(counts, dtype), hits)
 
     start = jnp.zeros((count, kinds), jnp.int32)
-    (summed, most), found = lax.scan(one, (start, start), (maps, objects, use))
-    leaks, hits, hits_code = found
-    pixels = jnp.sum(summed)
-    best = jnp.argmax(most, axis=1)
-    right = jnp.sum(jnp.max(summed[1:], axis=1)), jnp.sum(summed[jnp.arange(count), best])
-    pooled = jnp.sum(hits, axis=0).astype(dtype)
-    each = hits_code.astype(dtype)
+    summed, (leaks, hits) = lax.scan(one, start, (maps, objects, use))
+    right = jnp.sum(jnp.max(summed[1:], axis=1)).astype(dtype)
+    found, wanted = jnp.sum(hits, axis=0).astype(dtype)
     scores = [
-        *(a.astype(dtype) / pixels.astype(dtype) for a in right),
-        pooled[0] / pooled[1],
-        jnp.nanmean(each[:, 0] / each[:, 1]),
+        right / jnp.sum(summed).astype(dtype),
+        found / wanted,
         *(jnp.sum(jnp.where(use, leak, 0)) / jnp.sum(use).astype(dtype) for leak in leaks),
     ]
     return dict(zip(_OF_OBJECTS, scores, strict=True))
@@ -280,15 +249,7 @@ def _between(labels, disparity, available, count) -> dict[str, Array]:
     """Self-similarity, labels per pixel and the share of inconsistent pairs."""
     found = agreement(labels, disparity, available, count=count)
     dtype = disparity.dtype
-    seen, differs, differs_code = (
-        jnp.sum(a).astype(dtype) for a in (found.seen, found.differs, found.differs_code)
-    )
-    pixels = found.seen.size
-    scores = [
-        found.distance / found.labels.astype(dtype),
-        found.distance_code / found.labels_code.astype(dtype),
-        1 + differs / pixels,
-        1 + differs_code / pixels,
-        differs / seen,
-    ]
+    seen, differs = (jnp.sum(a).astype(dtype) for a in (found.seen, found.differs))
+    similarity = found.distance / found.labels.astype(dtype)
+    scores = [similarity, 1 + differs / found.seen.size, differs / seen]
     return dict(zip(_OF_VIEWS, scores, strict=True))

@@ -1,19 +1,17 @@
 """The differentiable model of multi-view edges, and its optimization (Thesis 7).
 
 Subpackages: `objectives` (losses), `optimisation` (the loop, its state, growing points),
-`approaches` (losses from the views: by evidence, by reprojection), `codec` (compression of a map
-to its edges, 8.1.1).
+`approaches` (losses from the views: by evidence, by reprojection).
 """
 
 from mvedge_jax._export import register
 
-from ._fit_edges import SupervisedFit as SupervisedFit, fit_edges as fit_edges
-from ._model import (
-    DepthModel as DepthModel,
-    Renderer as Renderer,
-    render_model as render_model,
+from ._model import DepthModel as DepthModel, Renderer as Renderer, render_model as render_model
+from ._optimize import (
+    SupervisedFit as SupervisedFit,
+    fit_edges as fit_edges,
+    optimize_edges as optimize_edges,
 )
-from ._optimize_edges import optimize_edges as optimize_edges
 from ._result import Optimised as Optimised
 from ._start import (
     Start as Start,

@@ -24,16 +24,7 @@ _render = lean_jit(render_model)
 def compiled_render(
     model: DepthModel, renderer: Renderer, *, start: Float[Array, "y x"] | None = None
 ) -> Rendered:
-    """`render_model`, compiled; warns of points that the splat cuts off or leaves out.
-
-    Args:
-        model: points and smoothness.
-        renderer: splat and solver.
-        start: a map near the solution.
-
-    Returns:
-        The map.
-    """
+    """`render_model`, compiled; warns of points that the splat cuts off or leaves out."""
     rendered = _render(model, renderer, start=start)
     warn_where_known(rendered.splat)
     return rendered
@@ -45,12 +36,7 @@ def _splatted(model: DepthModel, renderer: Renderer) -> Splat:
 
 
 def warn_of_cuts(model: DepthModel, objective: Any) -> None:
-    """Warns of points that the rendering of an objective cuts off or leaves out.
-
-    Args:
-        model: the points.
-        objective: ignored unless it has a `renderer`, as `Supervised` has.
-    """
+    """Warns of points that the `renderer` of an objective, if any, cuts off or leaves out."""
     renderer = getattr(objective, "renderer", None)
     if not isinstance(renderer, Renderer):
         return

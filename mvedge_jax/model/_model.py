@@ -1,28 +1,24 @@
 """The differentiable model: points and a smoothness map that render to a disparity map."""
 
 import warnings
-from collections.abc import Mapping
 from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import lineax as lx
+import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Bool, Float
 
 from mvedge_jax._params import accepts_numpy, cast, jax_array, number
-from mvedge_jax._paths import described, replaced
+from mvedge_jax._paths import Replaceable
 from mvedge_jax.color import srgb_to_lab
-from mvedge_jax.diffusion import (
-    AutoSolver,
-    Pairing,
-    SolveStats,
-    System,
-    diffuse,
-    edge_weights,
-)
+from mvedge_jax.diffusion import AutoSolver, Pairing, SolveStats, System, diffuse, edge_weights
 from mvedge_jax.splatting import Splat, SplatLabels
+
+# Steps of disparity, px, and of Lab at which a map is rough; and the largest roughness.
+_DEPTH_STEP, _COLOR_STEP, _LARGEST = 0.05, 0.3, 10.0
 
 
 class DepthModel(eqx.Module):
@@ -43,7 +39,32 @@ class DepthModel(eqx.Module):
     valid: Bool[Array, "n"] = eqx.field(converter=jax_array)
 
 
-class Renderer(eqx.Module):
+def without_free_places(model: DepthModel) -> DepthModel:
+    """Drops the slots of a model, not traced, that hold no point."""
+    there = np.flatnonzero(np.asarray(model.valid))
+    points = jax.tree.map(lambda leaf: leaf[there], _points_of(model))
+    return eqx.tree_at(_points_of, model, points)
+
+
+def with_capacity(model: DepthModel, capacity: int) -> DepthModel:
+    """Appends free slots to a model until it has as many as `capacity`."""
+    extra = capacity - model.valid.size
+    if extra < 0:
+        raise ValueError(
+            f"`capacity` is {capacity}, but the model has {model.valid.size} places already."
+        )
+
+    def padded(leaf: Array) -> Array:
+        return jnp.pad(leaf, [(0, extra)] + [(0, 0)] * (leaf.ndim - 1))
+
+    return eqx.tree_at(_points_of, model, jax.tree.map(padded, _points_of(model)))
+
+
+def _points_of(model: DepthModel) -> tuple[Any, ...]:
+    return model.disparity, model.xy, model.log_weight, model.valid
+
+
+class Renderer(Replaceable):
     """Renders a model to a map: labels, smoothness, diffusion.
 
     This is the second half of `EdgeDepth` with free points and a free smoothness map.
@@ -55,11 +76,9 @@ class Renderer(eqx.Module):
         clearing: c; with `clears`, a point of weight w has the opacity `1 - exp(-c w)`.
         normalized: divide labels by their coverage.
         clears: a point that loses its weight loses its opacity, too, and uncovers the points
-            behind it. In the thesis a point hides those behind it whatever its weight. In
-            `experiments/hidden_points.py`, where 70 % of the points are hidden, many by wrong
-            ones, `clears` alone lowers the error after the optimization by 1 %, recycling hidden
-            points (`grow`) by 5 %, both together by 14 %. Narrow points, which hide only 5 % of
-            the points, lower it by 66 %; all three together by 98 %.
+            behind it; in the thesis it hides them. In `experiments/hidden_points.py`, where 70 % of
+            the points are hidden, this lowers the error after the optimization by 1 %, recycling
+            hidden points (`Growth`) by 5 %, both by 14 %, narrow points by 66 %, all by 98 %.
         pairing: how an edge combines the smoothness of two pixels, see `edge_weights`.
 
     Example:
@@ -78,17 +97,11 @@ class Renderer(eqx.Module):
     def on_raster(scale: int) -> "Renderer":
         """Narrow points on a raster of any scale, see `SplatLabels.on_raster`.
 
-        A point of the thesis' width hides the pixels beside it from other points, whatever the
-        optimization does: fitted to the synthetic scene "edges" at 512x512, with points
-        added, the model ends at a mean squared error (times 100) of 0.08 with that width, and below
-        0.001 with narrow points (`experiments/figure_7_10.py`).
-
-        Args:
-            scale: raster pixels per pixel and axis, 1 or 2; the thesis has 2, 1 takes a quarter of
-                the time.
-
-        Returns:
-            The renderer.
+        A point of the thesis' width hides the pixels beside it from other points: fitted to the
+        synthetic scene "edges" at 512x512, with points added, the model ends at a mean squared
+        error (times 100) of 0.08 with that width, and below 0.001 with narrow points
+        (`experiments/figure_7_10.py`). `scale` is 1 or 2 raster pixels per pixel and axis; the
+        thesis has 2, 1 takes a quarter of the time.
         """
         return Renderer(SplatLabels.on_raster(scale))
 
@@ -97,22 +110,9 @@ class Renderer(eqx.Module):
         """The thesis' widths on its raster of 2, with labels divided by their coverage."""
         return Renderer(SplatLabels.thesis())
 
-    def replace(self, choices: Mapping[str, Any] | None = None, /, **parts: Any) -> "Renderer":
-        """The same renderer with other parts, numbers or static fields; see `EdgeDepth.replace`."""
-        return replaced(self, {**(choices or {}), **parts})
-
-    def __str__(self) -> str:
-        return "\n".join(described(self))
-
 
 class Rendered(eqx.Module):
-    """A rendered map, its splatted labels, and the statistics of the solve.
-
-    Attributes:
-        disparity: the map, px per view step.
-        splat: the labels and weights on the raster.
-        stats: statistics of the solve.
-    """
+    """A rendered map, px per view step, its splatted labels, and the statistics of the solve."""
 
     disparity: Float[Array, "y x"]
     splat: Splat
@@ -129,26 +129,17 @@ def upsample(image: Float[Array, "y x"], scale: int) -> Float[Array, "y2 x2"]:
 
     Pixel areas coincide: raster pixel `k` is centered at `(k + 1/2) / scale - 1/2`. The authors'
     align-corners form drifts by up to a raster pixel over the image.
-
-    Args:
-        image: one value per pixel.
-        scale: raster pixels per pixel and axis, 1 or 2.
-
-    Returns:
-        One value per raster pixel. Differentiable.
     """
     if scale == 1:
         return image
     for axis in (0, 1):
-        before = jnp.concatenate(
-            [jax.lax.slice_in_dim(image, 0, 1, axis=axis),
-             jax.lax.slice_in_dim(image, 0, image.shape[axis] - 1, axis=axis)], axis
-        )  # fmt: skip
-        after = jnp.concatenate(
-            [jax.lax.slice_in_dim(image, 1, image.shape[axis], axis=axis),
-             jax.lax.slice_in_dim(image, image.shape[axis] - 1, image.shape[axis], axis=axis)],
-            axis,
-        )  # fmt: skip
+        margin = [(0, 0), (0, 0)]
+        margin[axis] = (1, 1)
+        padded = jnp.pad(image, margin, mode="edge")
+        before, after = (
+            jax.lax.slice_in_dim(padded, start, start + image.shape[axis], axis=axis)
+            for start in (0, 2)
+        )
         pair = jnp.stack([0.75 * image + 0.25 * before, 0.75 * image + 0.25 * after], axis + 1)
         shape = list(image.shape)
         shape[axis] *= 2
@@ -157,15 +148,7 @@ def upsample(image: Float[Array, "y x"], scale: int) -> Float[Array, "y2 x2"]:
 
 
 def downsample(raster: Float[Array, "y2 x2"], scale: int) -> Float[Array, "y x"]:
-    """Means over the raster pixels of every pixel.
-
-    Args:
-        raster: one value per raster pixel.
-        scale: raster pixels per pixel and axis.
-
-    Returns:
-        One value per pixel. Differentiable.
-    """
+    """Means over the raster pixels of every pixel."""
     height, width = raster.shape
     blocks = raster.reshape(height // scale, scale, width // scale, scale)
     return jnp.mean(blocks, axis=(1, 3))
@@ -232,40 +215,19 @@ def render_model(
 
 
 def map_roughness(
-    disparity: Float[Array, "y x"],
-    centre: Float[Array, "y x c"] | None,
-    *,
-    depth_step: Float[Array, ""] | float = 0.05,
-    color_step: Float[Array, ""] | float = 0.3,
-    largest: Float[Array, ""] | float = 10.0,
+    disparity: Float[Array, "y x"], centre: Float[Array, "y x c"]
 ) -> Float[Array, "y x"]:
-    r"""Initial Q from a map: rough where map and image have a step.
+    r"""Initial Q >= 0 from a map and its image: rough where both have a step.
 
-    $Q = \ln(1 + (|\Delta Lab| / c)^{1.5} (|\Delta D| / d)^2)$, the largest over a pixel's
-    edges. Only the product of both steps is reliable: either alone leaks or cuts too much.
-
-    Args:
-        disparity: a first map.
-        centre: the image; None to use the map alone.
-        depth_step: d, px.
-        color_step: c, units of Lab.
-        largest: Q is clipped at this.
-
-    Returns:
-        Q >= 0.
+    $Q = \ln(1 + (|\Delta Lab| / .3)^{1.5} (|\Delta D| / .05)^2)$, D in px, the largest over a
+    pixel's edges. Only the product of both steps is reliable: either alone leaks or cuts too much.
     """
-    dtype = disparity.dtype
-    depth_step, color_step, largest = (
-        jnp.asarray(value).astype(dtype) for value in (depth_step, color_step, largest)
-    )
-    lab = None if centre is None else srgb_to_lab(centre)
+    lab = srgb_to_lab(centre)
     rough = jnp.zeros_like(disparity)
     for axis in (0, 1):
-        term = (jnp.diff(disparity, axis=axis) / depth_step) ** 2
-        if lab is not None:
-            color = jnp.sqrt(jnp.sum(jnp.diff(lab, axis=axis) ** 2, axis=-1) + 1e-12)
-            term = term * (color / color_step) ** 1.5
-        edge = jnp.minimum(jnp.log1p(term), largest)
+        color = jnp.sqrt(jnp.sum(jnp.diff(lab, axis=axis) ** 2, axis=-1) + 1e-12)
+        depth = jnp.diff(disparity, axis=axis) / _DEPTH_STEP
+        edge = jnp.minimum(jnp.log1p(depth**2 * (color / _COLOR_STEP) ** 1.5), _LARGEST)
         pad = [(0, 0), (0, 0)]
         pad[axis] = (1, 0)
         rough = jnp.maximum(rough, jnp.pad(edge, pad))

@@ -14,8 +14,7 @@ from mvedge_jax.image import nearest_pixels
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.smoothness import image_roughness
 
-from ._capacity import with_capacity
-from ._model import DepthModel, Renderer, map_roughness
+from ._model import DepthModel, Renderer, map_roughness, with_capacity
 from .objectives import Supervised, Trust, unlimited
 from .optimisation._grow import Growth, grow
 from .optimisation._optimise import advance
@@ -94,8 +93,7 @@ def start_from_image(start: Start, centre: Float[Array, "y x c"]) -> Start:
     Returns:
         The model with the new Q. Differentiable in the view.
 
-    Source:
-        Thesis 7.1.5.
+    Source: Thesis 7.1.5.
     """
     lightness = srgb_to_lab(centre)[..., 0]
     rough = image_roughness(lightness, jnp.asarray(_ROUGHNESS, centre.dtype))
@@ -111,19 +109,10 @@ def start_from_points(
     first: Float[Array, "y x"],
     fit: StartFit,
 ) -> Start:
-    """Makes a model from edge points and a first dense map.
+    """Makes a model from edge points on their surfaces and a first dense map.
 
-    Args:
-        xy: positions of the points (on their surfaces), px.
-        disparity: their labels.
-        error: their standard errors.
-        valid: points that take part; those outside the image do not.
-        centre: the center view.
-        first: a first dense map, the source of depth steps.
-        fit: see `StartFit`.
-
-    Returns:
-        The model: weights from standard errors, smoothness from the steps of map and image.
+    Weights follow from standard errors, smoothness from the steps of map and image. Points outside
+    the image take no part.
     """
     dtype = centre.dtype
     fit = cast(fit, dtype)
@@ -151,16 +140,8 @@ def fit_to_map(
 ) -> Start:
     """Fits a model to its own map, so that the optimization starts with the quality of that map.
 
-    Args:
-        start: a model and the map to reproduce.
-        fit: learning rates.
-        renderer: renderer of the model.
-        iterations: iterations of Adam, on all parameters.
-        extra: number of points to add at the largest errors, in the middle of the fit; by default
-            a tenth of the points.
-
-    Returns:
-        The fitted model and the same map; new points have an infinite standard error.
+    Adam on all parameters; in the middle of its `iterations`, `extra` points, by default a tenth of
+    the points, are added at the largest errors. Their standard error is infinite.
     """
     first, n = start.disparity, start.model.valid.size
     extra = int(jnp.sum(start.model.valid)) // 10 if extra is None else extra
@@ -191,16 +172,9 @@ def trust_labels(
     label: Float[Array, ""] | float = 0.05,
     position: Float[Array, ""] | float = 1.0,
 ) -> Trust:
-    """Prior and limits for the labels of a start, by their standard errors.
+    """Prior of a `weight`, and limits of changes of labels and positions, px, for a start.
 
-    Args:
-        start: the model and its errors.
-        weight: weight of the prior.
-        label: largest change of a label, px per view step.
-        position: largest change of a position, px.
-
-    Returns:
-        Prior and limits; labels of infinite error have limits, but no prior.
+    Labels of infinite error have limits, but no prior.
     """
     one = start.model.disparity.dtype
     weight, label, position = (jnp.asarray(v).astype(one) for v in (weight, label, position))

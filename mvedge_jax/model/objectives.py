@@ -8,28 +8,17 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
 from mvedge_jax._params import cast, number
-from mvedge_jax._root import safe_sqrt
 from mvedge_jax.losses import (
     LossWeights,
     SupervisedWeights,
     Views,
-    occlusion_masks,
     self_supervised_loss,
     supervised_loss,
 )
 from mvedge_jax.losses.features import Colours
-from mvedge_jax.losses.terms import Features, edge_aware_slopes, warp_views
+from mvedge_jax.losses.terms import Features
 
 from ._model import DepthModel, Renderer, render_model
-
-# Scales below which absolute errors become squares, for features (colors in [0, 1]) and slopes.
-_BLUNT_FEATURE, _BLUNT_SLOPE = 2 / 255, 0.01
-
-
-def _rooted(error: Array, absolute: Array, square: Array, blunt: Array | float) -> Array:
-    """Residual r with r²/2 = `absolute |error| + square error²`, smoothed at 0."""
-    bent = jnp.sqrt(1 + (error / blunt) ** 2)
-    return error * safe_sqrt(2 * (square + absolute / (blunt * (1 + bent))))
 
 
 @runtime_checkable
@@ -73,26 +62,11 @@ class Objective(Protocol):
         ...
 
 
-@runtime_checkable
-class SquaredObjective(Objective, Protocol):
-    """The protocol of an objective that is half a sum of squares, for `minimise_least_squares`.
-
-    Terms that are not squares are left out of `residuals`.
-    """
-
-    def residuals(
-        self, model: DepthModel, start: Float[Array, "y x"]
-    ) -> tuple[tuple[Array, ...], Float[Array, "y x"]]:
-        """The residuals, and the map; `start` is a map near it."""
-        ...
-
-
 class Trust(eqx.Module):
     """Prior and limits of the parameters.
 
-    Points from `multiview_edges` are accurate to a few thousandths of a pixel, far better than the
-    photometric loss of a single pixel. The prior keeps a label near its initial value, in units of
-    its standard error; the limits bound all changes.
+    The prior keeps a label near its initial value, in units of its standard error, which is far
+    below what the photometric loss of a single pixel tells; the limits bound all changes.
 
     Attributes:
         origin: the parameters at the start.
@@ -120,17 +94,6 @@ class Trust(eqx.Module):
         cost = jnp.where(model.valid, jnp.log1p(jnp.where(model.valid, moved, 0) ** 2), 0)
         count = jnp.maximum(jnp.sum(model.valid).astype(cost.dtype), 1)
         return trust.weight * jnp.sum(cost) / count
-
-    def residuals(self, model: DepthModel) -> Float[Array, "n"]:
-        """Residuals whose half sum of squares is `penalty`."""
-        trust = cast(self, model.disparity.dtype)
-        moved = (model.disparity - trust.origin.disparity) / jnp.maximum(trust.error, 1e-6)
-        squared = jnp.maximum(
-            jnp.where(model.valid, moved, 0) ** 2, jnp.asarray(1e-12, moved.dtype)
-        )
-        count = jnp.maximum(jnp.sum(model.valid).astype(moved.dtype), 1)
-        slope = safe_sqrt(2 * trust.weight * jnp.log1p(squared) / squared / count)
-        return jnp.where(model.valid, moved * slope, 0)
 
     def project(self, model: DepthModel) -> DepthModel:
         """Clips the parameters to the limits."""
@@ -166,8 +129,6 @@ class Supervised(eqx.Module):
         trust: limits and prior.
         renderer: of the model.
         weights: of the terms.
-        blunt: absolute errors below this, px per view step, are squares in `residuals`; it should
-            be below the expected errors.
     """
 
     truth: Float[Array, "y x"]
@@ -175,7 +136,6 @@ class Supervised(eqx.Module):
     trust: Trust
     renderer: Renderer = eqx.field(default_factory=Renderer)
     weights: SupervisedWeights = eqx.field(default_factory=SupervisedWeights)
-    blunt: Float[Array, ""] = number(0.01)
 
     def __call__(
         self, model: DepthModel, start: Float[Array, "y x"], *, key: PRNGKeyArray | None = None
@@ -184,18 +144,6 @@ class Supervised(eqx.Module):
         disparity = render_model(model, self.renderer, start=start).disparity
         loss = supervised_loss(disparity, self.truth, self.known, self.weights)
         return loss + self.trust.penalty(model), disparity
-
-    def residuals(
-        self, model: DepthModel, start: Float[Array, "y x"]
-    ) -> tuple[tuple[Array, ...], Float[Array, "y x"]]:
-        """Residuals whose half sum of squares is the loss, smoothed at 0, and the map."""
-        disparity = render_model(model, self.renderer, start=start).disparity
-        weights = cast(self.weights, disparity.dtype)
-        count = jnp.maximum(jnp.sum(self.known).astype(disparity.dtype), 1)
-        error = jnp.where(self.known, disparity - jnp.where(self.known, self.truth, 0), 0)
-        blunt = cast(self.blunt, disparity.dtype)
-        error = _rooted(error, weights.absolute / count, weights.square / count, blunt)
-        return (error, self.trust.residuals(model)), disparity
 
     def project(self, model: DepthModel) -> DepthModel:
         """The nearest model within the limits."""
@@ -207,9 +155,6 @@ def check_subset(subset: int | None) -> None:
 
     Args:
         subset: how many views, or None for all.
-
-    Raises:
-        ValueError: naming it.
     """
     if subset is not None and subset < 1:
         raise ValueError(f"`subset` must be at least 1, or None for all views, got {subset}.")
@@ -252,26 +197,6 @@ class SelfSupervised(eqx.Module):
             disparity, views, self.weights, features=self.features, similarity=self.similarity
         )
         return loss + self.trust.penalty(model), disparity
-
-    def residuals(
-        self, model: DepthModel, start: Float[Array, "y x"]
-    ) -> tuple[tuple[Array, ...], Float[Array, "y x"]]:
-        """Residuals whose half sum of squares is the loss over all views, and the map.
-
-        The gradient reward and the dissimilarity, which are not squares, are left out.
-        """
-        disparity = render_model(model, self.renderer, start=start).disparity
-        views, weights = self.views, cast(self.weights, disparity.dtype)
-        visible = occlusion_masks(jax.lax.stop_gradient(disparity), views)
-        warped = jax.vmap(self.features)(warp_views(disparity, views, visible))
-        away = warped - self.features(views.centre)
-        count = jnp.maximum(jnp.sum(visible, axis=0).astype(disparity.dtype), 1)
-        each = weights.reprojection / (count * disparity.size * away.shape[1])
-        none = jnp.zeros((), disparity.dtype)
-        error = _rooted(away, jnp.where(visible, each, 0)[:, None], none, _BLUNT_FEATURE)
-        slopes = edge_aware_slopes(disparity, views.centre)
-        slope = _rooted(slopes, weights.smoothness / disparity.size, none, _BLUNT_SLOPE)
-        return (error, slope, self.trust.residuals(model)), disparity
 
     def project(self, model: DepthModel) -> DepthModel:
         """The nearest model within the limits."""

@@ -1,6 +1,7 @@
 """Precision-recall curves, view consistency, calibration."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -8,6 +9,12 @@ from matplotlib.figure import Figure
 from mvedge_jax.metrics import BoundaryScores, Calibration, ViewConsistency
 
 from ._style import COLOURS, WIDTH, check_names, colour_bar, colour_map, new_figure, show, style
+
+
+def _line(number: int) -> dict[str, Any]:
+    """Color and dashes of a curve, by its number."""
+    dashes = ("-", "--", "-.")[number // len(COLOURS) % 3]
+    return {"color": COLOURS[number % len(COLOURS)], "linestyle": dashes}
 
 
 def plot_precision_recall(
@@ -52,12 +59,10 @@ def plot_precision_recall(
             curve = np.stack([np.asarray(score.recall), np.asarray(score.precision)])
             curve = curve[:, curve[0] > 0]
             label = f"{name} ({float(score.peak_f1):.2f})"
-            colour = COLOURS[number % len(COLOURS)]
-            dashes = ("-", "--", ":")[number // len(COLOURS) % 3]
-            axes.plot(curve[0], curve[1], label=label, color=colour, linestyle=dashes)
+            axes.plot(curve[0], curve[1], label=label, **_line(number))
             best = int(np.argmax(np.asarray(score.f1)))
             at = (float(score.recall[best]), float(score.precision[best]))
-            axes.plot(at[0], at[1], "o", markersize=3.5, color=colour)
+            axes.plot(at[0], at[1], "o", markersize=3.5, color=_line(number)["color"])
         axes.set(xlim=(0, 1), ylim=(0, 1.02), xlabel="recall", ylabel="precision")
         axes.set_aspect("equal", adjustable="box")
         axes.legend(title="peak F1 in brackets", title_fontsize=7, loc="lower left")
@@ -65,10 +70,7 @@ def plot_precision_recall(
 
 
 def plot_consistency(
-    scores: Sequence[ViewConsistency],
-    *,
-    names: Sequence[str] | None = None,
-    width: float = WIDTH,
+    scores: Sequence[ViewConsistency], *, names: Sequence[str] | None = None, width: float = WIDTH
 ) -> Figure:
     """Draws how the disagreement between views is distributed (Fig. 6.5).
 
@@ -122,10 +124,7 @@ def plot_consistency(
 
 
 def plot_calibration(
-    found: Sequence[Calibration],
-    *,
-    names: Sequence[str] | None = None,
-    width: float = WIDTH,
+    found: Sequence[Calibration], *, names: Sequence[str] | None = None, width: float = WIDTH
 ) -> Figure:
     """Draws errors over their estimates, and what is left when the least certain pixels go.
 
@@ -154,26 +153,11 @@ def plot_calibration(
         ends = [float(end(drawn)) for end in (np.min, np.max)]
         left.plot(ends, ends, color="#cccccc", linewidth=0.8, zorder=0)
         for number, (each, name) in enumerate(zip(found, names, strict=True)):
-            colour = COLOURS[number % len(COLOURS)]
-            dashes = ("-", "--", "-.")[number // len(COLOURS) % 3]
-            share, area = 100 * float(each.within[1]), float(each.ause)
-            left.plot(
-                np.asarray(each.predicted),
-                np.maximum(np.asarray(each.found), 1e-5),
-                label=f"{name} ({share:.0f} %)",
-                color=colour,
-                linestyle=dashes,
-            )
-            right.plot(
-                np.asarray(each.left_out),
-                np.asarray(each.sparsified),
-                label=f"{name} ({area:.2f})",
-                color=colour,
-                linestyle=dashes,
-            )
-            right.plot(
-                np.asarray(each.left_out), np.asarray(each.oracle), color=colour, linestyle=":"
-            )
+            line, found_error = _line(number), np.maximum(each.found, 1e-5)
+            share, area = f"{name} ({100 * each.within[1]:.0f} %)", f"{name} ({each.ause:.2f})"
+            left.plot(each.predicted, found_error, label=share, **line)
+            right.plot(each.left_out, each.sparsified, label=area, **line)
+            right.plot(each.left_out, each.oracle, color=line["color"], linestyle=":")
         left.set(
             xscale="log",
             yscale="log",

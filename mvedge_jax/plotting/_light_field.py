@@ -3,37 +3,26 @@
 import numpy as np
 from jaxtyping import Bool, Float
 from matplotlib.collections import LineCollection
-from matplotlib.colors import to_rgb
+from matplotlib.colors import Normalize, to_rgb
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
 from mvedge_jax.lightfield import LightField
 
 from ._maps import disparity_limits
-from ._style import (
-    DISPARITY,
-    WIDTH,
-    Numbers,
-    colour_bar,
-    colour_map,
-    limits_norm,
-    new_figure,
-    show,
-    style,
-)
+from ._style import DISPARITY, WIDTH, Numbers, colour_bar, colour_map, new_figure, show, style
 
 _PAPER = to_rgb("#ffffff")
 _ABSENT = to_rgb("#dddddd")
+# Between the views of a mosaic, px.
+_GAP = 4
 
 
-def plot_views(
-    light_field: LightField, *, gap: int = 4, pixels: int = 1600, width: float = WIDTH
-) -> Figure:
+def plot_views(light_field: LightField, *, pixels: int = 1600, width: float = WIDTH) -> Figure:
     """Draws all views as a mosaic, the center view framed.
 
     Args:
         light_field: What to draw; missing views are gray.
-        gap: Space between views, px of the mosaic.
         pixels: Views are shrunk so that the mosaic is no wider than about this.
         width: Width of the figure, inches.
 
@@ -45,12 +34,12 @@ def plot_views(
     factor = min(max(1, round(columns * across / pixels)), height, across)
     views = np.asarray(light_field.downsample(factor).views)
     height, across = views.shape[2:4]
-    mosaic = np.empty((rows * (height + gap) - gap, columns * (across + gap) - gap, 3))
+    mosaic = np.empty((rows * (height + _GAP) - _GAP, columns * (across + _GAP) - _GAP, 3))
     mosaic[:] = _PAPER
     for v, u in np.ndindex(rows, columns):
         window = np.s_[
-            v * (height + gap) : v * (height + gap) + height,
-            u * (across + gap) : u * (across + gap) + across,
+            v * (height + _GAP) : v * (height + _GAP) + height,
+            u * (across + _GAP) : u * (across + _GAP) + across,
         ]
         mosaic[window] = np.clip(views[v, u], 0, 1) if available[v, u] else _ABSENT
     vc, uc = light_field.centre
@@ -59,8 +48,8 @@ def plot_views(
         axes = figure.subplots()
         axes.imshow(mosaic, interpolation="antialiased")
         axes.set(
-            xticks=(across + gap) * np.arange(columns) + across / 2,
-            yticks=(height + gap) * np.arange(rows) + height / 2,
+            xticks=(across + _GAP) * np.arange(columns) + across / 2,
+            yticks=(height + _GAP) * np.arange(rows) + height / 2,
             xticklabels=range(columns),
             yticklabels=range(rows),
             xlabel="view column u",
@@ -68,7 +57,7 @@ def plot_views(
         )
         axes.spines[:].set_visible(False)
         axes.tick_params(length=0)
-        corner = (uc * (across + gap) - 0.5, vc * (height + gap) - 0.5)
+        corner = (uc * (across + _GAP) - 0.5, vc * (height + _GAP) - 0.5)
         frame = Rectangle(corner, across, height, fill=False, edgecolor="#ff2020", linewidth=1.6)
         axes.add_patch(frame).set_clip_on(False)
     return figure
@@ -79,7 +68,6 @@ def plot_epi(
     *,
     row: int | None = None,
     column: int | None = None,
-    span: tuple[int, int] | None = None,
     positions: Float[Numbers, " m"] | None = None,
     disparities: Float[Numbers, " m"] | None = None,
     valid: Bool[Numbers, " m"] | None = None,
@@ -92,7 +80,6 @@ def plot_epi(
         light_field: The views.
         row: Image row of a horizontal EPI, px; the middle one if neither row nor column is given.
         column: Image column of a vertical EPI, px.
-        span: First and last pixel along the EPI; all of it by default.
         positions: Where lines cross the center view, `[m]`, px along the EPI.
         disparities: Their disparities, `[m]`, px per view step.
         valid: Which of them to draw, `[m]`; all by default.
@@ -103,8 +90,8 @@ def plot_epi(
         The figure. The EPI is stretched across views so that slopes can be seen.
 
     Raises:
-        ValueError: if both a row and a column are given, one of them or the span is outside the
-            image, or a line lacks its position or disparity.
+        ValueError: if both a row and a column are given, one of them is outside the image, or a
+            line lacks its position or disparity.
     """
     if row is not None and column is not None:
         raise ValueError("`row` and `column` exclude each other, got both.")
@@ -125,15 +112,11 @@ def plot_epi(
         picture = np.asarray(light_field.centre_view).swapaxes(0, 1)
         labels = ("y (px)", "view v")
     views, length = epi.shape[:2]
-    first, last = (0, length - 1) if span is None else span
-    if not 0 <= first < last < length:
-        raise ValueError(f"`span` must rise within 0 to {length - 1}, got {span}.")
-    pixels = last - first + 1
     inches = width - (0.45 if positions is None else 1.15)
-    band = max(8, round(pixels / 8))
+    band = max(8, round(length / 8))
     top = min(max(index - band // 2, 0), max(picture.shape[0] - band, 0))
     strip = picture[top : top + band]
-    heights = [inches * strip.shape[0] / pixels, max(inches * 0.2, 0.09 * views)]
+    heights = [inches * strip.shape[0] / length, max(inches * 0.2, 0.09 * views)]
     with style():
         figure = new_figure(width, sum(heights) + 0.5)
         upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=heights)
@@ -149,7 +132,7 @@ def plot_epi(
             keep = np.ones(len(positions), bool) if valid is None else np.asarray(valid)
             at, slope = np.asarray(positions)[keep], np.asarray(disparities)[keep]
             _draw_lines(figure, [upper, lower], at, slope, centre, views, limits)
-        lower.set(xlim=(first - 0.5, last + 0.5), ylim=(views - 0.5, -0.5))
+        lower.set(xlim=(-0.5, length - 0.5), ylim=(views - 0.5, -0.5))
     return figure
 
 
@@ -157,8 +140,8 @@ def _draw_lines(figure, axes, positions, disparities, centre, views, limits) -> 
     ends = np.array([-0.5, views - 0.5])
     x = positions[:, None] + (centre - ends) * disparities[:, None]
     segments = np.stack([x, np.broadcast_to(ends, x.shape)], -1)
-    limits = disparity_limits([disparities[None]], percent=0.0) if limits is None else limits
-    scale = limits_norm(limits)
+    low, high = disparity_limits([disparities[None]], percent=0.0) if limits is None else limits
+    scale = Normalize(low, high)
     casing = LineCollection(list(segments), colors="black", linewidths=2.0)
     lines = LineCollection(list(segments), cmap=colour_map("viridis"), norm=scale, linewidths=1.2)
     lines.set_array(disparities)
@@ -211,7 +194,7 @@ def plot_edges(
             c=values[order],
             s=diameter**2,
             cmap=colour_map("viridis"),
-            norm=limits_norm(limits),
+            norm=Normalize(*limits),
             linewidths=0,
         )
         colour_bar(figure, shown, axes, DISPARITY)

@@ -5,7 +5,7 @@ from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
-from matplotlib.colors import LogNorm
+from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure
 
 from ._style import (
@@ -16,7 +16,6 @@ from ._style import (
     check_names,
     colour_bar,
     colour_map,
-    limits_norm,
     new_figure,
     show,
     style,
@@ -81,7 +80,7 @@ def plot_disparity(
     with style():
         figure = new_figure(width, side * height + (0.25 if any(names) else 0.06))
         axes = figure.subplots(1, columns, squeeze=False)[0]
-        options = {"cmap": colour_map("viridis"), "norm": limits_norm(limits)}
+        options = {"cmap": colour_map("viridis"), "norm": Normalize(*limits)}
         shown = [
             show(ax, values, name, **options)
             for ax, values, name in zip(axes, listed, names, strict=True)
@@ -129,7 +128,7 @@ def plot_error(
             shown = _show_log(axes, error, name)
             colour_bar(figure, shown, axes, label or _LOG_LABEL, extend="both")
         else:
-            scale = limits_norm((-limit, limit))
+            scale = Normalize(-limit, limit)
             shown = show(axes, error, name, cmap=colour_map("RdBu_r"), norm=scale)
             colour_bar(figure, shown, axes, label or _SIGNED_LABEL, extend="both")
     return figure
@@ -174,7 +173,7 @@ def plot_comparison(
         figure = new_figure(width, height)
         axes = figure.subplots(2, len(listed) + 1, squeeze=False)
         titles = ["ground truth", *names]
-        options = {"cmap": colour_map("viridis"), "norm": limits_norm(limits)}
+        options = {"cmap": colour_map("viridis"), "norm": Normalize(*limits)}
         shown = [
             show(ax, values, title, **options)
             for ax, values, title in zip(axes[0], [truth, *listed], titles, strict=True)

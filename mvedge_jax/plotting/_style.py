@@ -8,7 +8,7 @@ import numpy as np
 from jax import Array
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
-from matplotlib.colors import Colormap, Normalize
+from matplotlib.colors import Colormap
 from matplotlib.figure import Figure
 
 Numbers = Array | np.ndarray
@@ -75,11 +75,6 @@ def colour_bar(
     bar = figure.colorbar(shown, ax=axes, fraction=0.05, pad=0.015, aspect=28, **options)
     bar.set_label(label)
     bar.outline.set_linewidth(0.4)  # pyright: ignore[reportCallIssue]
-
-
-def limits_norm(limits: tuple[float, float]) -> Normalize:
-    """A linear color scale."""
-    return Normalize(*limits)
 
 
 def check_names(names: Sequence[str] | None, count: int) -> list[str]:

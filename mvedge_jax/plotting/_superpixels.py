@@ -2,6 +2,7 @@
 
 import numpy as np
 from jaxtyping import Float, Int, UInt8
+from matplotlib.colors import hsv_to_rgb
 from matplotlib.figure import Figure
 
 from ._style import WIDTH, Numbers, colour_bar, colour_map, new_figure, show, style
@@ -56,9 +57,7 @@ def label_colours(count: int) -> Float[np.ndarray, "k 3"]:
     number = np.arange(count)
     hue = (number * _GOLDEN) % 1
     value, strength = 0.75 + 0.25 * (number % 3) / 2, 0.55 + 0.35 * (number % 5) / 4
-    phase = (hue[:, None] + np.array([0, 2 / 3, 1 / 3])) % 1
-    ramp = np.clip(np.abs(phase * 6 - 3) - 1, 0, 1)
-    return value[:, None] * (1 - strength[:, None] * (1 - ramp))
+    return hsv_to_rgb(np.stack([hue, strength, value], axis=-1))
 
 
 def plot_superpixels(

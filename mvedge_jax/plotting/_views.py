@@ -2,10 +2,11 @@
 
 import numpy as np
 from jaxtyping import Float, UInt8
+from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
 from ._maps import disparity_limits
-from ._style import Numbers, colour_map, limits_norm, new_figure, show
+from ._style import Numbers, colour_map, new_figure, show
 
 
 def plot_view_maps(
@@ -34,7 +35,7 @@ def plot_view_maps(
     limits = _limits(maps) if limits is None else limits
     figure = new_figure(8.0, 8.0 * sheet.shape[0] / sheet.shape[1] + 0.4)
     axes = figure.subplots()
-    shown = show(axes, sheet, name, cmap=colour_map("viridis"), norm=limits_norm(limits))
+    shown = show(axes, sheet, name, cmap=colour_map("viridis"), norm=Normalize(*limits))
     figure.colorbar(shown, ax=axes, shrink=0.8)
     return figure
 
@@ -52,7 +53,7 @@ def view_frames(
         Frames of an animation; of a single row or column, there and back.
     """
     maps = np.asarray(maps)
-    scale = limits_norm(_limits(maps) if limits is None else limits)
+    scale = Normalize(*(_limits(maps) if limits is None else limits))
     colours = colour_map("viridis")
     return [
         (255 * colours(scale(maps[place]))[..., :3]).astype(np.uint8)
@@ -61,12 +62,7 @@ def view_frames(
 
 
 def around_the_grid(rows: int, columns: int) -> list[tuple[int, int]]:
-    """The views along the border of a grid, clockwise; of a single row or column, there and back.
-
-    Args:
-        rows: of views.
-        columns: of views.
-    """
+    """The views along the border of a grid, clockwise; of a single row, there and back."""
     top, right = [(0, u) for u in range(columns)], [(v, columns - 1) for v in range(1, rows)]
     bottom = [(rows - 1, u) for u in range(columns - 2, -1, -1)]
     left = [(v, 0) for v in range(rows - 2, 0, -1)]

@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 
 from mvedge_jax._checks import untraced
 from mvedge_jax._params import as_number, at_least, number
-from mvedge_jax._paths import described, replaced
+from mvedge_jax._paths import Replaceable
 from mvedge_jax.depth import DenseLabels, Refine
 from mvedge_jax.diffusion import AutoSolver
 from mvedge_jax.photometry.brightness import Brightness
@@ -53,7 +53,7 @@ def _solver() -> AutoSolver:
     return AutoSolver(tolerance=1e-5, by_residual=True)
 
 
-class StereoDepth(eqx.Module):
+class StereoDepth(Replaceable):
     """Depth of one of a few posed photographs: parts of `EdgeDepth`, without edges.
 
     Attributes:
@@ -127,10 +127,3 @@ class StereoDepth(eqx.Module):
                     "shrink the photographs, or leave out those that are farthest away."
                 )
         return StereoDepth(hypotheses=count).replace(choices)
-
-    def replace(self, choices: Mapping[str, Any] | None = None, /, **parts: Any) -> "StereoDepth":
-        """The same model with other parts, numbers or static fields; see `EdgeDepth.replace`."""
-        return replaced(self, {**(choices or {}), **parts})
-
-    def __str__(self) -> str:
-        return "\n".join(described(self))

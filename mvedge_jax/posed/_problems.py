@@ -16,15 +16,9 @@ _VAGUE = 0.07
 
 
 def depth_problems(depth: Any, error: Any, labeled: Any) -> tuple[str, ...]:
-    """Problems of a depth map, by its labels and its stated error, on the host.
+    """Problems of a depth map, by the share of labeled pixels and its stated error, on the host.
 
-    Args:
-        depth: in any unit, `[y, x]`.
-        error: its standard error, in the same unit.
-        labeled: share of the pixels with an accepted label.
-
-    Returns:
-        One sentence per problem; none if no depth or no error is finite.
+    One sentence per problem; none if no depth or no error is finite.
 
     Example:
         >>> depth_problems(np.full((2, 2), 2.0), np.full((2, 2), 0.3), 0.9)

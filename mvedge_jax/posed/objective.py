@@ -42,9 +42,7 @@ class PosedReprojection(eqx.Module):
 
 
 def posed_loss(
-    disparity: Float[Array, "y x"],
-    views: ViewSet,
-    weights: LossWeights,
+    disparity: Float[Array, "y x"], views: ViewSet, weights: LossWeights
 ) -> Float[Array, ""]:
     """The loss (7.16) of a photograph's map: `self_supervised_loss`, for posed photographs.
 

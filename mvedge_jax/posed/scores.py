@@ -2,14 +2,10 @@
 
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, PRNGKeyArray
+from jaxtyping import Array, Float
 
 from mvedge_jax._params import accepts_numpy
-
-# Pixels at which the thesis fits a scale.
-_SAMPLES = 500
 
 
 class DepthErrors(NamedTuple):
@@ -33,8 +29,8 @@ def depth_errors(depth: Float[Array, "y x"], truth: Float[Array, "y x"]) -> Dept
     """Compares a depth map with the truth.
 
     Args:
-        depth: in the unit of the truth. Pixels that are not finite or not positive count as wrong,
-            in the squares with an error of the median depth.
+        depth: in the unit of the truth; where not finite or not positive it is wrong, in the
+            squares with an error of the median depth.
         truth: not finite or 0 where unknown.
 
     Returns:
@@ -65,28 +61,3 @@ def depth_errors(depth: Float[Array, "y x"], truth: Float[Array, "y x"]) -> Dept
         100 * jnp.nanmean(error**2),
         100 * jnp.nanpercentile(error, 25),
     )
-
-
-@accepts_numpy
-def scale_to(
-    depth: Float[Array, "y x"], truth: Float[Array, "y x"], *, key: PRNGKeyArray
-) -> Float[Array, ""]:
-    """The factor that brings a depth map closest to the truth, at 500 random pixels.
-
-    Args:
-        depth: in any unit.
-        truth: not finite or 0 where unknown.
-        key: random key of the choice of pixels, among those known in both maps.
-
-    Returns:
-        The factor, by least squares. Differentiable in both maps.
-
-    Source: Thesis 7.2.2, "Baselines and Metrics".
-    """
-    known = (jnp.isfinite(truth) & (truth > 0) & jnp.isfinite(depth) & (depth > 0)).reshape(-1)
-    order = jnp.where(known, jax.random.uniform(key, known.shape), jnp.inf)
-    chosen = jnp.argsort(order)[: min(_SAMPLES, known.size)]
-    weight = known[chosen].astype(depth.dtype)
-    own = jnp.where(weight > 0, depth.reshape(-1)[chosen], 1)
-    true = jnp.where(weight > 0, truth.reshape(-1)[chosen].astype(depth.dtype), 1)
-    return jnp.sum(weight * own * true) / jnp.sum(weight * own**2)

@@ -14,13 +14,7 @@ from mvedge_jax._params import as_number, at_least
 from mvedge_jax._product import product
 from mvedge_jax.color import srgb_to_gray
 from mvedge_jax.losses import LossWeights
-from mvedge_jax.model import (
-    DepthModel,
-    Renderer,
-    Start,
-    render_model,
-    start_from_image,
-)
+from mvedge_jax.model import DepthModel, Renderer, Start, render_model, start_from_image
 from mvedge_jax.model.objectives import unlimited
 from mvedge_jax.model.optimisation import Progress, Rates, Routine, begin, one_at_a_time, optimise
 
@@ -194,10 +188,7 @@ def sparse_stereo(
 
 
 def posed_reprojection(
-    photographs: Photographs,
-    reference: Reference,
-    model: DepthModel,
-    method: SparseStereoDepth,
+    photographs: Photographs, reference: Reference, model: DepthModel, method: SparseStereoDepth
 ) -> PosedReprojection:
     """The objective of a model of a photograph.
 

@@ -5,14 +5,13 @@ from collections.abc import Mapping
 from typing import Any
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from mvedge_jax._checks import expect, untraced, with_numbers
 from mvedge_jax._params import at_least, number
-from mvedge_jax._paths import described, replaced
+from mvedge_jax._paths import Replaceable
 from mvedge_jax.all_views import ViewDepths
 from mvedge_jax.lightfield import LightField
 
@@ -20,26 +19,22 @@ from mvedge_jax.lightfield import LightField
 _MOST = 32000
 
 
-class SuperpixelClustering(eqx.Module):
+class SuperpixelClustering(Replaceable):
     """How superpixels are clustered: the numbers and capacities of `superpixels`.
 
     Attributes:
         capacity: slots for superpixels.
         margin: margin around the center view's frame for surfaces that other views show, px.
-        size: side of a superpixel in the center view, px. The target number of superpixels is the
-            area of the view over `size` squared; a scene with many smaller surfaces has more.
+        size: side of a superpixel in the center view, px, which sets the target number; a scene
+            with many smaller surfaces has more.
         color: difference of color, CIELAB, equivalent to a distance of `size`.
-        depth: difference from the plane of a superpixel equivalent to a distance of `size`, px per
-            view step.
+        depth: difference from a superpixel's plane equivalent to `size`, px per view step.
         limit: upper bound of either difference, in units of `size`, squared.
         contour: penalty of a contour per px of its length, in the same units.
-        step: differences of disparity between neighbors beyond this are steps between two
-            surfaces, px per view step.
-        smallest: pieces with less than this share of the target area join a neighbor on the same
-            surface.
+        step: neighbors that differ by more are on two surfaces, px per view step.
+        smallest: pieces with less of the target area join a neighbor on their surface.
         speck: surfaces with fewer pixels than this join any neighbor.
-        fragment: pieces with fewer pixels than this, separate from the rest of their superpixel in
-            a view, join a neighbor.
+        fragment: separate pieces with fewer pixels than this in a view join a neighbor.
         slope: expected slope of a plane, px per view step and px.
         temperature: temperature of soft assignments, in the units of `limit`.
         rounds: number of clustering rounds.
@@ -86,6 +81,7 @@ class SuperpixelClustering(eqx.Module):
             ValueError: a name is unknown, or a choice is out of range.
 
         Example:
+            >>> import jax.numpy as jnp
             >>> flat = jnp.ones((3, 3, 32, 32))
             >>> depths = ViewDepths(flat, flat, flat.astype(jnp.int8), jnp.asarray(0))
             >>> SuperpixelClustering.for_depths(depths).margin
@@ -99,33 +95,6 @@ class SuperpixelClustering(eqx.Module):
             margin=math.ceil(most * (max(rows, columns) // 2)) + 1,
         )
         return model.replace(choices)
-
-    def replace(
-        self, choices: Mapping[str, Any] | None = None, /, **numbers: Any
-    ) -> "SuperpixelClustering":
-        """The same model with other numbers or static fields; see `EdgeDepth.replace`."""
-        return replaced(self, {**(choices or {}), **numbers})
-
-    def __str__(self) -> str:
-        return "\n".join(described(self))
-
-
-def grid_of(
-    size: Float[Array, ""], shape: tuple[int, int], capacity: int
-) -> tuple[Float[Array, ""], Float[Array, ""]]:
-    """Numbers of rows and columns of square cells of about a size that cover an image.
-
-    At most `capacity` cells, and at least one.
-    """
-    height, width = shape
-    size = jnp.maximum(size, jnp.sqrt(jnp.asarray(height * width / capacity, size.dtype)))
-    rows = jnp.maximum(jnp.round(height / size), 1)
-    # Not by the width alone: equal rounding of rows and columns would skip many numbers of cells.
-    columns = jnp.maximum(jnp.round(height * width / (size**2 * rows)), 1)
-    fit = rows * columns <= capacity
-    return jnp.where(fit, rows, jnp.maximum(rows - 1, 1)), jnp.where(
-        fit, columns, jnp.maximum(jnp.floor(capacity / jnp.maximum(rows - 1, 1)), 1)
-    )
 
 
 # Divisors of distances.

@@ -9,7 +9,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from mvedge_jax._cpu import no_fuse
 
-from ._clustering import SuperpixelClustering, grid_of
+from ._clustering import SuperpixelClustering
 
 # A cluster reaches into its own cell of the grid and the eight around it.
 _CELLS = tuple((dy, dx) for dy in (-1, 0, 1) for dx in (-1, 0, 1))
@@ -18,14 +18,10 @@ _HALF = ((0, 1), (1, 0), (1, 1), (1, -1))
 
 
 class Surface(NamedTuple):
-    """Features of the center view's pixels.
+    """Features of the center view's pixels: position, px, CIELAB, disparity, px per view step.
 
-    Attributes:
-        xy: positions, px.
-        lab: colors, CIELAB.
-        disparity: px per view step.
-        links: whether a pixel is on one surface with its neighbor to the right, below, below to
-            the right, below to the left; False at the frame.
+    `links`: whether a pixel is on one surface with its neighbor to the right, below, below to the
+    right, below to the left; False at the frame.
     """
 
     xy: Float[Array, "y x 2"]
@@ -35,14 +31,7 @@ class Surface(NamedTuple):
 
 
 class Grid(NamedTuple):
-    """Square cells over the center view.
-
-    Attributes:
-        rows: number of rows.
-        columns: number of columns.
-        home: row and column of the cell of each pixel.
-        size: side of a cell, px.
-    """
+    """Square cells over the center view: the row and column of each pixel's cell, its side, px."""
 
     rows: Int[Array, ""]
     columns: Int[Array, ""]
@@ -51,12 +40,9 @@ class Grid(NamedTuple):
 
 
 class Clusters(NamedTuple):
-    """A padded set of clusters.
+    """A padded set of clusters: mean position, px, mean color, CIELAB, and plane.
 
-    Attributes:
-        xy: mean position, px.
-        lab: mean color, CIELAB.
-        plane: disparity at `xy` and its change per px along x and y.
+    A plane is the disparity at `xy` and its change per px along x and y.
     """
 
     xy: Float[Array, "k 2"]
@@ -94,13 +80,21 @@ def _linked(disparity: Array, step: Array, dy: int, dx: int) -> Array:
 
 
 def grid_over(shape: tuple[int, int], size: Float[Array, ""], capacity: int) -> Grid:
-    """Cells of about a size; their borders are between pixels."""
-    rows, columns = grid_of(size, shape, capacity)
+    """At most `capacity` square cells of about a size; their borders are between pixels."""
+    height, width = shape
+    size = jnp.maximum(size, jnp.sqrt(jnp.asarray(height * width / capacity, size.dtype)))
+    rows = jnp.maximum(jnp.round(height / size), 1)
+    # Not by the width alone: equal rounding of rows and columns would skip many numbers of cells.
+    columns = jnp.maximum(jnp.round(height * width / (size**2 * rows)), 1)
+    fewer = jnp.maximum(rows - 1, 1)
+    fit = rows * columns <= capacity
+    columns = jnp.where(fit, columns, jnp.maximum(jnp.floor(capacity / fewer), 1))
+    rows = jnp.where(fit, rows, fewer)
     y, x = (jnp.arange(n, dtype=size.dtype) + 0.5 for n in shape)
-    row = jnp.minimum(jnp.floor(y * rows / shape[0]), rows - 1).astype(jnp.int32)
-    column = jnp.minimum(jnp.floor(x * columns / shape[1]), columns - 1).astype(jnp.int32)
+    row = jnp.minimum(jnp.floor(y * rows / height), rows - 1).astype(jnp.int32)
+    column = jnp.minimum(jnp.floor(x * columns / width), columns - 1).astype(jnp.int32)
     home = jnp.stack(jnp.broadcast_arrays(row[:, None], column[None]))
-    side = jnp.sqrt(shape[0] * shape[1] / (rows * columns))
+    side = jnp.sqrt(height * width / (rows * columns))
     return Grid(rows.astype(jnp.int32), columns.astype(jnp.int32), home, side)
 
 

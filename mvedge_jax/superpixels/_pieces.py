@@ -17,11 +17,9 @@ _JOINS = 6
 
 
 class Pieces(NamedTuple):
-    """Connected pieces of the center view.
+    """Connected pieces of the center view, whose number `root` has for every pixel.
 
-    Attributes:
-        sums: sums of ones, colors and disparities over the pixels of each piece.
-        root: number of every pixel's piece, below the number of pixels.
+    `sums` are of ones, colors and disparities over the pixels of each piece.
     """
 
     sums: Float[Array, "n 5"]
@@ -33,14 +31,8 @@ def joined(
 ) -> Pieces:
     """Splits labels into connected pieces of one surface, and joins small pieces to neighbors.
 
-    Args:
-        surface: the pixels.
-        labels: labels of clusters.
-        size: px; pieces with less than `model.smallest` of its square are small.
-        model: of superpixels.
-
-    Returns:
-        Connected pieces; those of different surfaces are separate unless one is a speck.
+    Pieces with less than `model.smallest` of `size` squared are small. Pieces of different surfaces
+    are separate unless one is a speck.
     """
     right, down = surface.links[0], surface.links[1]
     root = components(
@@ -104,10 +96,7 @@ def _repeated(join: Callable[[Pieces], tuple[Pieces, Array]], pieces: Pieces) ->
 
 
 def _join(
-    pieces: Pieces,
-    right: Bool[Array, "y x"],
-    down: Bool[Array, "y x"],
-    chosen: Bool[Array, " n"],
+    pieces: Pieces, right: Bool[Array, "y x"], down: Bool[Array, "y x"], chosen: Bool[Array, " n"]
 ) -> tuple[Pieces, Array]:
     """Joins each chosen piece to the most similar larger neighbor; returns whether any joined."""
     sums, root = pieces

@@ -54,9 +54,7 @@ class SoftSuperpixels(NamedTuple):
 
 @checked_jit(validate)
 def soft_superpixels(
-    light_field: LightField,
-    depths: ViewDepths,
-    model: SuperpixelClustering,
+    light_field: LightField, depths: ViewDepths, model: SuperpixelClustering
 ) -> SoftSuperpixels:
     r"""Assigns pixels of the center view to the clusters of `superpixels` by shares.
 
@@ -76,9 +74,7 @@ def soft_superpixels(
         grid of cells. Reverse mode only stores the clusters of every round.
 
     Raises:
-        ValueError: if the depths are not those of the views' grid and size; outside `jit`, a
-            parameter is negative or not finite, or one that divides is 0.
-        TypeError: an argument is of another kind, or their order is another.
+        ValueError, TypeError: as `superpixels`.
 
     Source: superpixel sampling networks (Jampani et al.), with planes.
 

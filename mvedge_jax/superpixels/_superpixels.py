@@ -61,9 +61,7 @@ class Superpixels(NamedTuple):
 
 @checked_jit(validate)
 def superpixels(
-    light_field: LightField,
-    depths: ViewDepths,
-    model: SuperpixelClustering,
+    light_field: LightField, depths: ViewDepths, model: SuperpixelClustering
 ) -> Superpixels:
     """Cuts a light field into small patches of surface, each with one label in every view.
 
@@ -75,8 +73,8 @@ def superpixels(
     3. Surfaces that only other views show continue the superpixels of the same surface around
        them, by disparity, or become new superpixels.
     4. Every pixel of every view gets the label of the surface that it shows, by its disparity:
-       views agree by construction, and outlines are those of the center view. Fragments of a few
-       pixels join a neighbor. A superpixel whose middle is hidden in a view has two pieces there.
+       views agree by construction, and outlines are those of the center view. A superpixel whose
+       middle is hidden in a view has two pieces there.
 
     Args:
         light_field: the views; ground truth is not read.
@@ -89,11 +87,10 @@ def superpixels(
 
     Raises:
         ValueError: if the depths are not those of the views' grid and size, or the views are not
-            on a regular grid; outside `jit`, a
-            parameter is negative or not finite, or one that divides is 0.
+            on a regular grid; outside `jit`, a parameter is negative or not finite, or a divisor 0.
         TypeError: an argument is of another kind, or their order is another.
 
-    Source: Thesis Ch. 5, which clusters EPI segments instead: see `baselines`.
+    Source: Thesis Ch. 5, which clusters EPI segments instead: see `experiments/peers/lfsp.py`.
 
     Example:
         >>> flat = jnp.zeros((1, 3, 20, 20))

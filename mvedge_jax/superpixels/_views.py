@@ -21,11 +21,8 @@ _FILLS = 3
 class Canvas(NamedTuple):
     """Surfaces in the coordinates of the center view, with a margin around its frame.
 
-    Attributes:
-        front: disparity of the surface in the center view, NaN beyond its frame.
-        back: disparity of the nearest surface that only other views show; NaN without one.
-        front_labels: labels of `front`, 0 for none.
-        back_labels: labels of `back`, 0 for none.
+    `front` is the disparity of the surface in the center view, NaN beyond its frame; `back` that of
+    the nearest surface that only other views show, NaN without one. Labels are 0 for none.
     """
 
     front: Float[Array, "h w"]
@@ -41,16 +38,9 @@ def canvas_of(
     *,
     margin: int,
 ) -> Canvas:
-    """Collects surfaces that only other views show, without labels.
+    """Surfaces that only other views show, without labels, and the center view's with theirs.
 
-    Args:
-        disparities: of all views, px per view step.
-        labels: of the center view, from 1 on.
-        step: two surfaces differ by more than this, px per view step.
-        margin: around the frame, px.
-
-    Returns:
-        The canvas.
+    Two surfaces differ by more than `step`, px per view step.
     """
     rows, columns = disparities.shape[:2]
     wide = ((margin, margin), (margin, margin))
@@ -101,15 +91,8 @@ def continued(
 ) -> tuple[Canvas, Int[Array, ""]]:
     """Labels surfaces hidden from the center view, by the same surface around or with new labels.
 
-    Args:
-        canvas: canvas with labels of the front.
-        count: number of labels so far.
-        step: two surfaces differ by more than this, px per view step.
-        least: least number of pixels of a surface that gets a new label.
-        capacity: of labels.
-
-    Returns:
-        The canvas with labels of the back, and the new count, which may exceed the capacity.
+    Surfaces of fewer than `least` pixels get no new label. Returns the canvas and the new count of
+    labels, which may exceed the capacity.
     """
     back = canvas.back
     there = jnp.isfinite(back)
@@ -144,10 +127,7 @@ def _of_neighbours(
 ) -> Int[Array, "y x"]:
     """Label of the neighbor with the most similar disparity; 0 if none is within a limit.
 
-    Args:
-        disparity: disparity of the pixels, px per view step.
-        known: maps of disparities and their labels; the first among equals wins.
-        limit: largest difference, px per view step.
+    Of the `known` maps of disparities and labels, the first among equals wins.
     """
     found, gap = jnp.zeros_like(known[0][1]), jnp.full_like(disparity, jnp.inf)
     for depth, labels in known:
@@ -170,17 +150,10 @@ def labelled(
     margin: int,
     capacity: int,
 ) -> Int[Array, "v u y x"]:
-    """Labels of all views: those of the surfaces that their pixels show.
+    """Labels of all views: those of the surfaces that their pixels show, by their disparity.
 
-    Args:
-        disparities: of all views, px per view step.
-        labels: of the center view, from 1 on.
-        canvas: with labels.
-        step: two surfaces differ by more than this, px per view step.
-        fragment: pieces with fewer pixels than this, separate from the rest of their label, join a
-            neighbor, px.
-        margin: of the canvas, px.
-        capacity: of labels.
+    Pieces with fewer than `fragment` pixels, separate from the rest of their label, join a
+    neighbor.
     """
     front, back, front_labels, back_labels = (a.ravel() for a in canvas)
     centre = disparities[disparities.shape[0] // 2, disparities.shape[1] // 2]
@@ -235,11 +208,8 @@ def whole(
 ) -> Int[Array, "y x"]:
     """Gives fragments of labels to the neighbor that is closest in disparity.
 
-    Args:
-        labels: of a view.
-        disparity: of it, px per view step.
-        fragment: least number of pixels of a piece, except for the largest one of its label.
-        count: of labels, 0 included.
+    Fragments are pieces of fewer than `fragment` pixels, but for the largest one of each label;
+    `count` labels, 0 included.
     """
     root, area = _small_pieces(labels, fragment)
     name = labels.ravel()

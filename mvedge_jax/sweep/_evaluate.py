@@ -89,8 +89,7 @@ def evaluate(
         names: paths of the numbers.
         choices: other numbers and static fields of the model, by path.
         preset: see `EdgeDepth.for_light_field`.
-        objective: the name of a field of `DepthScores`, or a jittable function of the result and
-            the light field.
+        objective: a field of `DepthScores`, or a jittable function of result and light field.
         batch: settings per call of the program; smaller batches are padded, to compile once.
 
     Returns:

@@ -69,14 +69,10 @@ class Space:
         return tuple(self.numbers)
 
     def check(self, model: EdgeDepth) -> None:
-        """Checks that paths and values fit a model.
+        """Checks that paths and values fit a model of the preset that is swept.
 
-        Args:
-            model: of the preset that is swept.
-
-        Raises:
-            ValueError: a path is not that of a number or of a static field of the model, or a value
-                is of another kind or out of range.
+        A ValueError names a path that is not that of a number or of a static field of the model, or
+        a value of another kind or out of range.
         """
         for name, interval in self.numbers.items():
             if not is_number(value_at(model, name)):
@@ -92,13 +88,9 @@ class Space:
                 with_settings(model, {name: value})
 
     def start(self, model: EdgeDepth) -> dict[str, Setting] | None:
-        """The first setting: the model's numbers and the first value of each choice.
+        """The first setting, by path: the model's numbers and the first value of each choice.
 
-        Args:
-            model: of the preset that is swept.
-
-        Returns:
-            Values by path; None if a number of the model is not within its interval.
+        None if a number of the model is not within its interval.
         """
         numbers = {}
         for name, interval in self.numbers.items():

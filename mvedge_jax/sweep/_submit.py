@@ -27,16 +27,10 @@ class _Done(NamedTuple):
 
 @contextlib.contextmanager
 def in_threads(count: int) -> Iterator[Submit]:
-    """`submit` of some threads of this process.
+    """`submit` of some threads of this process, for `evaluate` and its arguments.
 
     The first call for a scene and its choices runs alone, because threads that reach an uncompiled
     program together would each compile it.
-
-    Args:
-        count: number of concurrent calls.
-
-    Yields:
-        A function that takes `evaluate` and its arguments.
     """
     seen: set[Any] = set()
     begun: list[Any] = []

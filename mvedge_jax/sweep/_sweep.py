@@ -79,19 +79,15 @@ def sweep(
         trials: total number of settings, those in `journal` included.
         batch: number of settings per call of the program.
         wave: number of settings drawn at a time; they depend on earlier waves only.
-        objective: the name of a field of `DepthScores`, or a jittable function of `DepthResult`
-            and `LightField`, smaller is better.
-        journal: file of the trials. A stopped sweep resumes from it, and several processes, also
-            on several machines, may share it.
+        objective: a field of `DepthScores`, or a jittable function of `DepthResult` and
+            `LightField`; smaller is better.
+        journal: file of the trials, from which a stopped sweep resumes; processes may share it.
         name: name of the study in the journal.
         sampler: sampler of settings; TPE with seed 0 by default.
-        pruner: none by default; `optuna.pruners.MedianPruner` stops settings worse than the
-            median.
-        threads: number of threads that run batches if `submit` is None. One call uses little more
-            than one core; memory grows with the number. Context managers of JAX such as
-            `jax.enable_x64` affect one thread only: use 1 within them.
-        submit: runs a function elsewhere, as `concurrent.futures.Executor.submit` and Dask's
-            `Client.submit` do; in threads of this process by default.
+        pruner: none by default, such as `optuna.pruners.MedianPruner`.
+        threads: number of threads that run batches if `submit` is None, each about one core; use 1
+            within context managers of JAX such as `jax.enable_x64`, which affect one thread.
+        submit: runs a function elsewhere, as Dask's `Client.submit`; by default in threads.
         progress: called after each wave with the number of settings tried and the best score.
 
     Returns:
@@ -236,11 +232,7 @@ def _names(scenes: Sequence[str | Path | LightField]) -> list[str]:
 
 
 def _run_wave(
-    study: optuna.Study,
-    trials: list[optuna.Trial],
-    run: _Run,
-    batch: int,
-    submit: Submit,
+    study: optuna.Study, trials: list[optuna.Trial], run: _Run, batch: int, submit: Submit
 ) -> None:
     """Scores settings scene after scene; the pruner may stop some in between."""
     total, space = {trial.number: 0.0 for trial in trials}, run.space

@@ -39,15 +39,12 @@ def depth_in_tiles(
 
     Exposure, gains, vignettes and noise are measured once, for the whole image. Then each tile is
     a light field of its own; tiles overlap, and the map is cut in the middle of what they share.
-    All of them run one compiled program. On the host: neither differentiable nor traced.
-
-    A tile knows less than the whole image does: where a surface is plain over more than the
-    overlap, the map may differ from that of the whole image, and have a seam.
+    All run one compiled program. On the host: neither differentiable nor traced. Where a surface
+    is plain over more than the overlap, the map may have a seam.
 
     Args:
         views: the crosshair; `datasets.stored` reads one that takes little memory.
-        model: made for light fields of the shape of a tile; None for preset `"full"`. Its labels
-            are measured in the crosshair.
+        model: for light fields of the shape of a tile, without `all_views`; None for `"full"`.
         tiling: size and overlap of the tiles; None for tiles of 768 px.
         progress: called with the number of tiles that are done and that there are.
         key: of parts that draw; every tile has one of its own.
@@ -88,16 +85,14 @@ def depth_in_tiles(
 
 
 def with_measured_range(stored: StoredViews) -> StoredViews:
-    """The same with a disparity range, which is measured in small pictures if it is not known.
+    """The same with a disparity range, measured in small pictures if it is not known.
 
     Args:
         stored: the views.
 
     Returns:
-        Views of which every window has one range, so that all share a model.
-
-    Raises:
-        ValueError: the range is unknown, and the views show no edges to measure it from.
+        Views of which every window has one range, so that all share a model. A ValueError if the
+        range is unknown, and the views show no edges to measure it from.
     """
     if stored.disparity_range is not None:
         return stored
@@ -107,11 +102,7 @@ def with_measured_range(stored: StoredViews) -> StoredViews:
 
 
 def _of_tile(
-    stored: StoredViews,
-    model: EdgeDepth,
-    known: Known | None,
-    tile: Tile,
-    key: PRNGKeyArray | None,
+    stored: StoredViews, model: EdgeDepth, known: Known | None, tile: Tile, key: PRNGKeyArray | None
 ) -> DepthResult:
     """The depth of a tile, on the host."""
     window = tile.window

@@ -44,18 +44,12 @@ class Tiling(NamedTuple):
 
     @staticmethod
     def within(memory: float, *, views: StoredViews | None = None, overlap: int = 96) -> "Tiling":
-        """Tiles whose depth takes no more than some memory.
+        """The largest tiles, in steps of 64 px, whose depth takes no more than some memory.
 
         Args:
-            memory: bytes, that of Python and its libraries included.
+            memory: bytes, that of Python and its libraries included; a ValueError if nothing fits.
             views: the views of the whole image, which count as well, with its maps.
             overlap: see `Tiling`.
-
-        Returns:
-            The largest such tiles, in steps of 64 px.
-
-        Raises:
-            ValueError: nothing fits.
         """
         least = _LEAST
         if views is not None:
@@ -71,17 +65,9 @@ class Tiling(NamedTuple):
         return Tiling(side, overlap)
 
     def of(self, height: int, width: int) -> list[Tile]:
-        """All tiles of an image, row by row; they have one shape.
+        """All tiles of an image of height and width, px, row by row; at least one, of one shape.
 
-        Args:
-            height: of the image, px.
-            width: of the image, px.
-
-        Returns:
-            At least one.
-
-        Raises:
-            ValueError: tiles are not at least twice as long as they overlap.
+        A ValueError if tiles are not at least twice as long as they overlap.
         """
         if not 0 <= 2 * self.overlap <= self.side or self.side < 1:
             raise ValueError(

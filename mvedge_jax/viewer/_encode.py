@@ -18,14 +18,10 @@ def text_of(data: bytes) -> str:
 
 
 def packed(values: np.ndarray, *, log: bool = False) -> dict[str, Any]:
-    """An array as codes of 16 bits, differences along its last axis.
+    """An array as codes of 16 bits, differences along its last axis, for `numbers` of the page.
 
-    Args:
-        values: any shape; what is not finite, or not positive with `log`, is not known.
-        log: divide the range of the logarithm, not that of the values.
-
-    Returns:
-        What `numbers` of the page reads; off by at most half of a 65534th of the range.
+    With `log`, the range of the logarithm is divided. What is not finite, or not positive with
+    `log`, is not known. Off by at most half of a 65534th of the range.
     """
     values = np.asarray(values, np.float64)
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -54,17 +50,9 @@ def packed_labels(labels: np.ndarray) -> dict[str, Any]:
 
 
 def picture(view: np.ndarray, quality: int) -> str:
-    """A view as WebP.
+    """A view, sRGB in [0, 1], as WebP in base 64; a ValueError if it is too large for that.
 
-    Args:
-        view: sRGB in [0, 1], `[y, x, 3]`.
-        quality: 1 to 100; 100 keeps the view's 8 bits, less halves the resolution of color, too.
-
-    Returns:
-        The file, in base 64.
-
-    Raises:
-        ValueError: a side is longer than WebP takes.
+    A quality of 100 keeps the view's 8 bits, less halves the resolution of color, too.
     """
     if max(view.shape[:2]) > 16383:
         raise ValueError(

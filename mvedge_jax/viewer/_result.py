@@ -80,8 +80,7 @@ def result_of_photograph(
     Args:
         photographs: with their cameras.
         index: of the photograph whose depth it is.
-        depth: along the optical axis, in the unit of the poses; not shown where it is not a
-            positive number.
+        depth: along the optical axis, in the unit of the poses; shown where it is positive.
         error: its standard error, in the same unit.
         baseline: what disparity is counted by, see `Reference`.
         name: what to call it.
@@ -90,8 +89,7 @@ def result_of_photograph(
         The photograph, and its map in px per baseline.
 
     Raises:
-        ValueError: the map is not of the size of the photograph, or `baseline` is not a positive
-            number.
+        ValueError: a map is not of the size of the photograph, or `baseline` is not positive.
     """
     image, focal = photographs.images[index], float(photographs.intrinsics[index, 0, 0])
     if not (np.isfinite(baseline) and baseline > 0):
@@ -126,9 +124,9 @@ def hidden_surfaces(
         source: what a pixel is known from; 1 is other views only.
 
     Returns:
-        `(x, y)` in the center view, px, where it would show the point if nothing hid it; disparity;
-        its standard error; sRGB in [0, 1]. Of points that fall together, to a pixel and a
-        twentieth of one in disparity, the most certain one; most certain first.
+        `(x, y)` in the center view, px, disparity, its standard error, and sRGB in [0, 1], most
+        certain first. Of points that fall together, to a pixel and a twentieth of one in disparity,
+        the most certain one.
     """
     there = np.asarray(light_field.available)[..., None, None] & np.isfinite(disparity)
     places = np.nonzero((source == 1) & there)

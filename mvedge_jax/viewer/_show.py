@@ -28,19 +28,12 @@ class Inline(NamedTuple):
         return f'<iframe sandbox="allow-scripts" style="{style}" srcdoc="{source}"></iframe>'
 
     def save(self, path: str | Path) -> None:
-        """Writes the page into a file.
-
-        Args:
-            path: an HTML file.
-        """
+        """Writes the page into an HTML file."""
         Path(path).write_text(self.html, encoding="utf-8")
 
 
 def show(
-    light_field: LightField,
-    *results: DepthResult | Result,
-    quality: int = 80,
-    height: int = 720,
+    light_field: LightField, *results: DepthResult | Result, quality: int = 80, height: int = 720
 ) -> Inline:
     """A light field, and what was computed from it, in a notebook.
 

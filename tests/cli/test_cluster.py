@@ -16,6 +16,7 @@ from datasets.layouts import write_hci
 from mvedge_jax._settings import of_preset
 from mvedge_jax.cli import _batch_scene, _main
 from mvedge_jax.cli._cluster import connected, outcomes
+from mvedge_jax.cli._output import write_json
 
 distributed = pytest.importorskip("distributed")
 NAMES = ("broken", "corrupt", "fine", "flaky", "other")
@@ -55,16 +56,12 @@ def estimated(monkeypatch):
         result = SimpleNamespace(problems=list)
         return result, of_preset("full"), {"compilation": 0.0, "estimation": 0.1}
 
-    def report(light_field, result, seconds):
-        return {"seconds": seconds, "converged": True}
-
-    def write(folder, light_field, result):
+    def write(folder, light_field, truth, model, result, told):
         (folder / "height").write_text(str(light_field.views.shape[2]))
+        write_json(folder / "report.json", told | {"converged": True, "scores": {}})
 
     monkeypatch.setattr(_batch_scene, "estimate_of", functools.cache(lambda *kind: estimate))
-    monkeypatch.setattr(_batch_scene, "depth_report", report)
     monkeypatch.setattr(_batch_scene, "write_depth", write)
-    monkeypatch.setattr(_batch_scene, "score_depth", lambda *_: {})
     return calls
 
 

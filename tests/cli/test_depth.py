@@ -6,7 +6,7 @@ import pytest
 from cli.scenes import RANGE, textured_plane
 from datasets.layouts import write_hci
 
-from mvedge_jax.cli import _depth, _main
+from mvedge_jax.cli import _common, _depth, _main
 from mvedge_jax.datasets import read_pfm
 
 
@@ -103,7 +103,7 @@ def test_nothing_is_left_behind_when_interrupted(scene, tmp_path, monkeypatch):
     def interrupt(*_, **__):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(_depth, "compiled", lambda *_, **__: interrupt)
+    monkeypatch.setattr(_common, "compiled", lambda *_, **__: interrupt)
     assert _main.main(["depth", str(scene), str(tmp_path / "out"), "--range", "0", "1"]) == 130
     assert list(tmp_path.iterdir()) == []
 

@@ -11,7 +11,7 @@ from datasets.layouts import (
     write_stanford,
 )
 
-from mvedge_jax.datasets import camera_spacing, load_light_field
+from mvedge_jax.datasets import load_light_field
 
 FOLDERS = {
     "hci": (write_hci, "input_Cam{:03d}.png".format),
@@ -155,28 +155,8 @@ def test_two_grids_in_a_folder(tmp_path):
         load_light_field(other)
 
 
-def test_stanford_spacing(tmp_path):
-    views = random_views((5, 3, 4, 4, 3))
-    even = camera_spacing(write_stanford(tmp_path / "even", views))
-    assert even.step == pytest.approx((-60, -60))
-    assert even.deviation < 1e-6
-    np.testing.assert_allclose(even.positions[2, 1], [1100.25 - 60, -380.5 - 120])
-    odd = camera_spacing(write_stanford(tmp_path / "odd", views, jitter=6.0))
-    assert 0.03 < odd.deviation < 0.2
-    (moved,) = (tmp_path / "even").glob("out_01_01_*")
-    moved.rename(moved.with_name("out_01_01_-440.5_1046.25_.png"))
-    # One camera off by 6 of 60 units; the fit gives way a little.
-    assert camera_spacing(tmp_path / "even").deviation == pytest.approx(0.1, rel=0.2)
-
-
-def test_stanford_spacing_needs_positions(tmp_path):
-    with pytest.raises(FileNotFoundError, match="nowhere is not there"):
-        camera_spacing(tmp_path / "nowhere")
-    with pytest.raises(ValueError, match="camera positions are unknown"):
-        camera_spacing(write_grid(tmp_path / "grid", random_views()))
-    with pytest.raises(ValueError, match="1x3 views"):
-        camera_spacing(write_stanford(tmp_path / "one", random_views((1, 3, 4, 4, 3))))
+def test_two_stanford_images_of_one_view(tmp_path):
     folder = write_stanford(tmp_path / "twice", random_views())
     save_image(folder / "out_00_00_1_2.png", random_views()[0, 0])
     with pytest.raises(ValueError, match="are both row 0, column 0"):
-        camera_spacing(folder)
+        load_light_field(folder)

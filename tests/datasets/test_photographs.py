@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from helpers import shared_data
 from posed.walls import MATRIX, POSES, wall
+from scipy.spatial.transform import Rotation
 
 from mvedge_jax.datasets.exchange import read_ply, write_colmap, write_nerfstudio, write_ply
-from mvedge_jax.datasets.exchange._export import quaternion_of
 from mvedge_jax.datasets.photographs import load_photographs
 from mvedge_jax.datasets.photographs._photographs import nearby, open_photographs
 from mvedge_jax.datasets.photographs._posed_source import rotation_of
@@ -163,6 +163,10 @@ def test_lists_of_poses(tmp_path):
     (timed / "camera.txt").write_text("40 40 23.5 17.5\n")
     same(load_photographs(timed, points=False),
          photographs(names=tuple(f"{i}.500.png" for i in range(4))))  # fmt: skip
+
+
+def quaternion_of(turn):
+    return np.roll(Rotation.from_matrix(turn).as_quat(canonical=True), 1)
 
 
 def test_rotations_and_quaternions_are_inverse():

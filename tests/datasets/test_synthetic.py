@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import map_coordinates, maximum_filter, minimum_filter
 
+from experiments.peers import photographs
 from mvedge_jax.datasets import synthetic
 from mvedge_jax.datasets.synthetic import _scenes, _trace
 from mvedge_jax.datasets.synthetic.world import Material
@@ -32,7 +33,7 @@ def render(scene, **options) -> Any:  # Any: the truth is there
 
 
 def render_posed(scene, poses, intrinsics, **options) -> Any:
-    return synthetic.render_posed(scene, poses, intrinsics, **options)
+    return photographs.render_posed(scene, poses, intrinsics, **options)
 
 
 def exact(*solids, **light):

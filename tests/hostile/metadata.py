@@ -15,8 +15,8 @@ from datasets.layouts import (
 from hostile.case import Case, mutated, refuses, survives
 from hostile.scenes import TRUTH, hci
 
+from experiments.peers.photographs import read_colmap_depth
 from mvedge_jax.datasets import load_ground_truth, load_light_field, read_pfm, write_pfm
-from mvedge_jax.datasets.photographs import read_colmap_depth
 
 # Names of folders that some program or other stumbles over.
 NAMES = [

@@ -7,9 +7,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from experiments.peers.printed_consistency import printed_view_consistency
 from mvedge_jax.datasets import synthetic
 from mvedge_jax.metrics import (
-    printed_view_consistency,
     view_consistency,
     view_consistency_map,
 )

@@ -9,13 +9,7 @@ from mvedge_jax.lightfield import LightField
 from mvedge_jax.losses import Views, all_views, gather_views
 from mvedge_jax.model import Renderer, StartFit
 from mvedge_jax.model._start import start_from_points
-from mvedge_jax.model.approaches import (
-    ByEvidence,
-    StepRelocation,
-    ViewAgreement,
-    polish,
-    relocate_steps,
-)
+from mvedge_jax.model.approaches import ByEvidence, ViewAgreement
 from mvedge_jax.model.approaches._approach import explained
 from mvedge_jax.model.approaches._evidence import agreed_correction
 from mvedge_jax.model.optimisation import Rates, advance, all_at_once, begin
@@ -145,25 +139,6 @@ def test_refinement_corrects_a_map_as_far_as_the_views_say():
     # No pixel leaves what the views support.
     change, twice = np.asarray(refined - ready.base), 2 * ready.correction.change
     assert np.all(np.abs(change) <= np.abs(twice) + 2e-3)
-
-
-@pytest.mark.slow
-def test_refinement_relocates_steps_in_doubt_first():
-    views = scene()
-    step = jnp.arange(SHAPE[1]) > SHAPE[1] // 2
-    first = jnp.broadcast_to(jnp.where(step, 0.8, 0.3), SHAPE).astype(jnp.float32)
-    xy = jnp.asarray(np.random.default_rng(1).uniform(0, 19, (60, 2)), jnp.float32)
-    start = start_from_points(
-        xy, jnp.full(60, 0.3, jnp.float32), jnp.full(60, 0.01, jnp.float32), jnp.ones(60, bool),
-        jnp.moveaxis(views.centre, 0, -1), first, StartFit(),
-    )  # fmt: skip
-    wide = Renderer(SplatLabels(SplatWidths(), SplatRaster(scale=1, lanes=16)))
-    approach = ByEvidence(relocate=StepRelocation())
-    found = approach.prepare(grid(views), start, wide)
-    np.testing.assert_array_equal(found.first, first)
-    relocated = relocate_steps(first, views.centre, StepRelocation())
-    assert jnp.abs(relocated - first).max() > 0.1
-    np.testing.assert_allclose(found.base, polish(relocated, approach.polish), rtol=0, atol=1e-5)
 
 
 def test_nothing_is_measured_beside_depth_steps():

@@ -13,7 +13,7 @@ from mvedge_jax.model import (
     fit_edges,
     render_model,
 )
-from mvedge_jax.model._capacity import with_capacity
+from mvedge_jax.model._model import with_capacity
 from mvedge_jax.model.objectives import Supervised, unlimited
 from mvedge_jax.model.optimisation import (
     FixedPoints,

@@ -4,10 +4,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from experiments.peers.least_squares import minimise_least_squares, residuals_of
 from mvedge_jax.losses import SupervisedWeights
 from mvedge_jax.model import DepthModel, Renderer, render_model
-from mvedge_jax.model._capacity import with_capacity, without_free_places
 from mvedge_jax.model._host import compiled_render
+from mvedge_jax.model._model import with_capacity, without_free_places
 from mvedge_jax.model.objectives import Supervised, Trust, unlimited
 from mvedge_jax.model.optimisation import (
     FixedPoints,
@@ -17,7 +18,6 @@ from mvedge_jax.model.optimisation import (
     advance,
     all_at_once,
     begin,
-    minimise_least_squares,
     one_at_a_time,
     optimise,
 )
@@ -333,14 +333,13 @@ def test_the_residuals_are_the_roots_of_the_loss():
     for square in (0.0, 2.0):
         weights = SupervisedWeights(absolute=jnp.asarray(0.0), square=jnp.asarray(square))
         goal = Supervised(truth(), jnp.ones(SHAPE, bool), trust, WIDE, weights)
-        residuals, _ = goal.residuals(moved, truth())
+        residuals, _ = residuals_of(goal, moved, truth())
         half = sum(float(jnp.sum(r**2)) for r in residuals) / 2
         assert half == pytest.approx(float(goal(moved, truth())[0]), rel=1e-6)
     # Absolute errors are blunted by a hundredth of a pixel, or what is asked for.
     goal = objective(moved)
     for blunt in (0.01, 1e-4):
-        blunted = eqx.tree_at(lambda g: g.blunt, goal, jnp.asarray(blunt))
-        residuals, _ = blunted.residuals(moved, truth())
+        residuals, _ = residuals_of(goal, moved, truth(), blunt=blunt)
         half = sum(float(jnp.sum(r**2)) for r in residuals) / 2
         assert 0.01 * blunt < float(goal(moved, truth())[0]) - half < blunt
 

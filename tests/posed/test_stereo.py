@@ -7,6 +7,7 @@ import pytest
 from helpers import check_gradient, count_traces, shared_data
 from posed.walls import MATRIX, POSES, SIZE, falloff, places, texture, turned, wall
 
+from experiments.peers.photographs import five_views, scale_to
 from mvedge_jax.datasets import synthetic
 from mvedge_jax.datasets.photographs import load_photographs
 from mvedge_jax.photometry.brightness import Brightness, PosedViews
@@ -19,7 +20,7 @@ from mvedge_jax.posed import (
     stereo,
 )
 from mvedge_jax.posed.cloud import photographs_of, surface_of
-from mvedge_jax.posed.scores import depth_errors, scale_to
+from mvedge_jax.posed.scores import depth_errors
 
 IMAGES, DEPTHS = wall(POSES)
 RANGE = (1.2, 3.5)
@@ -324,9 +325,8 @@ def test_living_room():
 
 
 def test_five_rendered_photographs_agree_with_their_depths():
-    five = synthetic.five_views(
-        synthetic.scene("slanted"), size=(40, 48), samples=1, key=jax.random.key(0)
-    )
+    scene = synthetic.scene("slanted")
+    five = five_views(scene, size=(40, 48), samples=1, key=jax.random.key(0))
     assert five.depth is not None
     centres = np.asarray(five.centres)
     apart = np.linalg.norm(centres[1:] - centres[0], axis=1)

@@ -6,7 +6,7 @@ import pytest
 from posed.walls import room, turned
 
 from mvedge_jax.depth.solves import Labels
-from mvedge_jax.photometry.measuring import Measuring, PhotometricLabels
+from mvedge_jax.photometry.measuring import AdaptedMeasurement, PhotometricLabels
 from mvedge_jax.posed import Photographs, StereoDepth, reference_of, stereo
 from mvedge_jax.posed._labels import PhotographLabels
 from mvedge_jax.posed.scores import depth_errors
@@ -58,7 +58,7 @@ def test_hypotheses_count_where_the_measurement_fails(variance, value):
         Labels(0.03 * one, 1.1 * one),
         PhotometricLabels(one, variance * one, 0 * one),
         one,
-        Measuring(),
+        AdaptedMeasurement(),
         jnp.asarray(0.02),
         None,
     )

@@ -8,6 +8,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 from jaxtyping import Float
+from scipy.spatial.transform import Rotation
 
 from mvedge_jax.posed import Photographs
 
@@ -53,7 +54,9 @@ def write_colmap(folder: str | os.PathLike, photographs: Photographs) -> None:
         fx, fy, cx, cy = matrix[0, 0], matrix[1, 1], matrix[0, 2] + _HALF, matrix[1, 2] + _HALF
         cameras.append(f"{i} PINHOLE {width} {height} {fx:.17g} {fy:.17g} {cx:.17g} {cy:.17g}")
         inverse = np.linalg.inv(pose)
-        numbers = " ".join(f"{v:.17g}" for v in (*quaternion_of(inverse[:3, :3]), *inverse[:3, 3]))
+        # SciPy has the real part last, COLMAP first.
+        turn = np.roll(Rotation.from_matrix(inverse[:3, :3]).as_quat(canonical=True), 1)
+        numbers = " ".join(f"{v:.17g}" for v in (*turn, *inverse[:3, 3]))
         images.append(f"{i} {numbers} {i} {name}")
         seen = np.flatnonzero(observed[i - 1])
         places = _projected(points[seen], pose, matrix) + _HALF
@@ -138,30 +141,6 @@ def write_nerfstudio(
     (folder / "transforms.json").write_text(json.dumps(top, indent=1), encoding="utf-8")
 
 
-def quaternion_of(turn: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "4"]:
-    """The unit quaternion `(w, x, y, z)` of a rotation, `w` not negative.
-
-    Args:
-        turn: a rotation matrix.
-
-    Returns:
-        The quaternion.
-    """
-    # The eigenvector of the largest eigenvalue is precise for every angle (Bar-Itzhack, 2000).
-    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = turn
-    table = np.asarray(
-        [
-            [xx + yy + zz, zy - yz, xz - zx, yx - xy],
-            [zy - yz, xx - yy - zz, xy + yx, xz + zx],
-            [xz - zx, xy + yx, yy - xx - zz, yz + zy],
-            [yx - xy, xz + zx, yz + zy, zz - xx - yy],
-        ]
-    )
-    _, vectors = np.linalg.eigh(table)
-    found = vectors[:, -1]
-    return -found if found[0] < 0 else found
-
-
 def _projected(points: np.ndarray, pose: np.ndarray, matrix: np.ndarray) -> np.ndarray:
     place = ((points - pose[:3, 3]) @ pose[:3, :3]) @ matrix.T
     return place[:, :2] / place[:, 2:]
@@ -184,18 +163,15 @@ def _looked_up(photographs: Photographs, observed: np.ndarray) -> np.ndarray:
     points = np.zeros((0, 3)) if photographs.points is None else np.asarray(photographs.points)
     colours = np.full((len(points), 3), 128, np.uint8)
     height, width = photographs.images.shape[1:3]
-    done = np.zeros(len(points), bool)
-    for i, seen in enumerate(observed):
-        new = np.flatnonzero(seen & ~done)
-        if not new.size:
-            continue
+    first = np.where(observed.any(0), observed.argmax(0), -1)
+    for i in np.unique(first[first >= 0]):
+        new = first == i
         place = _projected(
             points[new], np.asarray(photographs.poses[i]), np.asarray(photographs.intrinsics[i])
         )
         column = np.clip(np.round(place[:, 0]).astype(int), 0, width - 1)
         row = np.clip(np.round(place[:, 1]).astype(int), 0, height - 1)
         colours[new] = _bytes(np.asarray(photographs.images[i]))[row, column]
-        done[new] = True
     return colours
 
 

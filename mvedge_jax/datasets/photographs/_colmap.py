@@ -57,14 +57,7 @@ class _Points:
 
 
 def find_colmap(path: Path) -> Path | None:
-    """The folder of a COLMAP model at or below `path`: itself, `sparse` or `sparse/0`.
-
-    Args:
-        path: a folder.
-
-    Returns:
-        The folder; None if there is none.
-    """
+    """The folder of a COLMAP model: `path`, `sparse` or `sparse/0` in it; None without one."""
     for folder in (path, path / "sparse", path / "sparse" / "0"):
         if any((folder / f"{name}{end}").is_file() for name, end in _files()):
             return folder
@@ -76,18 +69,10 @@ def _files() -> Iterator[tuple[str, str]]:
 
 
 def open_colmap(folder: Path, images: Path | None) -> PosedSource:
-    """Opens a COLMAP model.
+    """Opens a COLMAP model: its photographs in the order of their names.
 
-    Args:
-        folder: with `cameras`, `images` and, if there is one, `points3D`, `.bin` or `.txt`.
-        images: folder of the photographs; None to look for `images` beside or above the model.
-
-    Returns:
-        Its photographs, in the order of their names.
-
-    Raises:
-        FileNotFoundError: a file of the model or the folder of images is missing.
-        ValueError: a file is malformed, truncated, or names a camera model that is not handled.
+    The folder has `cameras`, `images` and perhaps `points3D`, `.bin` or `.txt`. Without a folder of
+    `images`, one of this name is looked for beside or above the model. Errors name the file.
     """
     end = ".bin" if (folder / "images.bin").is_file() else ".txt"
     for name in ("cameras", "images"):
@@ -253,6 +238,16 @@ def _lines(path: Path) -> Iterator[tuple[int, str]]:
             yield number, line.strip()
 
 
+def _rows(path: Path, least: int, what: str) -> Iterator[tuple[int, list[str]]]:
+    """Fields of the lines that are not empty, at least so many."""
+    for line, text in _lines(path):
+        words = text.split()
+        if 0 < len(words) < least:
+            raise _short(path, line, len(words), what)
+        if words:
+            yield line, words
+
+
 def _numbers(words: list[str], path: Path, line: int, what: str) -> np.ndarray:
     try:
         return np.asarray([float(word) for word in words])
@@ -268,12 +263,7 @@ def _short(path: Path, line: int, found: int, what: str) -> ValueError:
 
 def _cameras_text(path: Path) -> dict[int, Lens]:
     result = {}
-    for line, text in _lines(path):
-        if not text:
-            continue
-        words = text.split()
-        if len(words) < 5:
-            raise _short(path, line, len(words), "CAMERA_ID MODEL WIDTH HEIGHT PARAMS[]")
+    for line, words in _rows(path, 5, "CAMERA_ID MODEL WIDTH HEIGHT PARAMS[]"):
         where = f"{path}, line {line},"
         if words[1] not in _MODELS:
             raise _unknown(where, words[1])
@@ -322,12 +312,7 @@ def _all_numbers(words: list[str]) -> bool:
 
 def _points_text(path: Path) -> _Points:
     places, tracks = [], []
-    for line, text in _lines(path):
-        if not text:
-            continue
-        words = text.split()
-        if len(words) < 8:
-            raise _short(path, line, len(words), "POINT3D_ID X Y Z R G B ERROR TRACK[]")
+    for line, words in _rows(path, 8, "POINT3D_ID X Y Z R G B ERROR TRACK[]"):
         values = _numbers(words, path, line, "numbers")
         places.append(values[1:4])
         tracks.append(values[8::2].astype(int))

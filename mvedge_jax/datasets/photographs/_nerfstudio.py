@@ -21,18 +21,9 @@ TRANSFORMS = ("transforms.json", "transforms_train.json")
 
 
 def open_nerfstudio(path: Path) -> PosedSource:
-    """Opens a `transforms.json`.
+    """Opens a `transforms.json`: its photographs in the order of their names.
 
-    Args:
-        path: the file; images are found relative to its folder.
-
-    Returns:
-        Its photographs, in the order of their names.
-
-    Raises:
-        ValueError: the file is no JSON, or lacks frames, poses or intrinsics; a camera model is not
-            handled.
-        FileNotFoundError: an image or the file of the points is missing.
+    Images are found relative to its folder. Errors name the file, and the frame.
     """
     try:
         top = json.loads(path.read_bytes())  # detects the encoding, byte order marks included

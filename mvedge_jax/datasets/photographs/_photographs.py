@@ -95,8 +95,7 @@ def load_photographs(
         images: see there.
         intrinsics: see there.
         names: names of the photographs to load; None for all.
-        around: name of a photograph; with `most`, the photographs most useful for its depth are
-            loaded.
+        around: name of a photograph; with `most`, those most useful for its depth are loaded.
         most: largest number of photographs to load, `around` included.
         scale: shrink the photographs by this factor, at most 1.
         points: if the files have no sparse points, triangulate SIFT features with the known poses.
@@ -182,48 +181,11 @@ def _filled(maps: list[np.ndarray | None], otherwise: np.ndarray) -> np.ndarray 
     return np.stack([otherwise if each is None else each for each in maps])
 
 
-def with_points(photographs: Photographs) -> Photographs:
-    """Adds sparse points to photographs.
-
-    Args:
-        photographs: with known poses.
-
-    Returns:
-        The same with points: SIFT features, matched and triangulated with the poses.
-    """
-    poses, matrices = (
-        np.asarray(values, np.float64) for values in (photographs.poses, photographs.intrinsics)
-    )
-    mask = None if photographs.mask is None else np.asarray(photographs.mask)
-    points, observed = triangulated(np.asarray(photographs.images), poses, matrices, mask)
-    return Photographs(
-        photographs.images,
-        photographs.poses,
-        photographs.intrinsics,
-        points=points,
-        observed=observed,
-        depth=photographs.depth,
-        mask=photographs.mask,
-        names=photographs.names,
-        name=photographs.name,
-        origin=photographs.origin,
-    )
-
-
 def nearby(source: PosedSource, around: str, most: int | None) -> list[str]:
-    """The photographs most useful for the depth of one of them.
+    """Names of the photographs most useful for the depth of one of them, in their order.
 
-    Args:
-        source: see `open_photographs`.
-        around: name of the photograph, with or without its ending.
-        most: largest number, `around` included; None for all.
-
-    Returns:
-        Names, in the order of the source: those that share most points with it or, without
-        observations, those with the nearest cameras among those of similar direction.
-
-    Raises:
-        ValueError: there is no such photograph, or `most` is below 2.
+    At most `most`, `around` included: those that share most points with it or, without
+    observations, those with the nearest cameras among those of similar direction.
     """
     known = [frame.name for frame in source.frames]
     own = _index(known, around, Path(source.layout))

@@ -39,20 +39,10 @@ class Picture(NamedTuple):
 
 
 def read_picture(frame: Frame, depth_unit: float, scale: float) -> Picture:
-    """Reads a photograph.
+    """Reads a photograph, takes out its distortion and shrinks it by `scale`.
 
-    Args:
-        frame: its files and camera.
-        depth_unit: units of the poses per unit of stored depth.
-        scale: shrink it by this factor, at most 1.
-
-    Returns:
-        The photograph without distortion.
-
-    Raises:
-        FileNotFoundError: a file is missing.
-        ValueError: a file is damaged, of another size than the camera or the photograph, or too
-            distorted.
+    Files that are missing, damaged, of another size than the camera or the photograph, or too
+    distorted are errors that name them. `depth_unit` is in units of the poses.
     """
     upright, doubtful = _upright(frame)
     stored, opaque = read_cutout(frame.image, upright=upright)
@@ -126,20 +116,12 @@ def _stored_depth(path: Path) -> np.ndarray:
 
 def _outlined(x: np.ndarray, y: np.ndarray) -> float:
     """Area enclosed by the source positions of an image's border, px."""
-
-    def border(a: np.ndarray) -> np.ndarray:
-        return np.concatenate([a[0], a[1:, -1], a[-1, -2::-1], a[-2:0:-1, 0]]).astype(np.float64)
-
-    a, b = border(x), border(y)
-    return 0.5 * abs(float(np.sum(a * np.roll(b, -1) - np.roll(a, -1) * b)))
+    border = [np.concatenate([a[0], a[1:, -1], a[-1, -2::-1], a[-2:0:-1, 0]]) for a in (x, y)]
+    return cv2.contourArea(np.stack(border, axis=1).astype(np.float32))
 
 
 def _straightened(
-    picture: np.ndarray,
-    depth: np.ndarray | None,
-    opaque: np.ndarray | None,
-    lens: Lens,
-    where: str,
+    picture: np.ndarray, depth: np.ndarray | None, opaque: np.ndarray | None, lens: Lens, where: str
 ) -> tuple[np.ndarray, np.ndarray | None, np.ndarray | None, np.ndarray]:
     """An undistorted photograph, cropped to valid pixels."""
     height, width = picture.shape[:2]

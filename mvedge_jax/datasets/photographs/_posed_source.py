@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Bool, Float
+from scipy.spatial.transform import Rotation
 
 # Cameras that are this many times as far from the origin as from each other lose more than a part
 # in 100,000 of their distances to float32.
@@ -74,12 +75,8 @@ class PosedSource:
 def near_origin(source: PosedSource) -> PosedSource:
     """Moves cameras in a map's coordinates (UTM, geocentric) to the origin, in float64.
 
-    Args:
-        source: the source in the coordinates of its files.
-
-    Returns:
-        The source, with the mean of its cameras subtracted from all positions if they are much
-        farther from the origin than from each other.
+    The mean of the cameras is subtracted from all positions if they are much farther from the
+    origin than from each other.
     """
     if not source.frames:
         return source
@@ -100,22 +97,10 @@ def near_origin(source: PosedSource) -> PosedSource:
 def pinhole(
     fx: float, fy: float, cx: float, cy: float, *, where: str, size: tuple[int, int] | None = None
 ) -> Float[np.ndarray, "3 3"]:
-    """Intrinsics, checked.
+    """Intrinsics, px, centers at integers, checked; errors begin with `where`.
 
-    Args:
-        fx: focal length along x, px.
-        fy: focal length along y, px.
-        cx: principal point, px, centers at integers.
-        cy: likewise.
-        where: the file and camera, for the error.
-        size: `(height, width)`, if known.
-
-    Returns:
-        The matrix.
-
-    Raises:
-        ValueError: values are not finite, focal lengths not positive, or the principal point is
-            farther outside of the frame than the frame is large.
+    Focal lengths must be positive; the principal point may be no farther outside of the frame of a
+    `size` than the frame is large.
     """
     values = np.asarray([fx, fy, cx, cy], np.float64)
     if not np.isfinite(values).all() or min(fx, fy) <= 0:
@@ -134,46 +119,18 @@ def pinhole(
 
 
 def rotation_of(quaternion: Float[np.ndarray, "4"], *, where: str) -> Float[np.ndarray, "3 3"]:
-    """The rotation of a quaternion `(w, x, y, z)`.
-
-    Args:
-        quaternion: of any length but 0; files hold few digits.
-        where: the file and image, for the error.
-
-    Returns:
-        The matrix.
-
-    Raises:
-        ValueError: its length is far from 1.
-    """
+    """The rotation of a quaternion `(w, x, y, z)`, of about unit length: files hold few digits."""
     length = float(np.linalg.norm(quaternion))
     if not 0.9 < length < 1.1:
         raise ValueError(
             f"{where} has a rotation quaternion of length {length:.4g}; expected a unit quaternion."
         )
-    w, x, y, z = quaternion / length
-    return np.asarray(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )
+    # SciPy has the real part last.
+    return Rotation.from_quat(np.roll(quaternion, -1)).as_matrix()
 
 
 def rigid(matrix: Float[np.ndarray, "4 4"], *, where: str) -> Float[np.ndarray, "4 4"]:
-    """A pose, checked.
-
-    Args:
-        matrix: camera to world.
-        where: the file and frame, for the error.
-
-    Returns:
-        The pose with its rotation made exact.
-
-    Raises:
-        ValueError: values are not finite, or the upper left part is no rotation.
-    """
+    """A pose, camera to world, checked, with its rotation made exact; errors begin with `where`."""
     turn = matrix[:3, :3]
     fault = None
     if not np.isfinite(matrix).all():

@@ -1,8 +1,13 @@
 """Sparse points: SIFT features, matched and triangulated with known poses."""
 
+import itertools
+from collections.abc import Iterator
+
 import cv2
 import numpy as np
 from jaxtyping import Bool, Float
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
 
 # A match is kept if the second best is this much farther away (Lowe, 2004).
 _RATIO = 0.75
@@ -21,35 +26,30 @@ def triangulated(
     intrinsics: Float[np.ndarray, "n 3 3"],
     mask: Bool[np.ndarray, "n y x"] | None = None,
 ) -> tuple[Float[np.ndarray, "m 3"], Bool[np.ndarray, "n m"]]:
-    """Finds points that several photographs show.
+    """Points that several photographs without distortion show, and which of them show each.
 
-    Args:
-        images: sRGB in [0, 1], without distortion.
-        poses: camera to world.
-        intrinsics: px.
-        mask: opaque pixels, to which features are restricted.
-
-    Returns:
-        Points in the world, and which photographs show them; none where nothing matches.
+    Features are restricted to the opaque pixels of `mask`.
     """
     features = [
         _features(image, None if mask is None else mask[i]) for i, image in enumerate(images)
     ]
     count = len(images)
-    groups = _Groups([len(place) for place, _ in features])
     cameras = [k @ np.linalg.inv(pose)[:3] for k, pose in zip(intrinsics, poses, strict=True)]
-    for i in range(count):
-        for j in range(i + 1, count):
-            line = _fundamental(poses[i], intrinsics[i], poses[j], intrinsics[j])
-            for a, b in _matches(features[i], features[j], line):
-                groups.join((i, a), (j, b))
+    # Features are numbered through all photographs.
+    everywhere = np.concatenate([place for place, _ in features])
+    first = np.cumsum([0, *(len(place) for place, _ in features)])
+    pairs = [np.zeros((0, 2), int)]
+    for i, j in itertools.combinations(range(count), 2):
+        line = _fundamental(poses[i], intrinsics[i], poses[j], intrinsics[j])
+        found = np.asarray(_matches(features[i], features[j], line), int).reshape(-1, 2)
+        pairs.append(found + first[[i, j]])
     points, seen = [], []
-    for members in groups.found():
-        views = [view for view, _ in members]
+    for members in _groups(np.concatenate(pairs), len(everywhere)):
+        views = (np.searchsorted(first, members, side="right") - 1).tolist()
         # Two features of one photograph in a group: something in it is wrong.
         if len(set(views)) < len(views):
             continue
-        places = np.stack([features[view][0][k] for view, k in members])
+        places = everywhere[members]
         point = _triangulate(places, [cameras[view] for view in views])
         if _good(point, places, views, cameras, poses):
             points.append(point)
@@ -155,30 +155,13 @@ def _good(
     return bool(np.arccos(np.clip((rays @ rays.T).min(), -1, 1)) > _ANGLE)
 
 
-class _Groups:
-    """Features that are the same point, by union of matches."""
-
-    def __init__(self, counts: list[int]):
-        self.start = np.concatenate([[0], np.cumsum(counts)])
-        self.parent = list(range(int(self.start[-1])))
-
-    def _root(self, i: int) -> int:
-        while self.parent[i] != i:
-            self.parent[i] = self.parent[self.parent[i]]
-            i = self.parent[i]
-        return i
-
-    def join(self, a: tuple[int, int], b: tuple[int, int]) -> None:
-        first, second = (self._root(int(self.start[view]) + k) for view, k in (a, b))
-        self.parent[second] = first
-
-    def found(self) -> list[list[tuple[int, int]]]:
-        """Groups of two or more, as (view, feature)."""
-        groups: dict[int, list[int]] = {}
-        for i in range(len(self.parent)):
-            groups.setdefault(self._root(i), []).append(i)
-        several = [members for members in groups.values() if len(members) > 1]
-        views = np.searchsorted(self.start, np.arange(len(self.parent)), side="right") - 1
-        return [
-            [(int(views[i]), i - int(self.start[views[i]])) for i in members] for members in several
-        ]
+def _groups(pairs: np.ndarray, count: int) -> Iterator[np.ndarray]:
+    """Numbers of features that are the same point, by their matches; each in order."""
+    if not len(pairs):
+        return
+    matches = coo_matrix((np.ones(len(pairs), bool), pairs.T), shape=(count, count))
+    group = connected_components(matches, directed=False)[1]
+    order = np.argsort(group, kind="stable")
+    for members in np.split(order, np.flatnonzero(np.diff(group[order])) + 1):
+        if len(members) > 1:
+            yield members

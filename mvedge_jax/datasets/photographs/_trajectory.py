@@ -27,25 +27,12 @@ def find_trajectory(folder: Path) -> Path | None:
 def open_trajectory(
     path: Path, images: Path | None, intrinsics: Sequence[float] | None
 ) -> PosedSource:
-    """Opens a list of poses and the photographs beside it.
+    """Opens a list of poses and the photographs beside it, or in `images`, ordered by name.
 
     Redwood's form gives each pose as a line of numbers and a 4x4 matrix, in the order of the
     images' names. TUM's gives `time x y z qx qy qz qw` in a line; `rgb.txt` or the images' names
-    say their times. Beside an image `NAME.jpg`, `depth_NAME.png` is its true depth.
-
-    Args:
-        path: the list.
-        images: folder of the photographs; None for that of the list.
-        intrinsics: `(fx, fy, cx, cy)` in px, centers of pixels at integers; None to read them from
-            a camera file beside the list.
-
-    Returns:
-        The photographs, in the order of their names.
-
-    Raises:
-        ValueError: a list or camera file is malformed, poses and images do not match, intrinsics
-            are not known.
-        FileNotFoundError: a file is missing.
+    say their times. Beside an image `NAME.jpg`, `depth_NAME.png` is its true depth. `intrinsics`
+    `(fx, fy, cx, cy)` are px, centers of pixels at integers; None reads them from a camera file.
     """
     folder = path.parent if images is None else images
     lens = Lens(None, _intrinsics(path.parent, intrinsics))

@@ -17,11 +17,7 @@ _CUTOUTS: tuple[Cutout, ...] = ("holes", "slats", "leaves")
 
 @dataclass(frozen=True)
 class Dice:
-    """Random choices.
-
-    Attributes:
-        rng: where they come from.
-    """
+    """Random choices, by a generator of NumPy."""
 
     rng: np.random.Generator
 
@@ -61,9 +57,7 @@ class Room(NamedTuple):
 def material(dice: Dice, theme: Material | None = None) -> Material:
     """A surface: from plain paint to fine texture, perhaps with a pattern, gloss or a mirror.
 
-    Args:
-        dice: random choices.
-        theme: a surface that some others are made of as well.
+    Some are made of the `theme`.
     """
     if theme is not None and dice.chance(0.12):
         return theme
@@ -112,15 +106,9 @@ def _two_colors(dice: Dice) -> tuple[Triple, Triple]:
 
 
 def background(dice: Dice, far: float, near: float) -> tuple[list[Solid], Room]:
-    """A wall behind everything, perhaps a floor, side walls, a ceiling or slanted walls.
+    """A wall at a disparity, perhaps a floor, side walls, a ceiling or slanted walls.
 
-    Args:
-        dice: random choices.
-        far: disparity of the wall.
-        near: disparity that nothing exceeds.
-
-    Returns:
-        The solids, and where objects may stand.
+    Nothing exceeds the disparity `near`. Returns the solids, and where objects may stand.
     """
     theme = material(dice)
     solids = [place.wall(far, theme if dice.chance(0.3) else material(dice))]
@@ -170,15 +158,7 @@ def _column(dice: Dice, far: float, near: float, surface: Material) -> Solid:
 
 
 def thing(dice: Dice, room: Room) -> list[Solid]:
-    """An object, or a few that belong together.
-
-    Args:
-        dice: random choices.
-        room: where it may stand.
-
-    Returns:
-        Its solids.
-    """
+    """The solids of an object, or of a few that belong together."""
     weights = np.asarray([2.0 if kind in (_ball, _chest) else 1.0 for kind in _KINDS])
     kind = _KINDS[int(dice.rng.choice(len(_KINDS), p=weights / weights.sum()))]
     share = dice.even(0.08, 0.97) ** dice.even(0.8, 1.4)

@@ -138,23 +138,12 @@ def _may_hit(bundle: _Bundle, solids: Solids, i: Array) -> Array:
 
 
 def intersect(
-    solids: Solids,
-    origin: Vector,
-    direction: Vector,
+    solids: Solids, origin: Vector, direction: Vector
 ) -> tuple[Float[Array, " r"], Int[Array, " r"]]:
-    """The nearest solid in front of each ray.
+    """The nearest solid in front of each ray: distance in units of `direction`, and index.
 
-    Solids that the rays pass by as a whole are skipped: rays through a small tile of the picture
-    are quick.
-
-    Args:
-        solids: what is there.
-        origin: where the rays start, metres, by component.
-        direction: where they go, by component, of any length.
-
-    Returns:
-        The distance in units of `direction`, infinite where nothing is hit, and the index of the
-        solid, -1 where nothing is hit.
+    Infinite and -1 where nothing is hit. Solids that the rays pass by as a whole are skipped: rays
+    through a small tile of the picture are quick.
     """
     bundle = _bundle(origin, direction)
 
@@ -181,26 +170,12 @@ def intersect(
 
 
 def intersect_and_shadow(
-    solids: Solids,
-    origin: Vector,
-    direction: Vector,
-    lamp: Vector,
-    shadows: Bool[Array, ""],
+    solids: Solids, origin: Vector, direction: Vector, lamp: Vector, shadows: Bool[Array, ""]
 ) -> tuple[Float[Array, " r"], Int[Array, " r"], Bool[Array, " r"]]:
-    """The nearest solid on each ray, and whether the lamp is hidden from there.
+    """As `intersect`, and where something hides the lamp, whose direction is given per ray.
 
     Both passes go through one loop, which halves the compile time; without shadows the second does
     not run.
-
-    Args:
-        solids: what is there.
-        origin: where the rays start, metres, by component.
-        direction: where they go, by component, of any length.
-        lamp: towards the lamp, per ray, by component.
-        shadows: whether to look for shadows.
-
-    Returns:
-        Distance and index as from `intersect`, and where there is something before the lamp.
     """
     zero = jnp.zeros_like(direction[0])
     start = tuple(o + zero for o in origin)

@@ -81,10 +81,7 @@ def make_world(
         dtype: floating dtype of the arrays, hence of the renderings.
 
     Returns:
-        What the ray caster reads; give it cameras with `make_scene`.
-
-    Raises:
-        ValueError: without solids.
+        What the ray caster reads; give it cameras with `make_scene`. A ValueError without solids.
 
     Example:
         >>> from mvedge_jax.datasets import synthetic
@@ -159,7 +156,7 @@ def make_scene(
         name: what to call it.
 
     Returns:
-        A scene for `render` and `render_posed`.
+        A scene for `render`.
 
     Raises:
         ValueError: if a number is out of its range.

@@ -26,14 +26,7 @@ def _mix(bits: Array) -> Array:
 
 
 def hash_unit(i: Array, j: Array, seed: Array, dtype: Any) -> Array:
-    """A pseudo-random number in [0, 1) for each pair of lattice indices.
-
-    Args:
-        i: first lattice index, an integer held as a float.
-        j: second lattice index.
-        seed: int32, any value.
-        dtype: floating dtype of the result.
-    """
+    """A pseudo-random number in [0, 1) for each pair of lattice indices, held as floats."""
     bits = i.astype(jnp.int32).astype(jnp.uint32) * jnp.uint32(0x9E3779B1)
     bits = bits + j.astype(jnp.int32).astype(jnp.uint32) * jnp.uint32(0x85EBCA77)
     bits = _mix(bits + (seed.astype(jnp.uint32) * jnp.uint32(0xC2B2AE3D)))
@@ -45,11 +38,7 @@ def gradient_noise(point: Vector, seed: Int[Array, "*s"]) -> Float[Array, "*s"]:
 
     A random gradient sits on each integer point; the value is the quintic blend of the linear
     functions of the eight corners: twice continuously differentiable, spectrum centred on one
-    cycle per one to two cells.
-
-    Args:
-        point: three coordinates, any equal shapes.
-        seed: int32; each seed is another noise.
+    cycle per one to two cells. Each seed is another noise.
     """
     dtype = point[0].dtype
     cell = [jnp.floor(p) for p in point]
@@ -94,15 +83,9 @@ def fractal_noise(
     """Sums octaves of gradient noise up to what a pixel resolves, like the 1/f of natural images.
 
     Octave `o` has `frequency * 1.93**o` cells per unit and the amplitude `gain**o`. It fades out as
-    its cells shrink from 5 to 2.5 pixels, so the picture is band-limited at any resolution, and
-    since the footprint belongs to the surface point, views of one rig agree on it.
-
-    Args:
-        point: three coordinates, any unit.
-        frequency: cells per unit in the coarsest octave.
-        gain: amplitude of an octave relative to the next coarser one, in (0, 1).
-        footprint: width of a pixel on the surface, in that unit.
-        seed: int32; each seed is another noise.
+    its cells shrink from 5 to 2.5 pixels, of the width `footprint`, so the picture is band-limited
+    at any resolution, and since the footprint belongs to the surface point, views of one rig agree
+    on it.
     """
     finest = jnp.max(1.0 / (frequency * footprint * _EMPTY_CELL))
     count = jnp.ceil(jnp.log(jnp.maximum(finest, 1.0)) / math.log(_LACUNARITY))

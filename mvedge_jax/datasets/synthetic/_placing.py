@@ -21,12 +21,7 @@ def metres(fraction: float, disparity: float) -> float:
 
 
 def card(
-    x: float,
-    y: float,
-    disparity: float,
-    size: tuple[float, float],
-    material: Material,
-    **options,
+    x: float, y: float, disparity: float, size: tuple[float, float], material: Material, **options
 ) -> Solid:
     """A plane placed and sized in picture widths."""
     extent = (metres(size[0], disparity), metres(size[1], disparity))

@@ -1,13 +1,12 @@
-"""Rendering: a grid of views, or posed photographs, with exact disparity, depth and ids."""
+"""Rendering: a grid of views with exact disparity and ids."""
 
 import concurrent.futures
 import os
 from collections.abc import Callable
-from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
+from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
 from mvedge_jax._positions import check_positions
 from mvedge_jax.lightfield import GroundTruth, LightField
@@ -16,25 +15,7 @@ from ._trace import Mode, Pinhole, mode_of, sees, trace_view
 from .world import Scene
 
 
-class PosedViews(NamedTuple):
-    """Photographs with known poses: what multi-view stereo starts from.
-
-    Attributes:
-        images: sRGB in [0, 1].
-        depth: distance along the optical axis of the pixel centres, metres; infinite for the sky.
-        object_ids: what the pixel centres see; 0 for the sky.
-        poses: camera to world; x right, y down, z forward.
-        intrinsics: `[[fx, 0, cx], [0, fy, cy], [0, 0, 1]]`, px.
-    """
-
-    images: Float[Array, "n y x 3"]
-    depth: Float[Array, "n y x"]
-    object_ids: Int[Array, "n y x"]
-    poses: Float[Array, "n 4 4"]
-    intrinsics: Float[Array, "n 3 3"]
-
-
-def _trace_views(
+def trace_views(
     scene: Scene,
     pinholes: list[Pinhole],
     mode: Mode,
@@ -68,22 +49,22 @@ def _trace_views(
     return images, depth, ids
 
 
-def _check_shape(shape: tuple[int, ...], names: str) -> None:
+def check_shape(shape: tuple[int, ...], names: str) -> None:
     if len(shape) != len(names.split(", ")) or not all(
         isinstance(n, int | np.integer) and n > 0 for n in shape
     ):
         raise ValueError(f"`shape` must be positive integers ({names}), got {shape}.")
 
 
-def _check_samples(samples: int) -> None:
+def check_samples(samples: int) -> None:
     if not 1 <= samples <= 16:
         raise ValueError(f"`samples` must be between 1 and 16 per side of a pixel, got {samples}.")
 
 
 def check_grid(shape: tuple[int, ...], samples: int) -> tuple[int, int, int, int]:
-    """Refuses what `render` can't; the shape in Python's integers."""
-    _check_shape(shape, "view rows, view columns, height, width")
-    _check_samples(samples)
+    """Refuses what `render` cannot; the shape in Python's integers."""
+    check_shape(shape, "view rows, view columns, height, width")
+    check_samples(samples)
     rows, columns, height, width = (int(n) for n in shape)
     if rows % 2 == 0 or columns % 2 == 0:
         raise ValueError(
@@ -141,13 +122,12 @@ def render(
         key: draws the sensor's noise; the same key gives the same pictures.
 
     Returns:
-        A light field in the dtype of the scene, with the full `truth`, the exact `camera`
-        and the disparity range. Object id 0 is the sky, whose disparity is that of infinity.
-        Not differentiable: tracing the solids is a loop of data-dependent length.
+        A light field in the dtype of the scene, with the full `truth`, the exact `camera` and the
+        disparity range. Object id 0 is the sky, whose disparity is that of infinity. Not
+        differentiable.
 
     Raises:
-        ValueError: if a size is not a positive integer, the number of view rows or columns is
-            even, positions are none of rows and columns of views, or `samples` is not in 1..16.
+        ValueError: a size, positions or `samples` are out of range, or view rows or columns even.
 
     Example:
         >>> import jax
@@ -171,7 +151,7 @@ def render(
         places = [(x, y) for x, y in given.reshape(-1, 2).tolist()]
     pinholes = [grid_pinhole(scene, shape, place) for place in places]
     mode = mode_of(scene, (height, width), samples)
-    images, depth, ids = _trace_views(scene, pinholes, mode, progress, key)
+    images, depth, ids = trace_views(scene, pinholes, mode, progress, key)
     # Moved into JAX one by one: what is held twice is one array at a time.
     views = jnp.asarray(images.reshape(*shape, 3))
     del images
@@ -198,68 +178,6 @@ def render(
     )
 
 
-def render_posed(
-    scene: Scene,
-    poses: Float[Array, "n 4 4"] | np.ndarray,
-    intrinsics: Float[Array, "n 3 3"] | Float[Array, "3 3"] | np.ndarray,
-    *,
-    size: tuple[int, int],
-    samples: int = 3,
-    progress: Callable[[int, int], None] | None = None,
-    key: PRNGKeyArray,
-) -> PosedViews:
-    """Renders photographs from anywhere, for multi-view stereo.
-
-    Args:
-        scene: what to photograph; metres, in the frame of the light field's centre camera.
-        poses: camera to world, rigid; x right, y down, z forward.
-        intrinsics: `[[fx, 0, cx], [0, fy, cy], [0, 0, 1]]` in px, for each view or for all.
-        size: height and width, px.
-        samples: as for `render`.
-        progress: as for `render`.
-        key: draws the sensor's noise.
-
-    Returns:
-        Images, depth and object ids of the pixel centres, poses and intrinsics (one per view).
-
-    Raises:
-        ValueError: if a shape, a rotation or a size is wrong.
-    """
-    dtype = np.dtype(scene.world.solids.centre.dtype)
-    pose = np.asarray(poses, np.float64)
-    if pose.ndim != 3 or pose.shape[1:] != (4, 4):
-        raise ValueError(f"`poses` must have the shape [n, 4, 4], got {pose.shape}.")
-    turn = pose[:, :3, :3]
-    if not np.allclose(turn @ turn.transpose(0, 2, 1), np.eye(3), atol=1e-4):
-        raise ValueError("`poses` must be rigid (orthonormal rotations), got something else.")
-    matrix = np.asarray(intrinsics, np.float64)
-    if matrix.shape not in ((3, 3), (len(pose), 3, 3)):
-        raise ValueError(
-            f"`intrinsics` must have the shape [3, 3] or [{len(pose)}, 3, 3], got {matrix.shape}."
-        )
-    matrix = np.broadcast_to(matrix, (len(pose), 3, 3))
-    _check_shape(size, "height, width")
-    _check_samples(samples)
-    pinholes = [
-        Pinhole(
-            p[:3, 3].astype(dtype),
-            p[:3, :3].astype(dtype),
-            np.asarray([k[0, 0], k[1, 1]], dtype),
-            np.asarray([k[0, 2], k[1, 2]], dtype),
-        )
-        for p, k in zip(pose, matrix, strict=True)
-    ]
-    mode = mode_of(scene, (int(size[0]), int(size[1])), samples)
-    images, depth, ids = _trace_views(scene, pinholes, mode, progress, key)
-    return PosedViews(
-        jnp.asarray(images),
-        jnp.asarray(depth),
-        jnp.asarray(ids),
-        jnp.asarray(pose.astype(dtype)),
-        jnp.asarray(matrix.astype(dtype)),
-    )
-
-
 def visibility(
     scene: Scene,
     *,
@@ -281,7 +199,7 @@ def visibility(
     Raises:
         ValueError: if a view is outside of the grid.
     """
-    _check_shape(shape, "view rows, view columns, height, width")
+    check_shape(shape, "view rows, view columns, height, width")
     for name, (v, u) in (("source", source), ("target", target)):
         if not (0 <= v < shape[0] and 0 <= u < shape[1]):
             raise ValueError(

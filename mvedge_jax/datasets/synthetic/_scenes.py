@@ -232,10 +232,6 @@ def scene_names() -> tuple[str, ...]:
 
     Returns:
         Names, the all-round `demo` first.
-
-    Example:
-        >>> "thin" in scene_names()
-        True
     """
     return tuple(_RECIPES)
 
@@ -263,7 +259,7 @@ def scene(name: str, *, dtype: Any = jnp.float32, key: PRNGKeyArray | None = Non
         key: draws another set of textures; without it the scene is always the same.
 
     Returns:
-        A scene for `render` and `render_posed`.
+        A scene for `render`.
 
     Raises:
         ValueError: if there is no scene of this name.

@@ -109,13 +109,10 @@ def _windows(direction: Vector) -> Array:
 
 
 class _Hit(NamedTuple):
-    """Where rays meet solids: in the solid's own coordinates, where its texture lives.
+    """Where rays meet solids.
 
-    Attributes:
-        local: the point, of the solid.
-        normal: towards the camera, of the world.
-        u: place on the surface, metres.
-        v: likewise.
+    `local` is the point in the solid's own coordinates, where its texture lives; the normal points
+    towards the camera; `u`, `v` is the place on the surface, metres.
     """
 
     local: Float[Array, "3 r"]
@@ -185,18 +182,10 @@ def shade(
     """Light that comes back along rays, linear RGB.
 
     Loops over the three components stand where XLA would otherwise fuse the whole of the shading
-    into each of them and compute it three times.
-
-    Args:
-        world: solids, surfaces and light.
-        origin: where the rays start, metres, by component.
-        direction: where they go, by component, any length.
-        distance: where they hit, in units of `direction`; infinite where they miss.
-        index: what they hit; -1 where they miss.
-        footprint: width of a pixel at that distance, metres.
-        axis: the camera's optical axis; textures are filtered by the slant towards it, not
-            towards the ray, so that the views of a rig agree.
-        visible: how much of the lamp's light arrives.
+    into each of them and compute it three times. `distance` and `index` are those of `intersect`,
+    `footprint` is the width of a pixel there, metres, `visible` how much of the lamp's light
+    arrives. Textures are filtered by the slant towards the camera's `axis`, not towards the ray, so
+    that the views of a rig agree.
     """
     light = world.light
     missed = index < 0
@@ -216,11 +205,7 @@ def shade(
     seed = world.surfaces.seed + 31 * index
     grain = hit.local / look.stretch
     noise = fractal_noise(
-        (grain[0], grain[1], grain[2]),
-        look.frequency,
-        look.gain,
-        footprint,
-        seed,
+        (grain[0], grain[1], grain[2]), look.frequency, look.gain, footprint, seed
     )
     mask, cell = _pattern(look, seed, hit.u, hit.v, footprint)
     blend = jnp.clip(0.5 + 0.75 * look.contrast * noise, 0.0, 1.0)

@@ -150,16 +150,7 @@ def trace_view(
         visible = jnp.where(hidden, 1.0 - light.shadow, 1.0)
         direction = (direction[0][:shaded], direction[1][:shaded], direction[2][:shaded])
         footprint = jnp.where(hit < 0, 1.0, distance) / pinhole.focal.min()
-        colour = shade(
-            world,
-            origin,
-            direction,
-            distance,
-            hit,
-            footprint,
-            axis,
-            visible,
-        )
+        colour = shade(world, origin, direction, distance, hit, footprint, axis, visible)
         return colour.reshape(3, per_pixel, tall, wide).mean(1), depth, index
 
     def picture(tiles: Array) -> Array:

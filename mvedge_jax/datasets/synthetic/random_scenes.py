@@ -34,11 +34,9 @@ def random_scene(
 
     Backgrounds are walls, floors, side walls, ceilings and slanted planes; objects are balls, piles
     of boxes, cards, screens with holes, bars and plants. Surfaces reach from plain paint to fine
-    texture; some are glossy or mirror the surroundings. There are one to three lamps, the first of
-    which casts shadows in most scenes. Sensors have 8 or 10 bits, noise and blur, and some have
-    vignettes and gains of their own in every view.
-
-    All scenes share one compiled renderer per size of the views.
+    texture; some are glossy or mirror the surroundings. There are one to three lamps. Sensors have
+    8 or 10 bits, noise and blur, and some have vignettes and gains of their own in every view. All
+    scenes share one compiled renderer per size of the views.
 
     Args:
         split: scenes of one key are unrelated between splits.
@@ -48,7 +46,7 @@ def random_scene(
         key: of everything that is drawn.
 
     Returns:
-        A scene for `render` and `render_posed`. All that its views show lies within its range.
+        A scene for `render`. All that its views show lies within its range.
 
     Raises:
         ValueError: there is no such split, or the range is empty or not finite.

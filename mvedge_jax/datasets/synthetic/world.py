@@ -220,16 +220,7 @@ class Scene(eqx.Module):
     name: str = eqx.field(static=True)
 
     def spaced(self, baseline: float) -> "Scene":
-        """The same scene seen by cameras that are farther apart: all disparities grow.
-
-        Args:
-            baseline: distance between neighboring cameras over that of the scene, positive.
-
-        Returns:
-            The scene; its disparity range has grown as well.
-
-        Raises:
-            ValueError: the baseline is not positive or not finite.
+        """The same scene seen by cameras farther apart by a positive factor: all disparities grow.
 
         Example:
             >>> from mvedge_jax.datasets import synthetic
@@ -244,19 +235,7 @@ class Scene(eqx.Module):
     def through_lenses(
         self, *, vignette: float = 0.4, vignette_shift: float = 0.05, gain: float = 0.02
     ) -> "Scene":
-        """The same scene seen by lenses of uneven brightness, which are drawn with the noise.
-
-        Args:
-            vignette: see `Sensor`.
-            vignette_shift: see `Sensor`.
-            gain: see `Sensor`.
-
-        Returns:
-            The scene.
-
-        Raises:
-            ValueError: if a number is out of its range.
-        """
+        """The same scene seen by lenses of uneven brightness, see `Sensor`."""
         given = {"vignette": vignette, "vignette_shift": vignette_shift, "gain": gain}
         for label, value in given.items():
             if not 0 <= value <= 1:

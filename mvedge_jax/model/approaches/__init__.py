@@ -5,4 +5,3 @@ from ._by_evidence import ByEvidence as ByEvidence
 from ._by_reprojection import ByReprojection as ByReprojection
 from ._evidence import ViewAgreement as ViewAgreement
 from ._polish import Bending as Bending, polish as polish
-from ._relocate import StepRelocation as StepRelocation, relocate_steps as relocate_steps

@@ -20,7 +20,6 @@ from ..optimisation._state import State
 from ._approach import Approach, Prepared, explained
 from ._evidence import ViewAgreement, agreed_correction
 from ._polish import Bending, polish
-from ._relocate import StepRelocation, relocate_steps
 
 
 class ByEvidence(Approach):
@@ -36,41 +35,29 @@ class ByEvidence(Approach):
         fit: fit of the model to the first map, which adds a tenth of the points.
         evidence: parameters of the measured correction.
         polish: polishing of the map, before and after.
-        relocate: relocation of the first map's depth steps, for points with inaccurate positions;
-            those of `EdgeDepth` do not need it.
         rates: learning rates.
         iterations: number of iterations until convergence at these rates.
         features: image features compared in the verdict, which does not affect the result.
 
     Example:
-        >>> ByEvidence(relocate=StepRelocation()).features
+        >>> ByEvidence(iterations=20).features
         Colours()
     """
 
     fit: StartFit = eqx.field(default_factory=StartFit)
     evidence: ViewAgreement = eqx.field(default_factory=ViewAgreement)
     polish: Bending = eqx.field(default_factory=Bending)
-    relocate: StepRelocation | None = None
     rates: Rates = eqx.field(default_factory=Rates.evidence)
     iterations: int = eqx.field(static=True, default=12)
     features: Features = eqx.field(default_factory=Colours)
 
     def prepare(self, light_field: LightField, start: Start, renderer: Renderer) -> Prepared:
-        """Fits the model to the polished first map and measures the correction by the views.
+        """Fits the model to the polished first map and measures the correction by all views.
 
-        Args:
-            light_field: all of its views are read.
-            start: see `Start`.
-            renderer: of the model.
-
-        Returns:
-            Model and objective. The map of the start is the rendering of the fitted model. Its
-            difference from `base`, which the model cannot reproduce, is not corrected.
+        What the model cannot reproduce of `base` is not corrected.
         """
         views = gather_views(light_field, choice=all_views(light_field))
-        given = first = start.disparity
-        if self.relocate is not None:
-            first = relocate_steps(first, views.centre, self.relocate)
+        first = start.disparity
         base = polish(first, self.polish)
         start = fit_to_map(start._replace(disparity=base), self.fit, renderer)
         rendered = compiled_render(start.model, renderer, start=base).disparity
@@ -79,11 +66,9 @@ class ByEvidence(Approach):
         correction = agreed_correction(views, base, self.evidence, radius=reach)
         trust = trust_labels(start, weight=0.0, label=self.evidence.largest)
         known = jnp.ones(base.shape, bool)
-        # Corrections are thousandths of a pixel.
-        blunt = jnp.asarray(0.001)
         target = rendered + correction.change
-        goal = Supervised(target, known, trust, renderer, blunt=blunt)
-        return Prepared(start._replace(disparity=rendered), given, base, goal, correction)
+        goal = Supervised(target, known, trust, renderer)
+        return Prepared(start._replace(disparity=rendered), first, base, goal, correction)
 
     def finish(
         self, light_field: LightField, prepared: Prepared, state: State
@@ -92,14 +77,6 @@ class ByEvidence(Approach):
 
         A pixel's change is clipped so that it is nearer to the measured correction than no change.
         This prevents errors beside depth edges, which a model of points reproduces worst.
-
-        Args:
-            light_field: its views validate the result.
-            prepared: from `prepare`.
-            state: of the optimization.
-
-        Returns:
-            The map, px per view step, and the verdict, which always keeps it.
         """
         goal, rendered, correction = (
             prepared.objective,

@@ -25,9 +25,8 @@ class ByReprojection(Approach):
     """Minimizes the reprojection error of every second view of the crosshair.
 
     The other half validates: unless the optimization lowers their error by `margin`, its result is
-    dropped. On cotton the true map explains the views 0.7 % worse than that of `EdgeDepth`, and
-    every optimization that lowered the error by less than a tenth made the map worse: gloss,
-    blurred image edges and bilinear interpolation cause a bias of that size.
+    dropped. On cotton every optimization that lowered the error by less than a tenth made the map
+    worse: gloss, blurred image edges and bilinear interpolation cause a bias of that size.
 
     Attributes:
         fit: fit of the model to the first map, which adds a tenth of the points; None if the
@@ -47,8 +46,7 @@ class ByReprojection(Approach):
     Raises:
         ValueError: `subset` is below 1.
 
-    Source:
-        Thesis 7.1.4, Eq. 7.15-7.16.
+    Source: Thesis 7.1.4, Eq. 7.15-7.16.
 
     Example:
         >>> ByReprojection(subset=2).margin.item()
@@ -71,44 +69,20 @@ class ByReprojection(Approach):
         check_subset(self.subset)
 
     def prepare(self, light_field: LightField, start: Start, renderer: Renderer) -> Prepared:
-        """Fits the model to the first map.
-
-        Args:
-            light_field: its crosshair of views is read.
-            start: see `Start`.
-            renderer: of the model.
-
-        Returns:
-            Model and objective.
-        """
+        """Fits the model to the first map."""
         if self.fit is not None:
             start = fit_to_map(start, self.fit, renderer)
         trust = trust_labels(start, weight=self.prior, label=self.label)
         training, _ = crosshair_halves(light_field)
         goal = SelfSupervised(
-            training,
-            trust,
-            renderer,
-            self.weights,
-            self.features,
-            self.subset,
-            self.similarity,
+            training, trust, renderer, self.weights, self.features, self.subset, self.similarity
         )
         return Prepared(start, start.disparity, start.disparity, goal)
 
     def finish(
         self, light_field: LightField, prepared: Prepared, state: State
     ) -> tuple[Float[Array, "y x"], Verdict]:
-        """The first map plus, if the held-out views confirm it, the change of the model; polished.
-
-        Args:
-            light_field: its crosshair of views is read.
-            prepared: from `prepare`.
-            state: of the optimization.
-
-        Returns:
-            The map, px per view step, and the verdict on the change before it was polished.
-        """
+        """The first map plus the change of the model, if held-out views confirm it; polished."""
         before, goal = prepared.first, prepared.objective
         # The model's error in rendering the first map cancels.
         changed, same = (

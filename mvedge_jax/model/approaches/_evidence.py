@@ -70,25 +70,16 @@ def agreed_correction(
     passes: int = 2,
     margin: int = 5,
 ) -> Correction:
-    r"""Corrects a map as far as held-out views confirm it.
+    r"""Corrects a map, px per view step, as far as held-out views confirm it.
 
     The views are split like a chessboard. Each half proposes a correction u, diffused within
     surfaces. The accepted share of u is the one that explains the other half's measurement m best
-    in the region around,
-    $\alpha = \sum w\,m\,u / \sum w\,u^2$, within [0, 1]. Noise is not confirmed and vanishes,
-    without a threshold. The result is the mean of both halves.
+    in the region around, $\alpha = \sum w\,m\,u / \sum w\,u^2$, within [0, 1]. Noise is not
+    confirmed and vanishes, without a threshold. The result is the mean of both halves; one without
+    views proposes and confirms nothing.
 
-    Args:
-        views: all available views. A half without views proposes and confirms nothing.
-        disparity: the map, px per view step, finite.
-        params: see `ViewAgreement`.
-        radius: largest distance of occluders, px.
-        passes: passes over the neighborhood, see `labels`.
-        margin: distance from a depth step within which pixels are not measured, px, because their
-            windows reach across it.
-
-    Returns:
-        The correction and its confirmed share.
+    Pixels within `margin` of a depth step are not measured, because their windows reach across it;
+    `radius` is the largest distance of occluders, px.
     """
     params = cast(params, disparity.dtype)
     lab = jnp.moveaxis(srgb_to_lab(jnp.moveaxis(views.centre, 0, -1)), -1, 0)

@@ -37,20 +37,12 @@ class Bending(eqx.Module):
 def bending(
     disparity: Float[Array, "y x"], guide: Float[Array, "y x"], params: Bending
 ) -> Float[Array, ""]:
-    r"""Bending energy of a map within surfaces.
+    r"""Bending energy of a map within surfaces: zero for planes of any slope.
 
     $$ \sum \frac{1}{b} \left(\sqrt{q^2 + b^2} - b\right) $$
 
     over the second differences q along x, along y and (twice) mixed, of stencils that no step of
-    `guide` crosses. Zero for planes of any slope.
-
-    Args:
-        disparity: the map.
-        guide: the map whose steps separate surfaces; no gradient.
-        params: `bend` and `step`.
-
-    Returns:
-        The sum over the image.
+    `guide`, which has no gradient, crosses.
     """
     params = cast(params, disparity.dtype)
     guide = jax.lax.stop_gradient(guide)

@@ -1,7 +1,6 @@
 """The optimization loop: state, steps, and strategies between them (Thesis 7.1.4)."""
 
 from ._grow import Growth as Growth
-from ._least_squares import minimise_least_squares as minimise_least_squares
 from ._optimise import (
     FixedPoints as FixedPoints,
     History as History,

@@ -8,8 +8,14 @@ from jaxtyping import Array, Float, Int
 from mvedge_jax._compiler import lean_jit
 from mvedge_jax._params import cast, number
 
-from .._capacity import with_capacity, without_free_places
-from .._model import DepthModel, Renderer, opacities, splat_model
+from .._model import (
+    DepthModel,
+    Renderer,
+    opacities,
+    splat_model,
+    with_capacity,
+    without_free_places,
+)
 from ..objectives import Objective, SelfSupervised, Supervised
 from ._optimise import Grown, Plan, Strategy
 from ._routine import Routine
@@ -19,10 +25,9 @@ from ._state import State, parts_of, settled_moments, with_parts
 class Growth(Strategy):
     """Relocates inactive points to pixels of large error, and adds new ones there.
 
-    Gradients move a point by a few pixels, the extent of its visible label. They bring no point to
-    surfaces without a detected one (flat surfaces, slivers between objects, the holes of a
-    perforated panel), while points hidden by nearer ones are inactive. Every round moves such
-    points to the worst pixels. The number of points stays the same unless the model has free
+    Gradients move a point by a few pixels and bring none to surfaces without a detected one (flat
+    surfaces, slivers, holes), while points hidden by nearer ones are inactive. Every round moves
+    such points to the worst pixels. The number of points stays the same unless the model has free
     slots, which are filled first. The error needs a known map, so the objective must be
     `Supervised`. The defaults were chosen on the synthetic scenes "textureless" and "thin".
 
@@ -39,8 +44,7 @@ class Growth(Strategy):
     Raises:
         ValueError: `rounds` or `count` is below 1, `extra` below 0, or `until` outside [0, 1].
 
-    Source:
-        Named as future work in thesis 8.1.1; `experiments/figure_7_10.py` measures it.
+    Source: Named as future work in thesis 8.1.1; `experiments/figure_7_10.py` measures it.
 
     Example:
         >>> Growth(extra=500).rounds
@@ -96,17 +100,10 @@ class Growth(Strategy):
 
 
 def usefulness(model: DepthModel, renderer: Renderer) -> Float[Array, "n"]:
-    """Data weight that each point contributes to the map, in raster pixels.
+    """Data weight that each point contributes to the map, in raster pixels: Σ w λ T.
 
     A visible point contributes about `exp(-R)` times 1.4; a hidden one contributes hardly anything
-    and has hardly any gradient.
-
-    Args:
-        model: the points.
-        renderer: of the model.
-
-    Returns:
-        Σ over pixels of w λ T; zero for free slots.
+    and has hardly any gradient; a free slot has 0.
     """
     weight = jnp.exp(-model.log_weight)
     opacity = opacities(model, renderer)
@@ -120,15 +117,9 @@ def usefulness(model: DepthModel, renderer: Renderer) -> Float[Array, "n"]:
 def worst_pixels(
     residual: Float[Array, "y x"], count: int, *, block: int = 2
 ) -> tuple[Int[Array, "n 2"], Float[Array, "n"]]:
-    """The pixels of largest residual, at most one per block.
+    """`(x, y)` of the `count` pixels of largest residual, at most one per block, and the residuals.
 
-    Args:
-        residual: error of the map, >= 0.
-        count: how many pixels.
-        block: side of the blocks, px.
-
-    Returns:
-        `(x, y)` and the residual there, largest first. There may be fewer blocks than `count`.
+    Largest first; there may be fewer blocks than `count`.
     """
     height, width = residual.shape
     rows, columns = -(-height // block), -(-width // block)
@@ -156,24 +147,11 @@ def grow(
     *,
     count: int,
 ) -> Grown:
-    """Puts new points where the residual is largest.
+    """Puts up to `count` new points where the residual is largest, with the labels there.
 
     Free slots are used first, then those of the points that contribute least. Nearly all of these
-    are hidden by nearer points and receive no gradient; `Renderer.clears` has a measurement.
-
-    Args:
-        state: state of the optimization.
-        objective: the objective; its `trust` is extended by the new points.
-        residual: error of the map, per pixel.
-        label: label of a new point at each pixel.
-        growth: see `Growth`; `recycle`, `least` and `threshold` are read.
-        count: most points to add.
-
-    Returns:
-        The new state and objective, and counts.
-
-    Source:
-        Named as future work in thesis 8.1.1.
+    are hidden by nearer points and receive no gradient; `Renderer.clears` has a measurement. The
+    `trust` of the objective is extended by the new points.
     """
     model = state.model
     dtype = model.disparity.dtype

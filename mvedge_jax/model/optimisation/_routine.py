@@ -18,8 +18,7 @@ class Rates(eqx.Module):
         rate: steps of Q, Z (px of disparity), R, xy (px).
         decay: factors per pass.
 
-    Source:
-        The authors' published code.
+    Source: The authors' published code.
     """
 
     rate: Float[Array, "4"] = number((0.015, 0.015, 0.015, 0.1))
@@ -73,8 +72,7 @@ def one_at_a_time(rates: Rates, *, iterations: int = 13, passes: int = 5) -> Rou
     Returns:
         A table of `4 * iterations * passes` iterations.
 
-    Source:
-        Thesis 7.1.5, "Routine".
+    Source: Thesis 7.1.5, "Routine".
     """
     dtype = rates.rate.dtype
     turn = np.repeat(np.tile(np.eye(4), (passes, 1)), iterations, axis=0)

@@ -43,11 +43,7 @@ class State(eqx.Module):
     key: PRNGKeyArray
 
     def save(self, path: str | Path) -> None:
-        """Writes a state to a file, to resume later.
-
-        Args:
-            path: the file to write.
-        """
+        """Writes a state to a file, to resume later."""
         points, shape, dtype = _size(self.model)
         header = json.dumps({"points": points, "shape": shape, "dtype": dtype})
         with Path(path).open("wb") as file:
@@ -58,15 +54,8 @@ class State(eqx.Module):
     def load(path: str | Path) -> "State":
         """Reads a state that `save` wrote.
 
-        Args:
-            path: the file.
-
-        Returns:
-            The state.
-
-        Raises:
-            FileNotFoundError: there is no such file.
-            ValueError: the file is not a saved state, or needs a precision that is switched off.
+        A FileNotFoundError, or a ValueError if the file is not a saved state or needs a precision
+        that is switched off.
         """
         path = Path(path)
         if not path.is_file():
@@ -102,18 +91,11 @@ def with_parts(model: DepthModel, parts: tuple[Array, Array, Array, Array]) -> D
 def settled_moments(
     moments: Any, gradient: tuple[Array, Array, Array, Array]
 ) -> tuple[tuple[Array, ...], tuple[Array, ...]]:
-    """Both moments as if every gradient so far had been `gradient`.
+    """Both moments of Adam for Q, Z, R, xy, as if every gradient so far had been `gradient`.
 
     A new parameter must not start from zero moments: Adam's bias correction fades with the
     iterations of the whole state, and without it steps are three to six times the learning rate
     for a hundred iterations.
-
-    Args:
-        moments: of Adam; only the number of its iterations is used.
-        gradient: of Q, Z, R, xy.
-
-    Returns:
-        First and second moments of Q, Z, R, xy.
     """
     first, second = (
         tuple(
@@ -143,18 +125,7 @@ def begin(model: DepthModel, disparity: Float[Array, "y x"], *, key: PRNGKeyArra
 
 
 def resumed(begun: State, earlier: State | None) -> State:
-    """The state to resume: `earlier` if it fits the model, `begun` if it is None.
-
-    Args:
-        begun: from `begin`.
-        earlier: from an earlier run.
-
-    Returns:
-        One of them.
-
-    Raises:
-        ValueError: they differ in points, image or precision.
-    """
+    """The state to resume: `earlier` if it fits the model, `begun` if it is None."""
     if earlier is None:
         return begun
     found, expected = (_size(state.model) for state in (earlier, begun))

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mvedge_jax.datasets.photographs import read_colmap_depth
+from experiments.peers.photographs import read_colmap_depth
 
 DEPTH = np.random.default_rng(0).uniform(0.5, 9, (3, 5)).astype(np.float32)
 DEPTH[1, 2] = 0

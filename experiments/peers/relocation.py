@@ -8,9 +8,8 @@ from mvedge_jax._compiler import lean_jit
 from mvedge_jax._params import as_number, cast, number
 from mvedge_jax.color import planes_to_lab
 from mvedge_jax.diffusion import System, diffuse
+from mvedge_jax.model.approaches._evidence import _shrink
 from mvedge_jax.smoothness import ColorAndDepth, edge_smoothness
-
-from ._evidence import _shrink
 
 
 def _image_alone() -> ColorAndDepth:

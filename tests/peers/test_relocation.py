@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from helpers import count_traces
 
-from mvedge_jax.model.approaches import StepRelocation, relocate_steps
+from experiments.peers.relocation import StepRelocation, relocate_steps
 
 
 def scene(off, *, down=False, size=24):

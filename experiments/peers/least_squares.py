@@ -11,17 +11,22 @@ import optimistix as optx
 from jaxtyping import Array, Float
 
 from mvedge_jax._compiler import lean_jit
-
-from .._host import warn_of_cuts
-from .._model import DepthModel
-from ..objectives import SquaredObjective
-from ._state import parts_of, with_parts
+from mvedge_jax._params import cast
+from mvedge_jax._root import safe_sqrt
+from mvedge_jax.losses import occlusion_masks
+from mvedge_jax.losses.terms import _edge_aware_slopes, warp_views
+from mvedge_jax.model import DepthModel, render_model
+from mvedge_jax.model._host import warn_of_cuts
+from mvedge_jax.model.objectives import SelfSupervised, Supervised, Trust
+from mvedge_jax.model.optimisation._state import parts_of, with_parts
 
 # Largest number of CG steps per step; an unsolved system ends the search.
 _LINEAR_STEPS = 300
 # Share of the predicted reduction at which damping decreases. Optimistix requires .99, which
 # absolute errors never reach, so the initial damping would stay.
 _GOOD = 0.75
+# Scales below which absolute errors become squares, for features (colors in [0, 1]) and slopes.
+_BLUNT_FEATURE, _BLUNT_SLOPE = 2 / 255, 0.01
 
 
 class Minimised(NamedTuple):
@@ -40,12 +45,13 @@ class Minimised(NamedTuple):
 
 def minimise_least_squares(
     model: DepthModel,
-    objective: SquaredObjective,
+    objective: Supervised | SelfSupervised,
     start: Float[Array, "y x"],
     *,
     steps: int = 20,
     scales: tuple[float, float, float, float] = (1.0, 0.1, 1.0, 0.2),
     tolerance: float = 0.1,
+    blunt: float = 0.01,
     progress: Callable[[int, float], None] | None = None,
 ) -> Minimised:
     """Minimizes a loss over all parameters at once, by Levenberg-Marquardt steps.
@@ -59,12 +65,13 @@ def minimise_least_squares(
 
     Args:
         model: the initial model.
-        objective: `Supervised` or `SelfSupervised`; its limits are applied before each evaluation.
+        objective: its limits are applied before each evaluation.
         start: a map near what `model` renders.
         steps: largest number of steps.
         scales: typical changes of Q, Z, R and xy, the units of the damping. If labels are already
             accurate, as in `ByEvidence`, use a hundredth of a pixel for Z.
         tolerance: tolerance of the linear systems.
+        blunt: see `residuals_of`.
         progress: called after each step with its number and the loss.
 
     Returns:
@@ -91,7 +98,7 @@ def minimise_least_squares(
     whole = jnp.sqrt(jnp.asarray(start.size, dtype))
 
     def squared(change: tuple[Array, ...], _: None) -> tuple[tuple[Array, ...], Array]:
-        residuals, disparity = objective.residuals(unpack(change), start)
+        residuals, disparity = residuals_of(objective, unpack(change), start, blunt=blunt)
         return tuple(whole * part for part in residuals), disparity
 
     @lean_jit
@@ -125,3 +132,60 @@ def minimise_least_squares(
         if over(here, state)[0]:
             break
     return Minimised(unpack(best[0]), best[1], jnp.stack(losses))
+
+
+def residuals_of(
+    objective: Supervised | SelfSupervised,
+    model: DepthModel,
+    start: Float[Array, "y x"],
+    *,
+    blunt: float = 0.01,
+) -> tuple[tuple[Array, ...], Float[Array, "y x"]]:
+    """Residuals whose half sum of squares is a loss, smoothed at 0, and the map of the model.
+
+    Args:
+        objective: of the views, its gradient reward and dissimilarity, which are not squares, are
+            left out, and all views count.
+        model: of the points.
+        start: a map near its rendering.
+        blunt: absolute errors of a known map below this, px per view step, are squares; it should
+            be below the expected errors.
+
+    Returns:
+        Residuals of the terms, and the map.
+    """
+    disparity = render_model(model, objective.renderer, start=start).disparity
+    dtype = disparity.dtype
+    prior, none = _of_prior(objective.trust, model), jnp.zeros((), dtype)
+    if isinstance(objective, Supervised):
+        known, weights = objective.known, cast(objective.weights, dtype)
+        count = jnp.maximum(jnp.sum(known).astype(dtype), 1)
+        error = jnp.where(known, disparity - jnp.where(known, objective.truth, 0), 0)
+        error = _rooted(error, weights.absolute / count, weights.square / count, blunt)
+        return (error, prior), disparity
+    views, terms = objective.views, cast(objective.weights, dtype)
+    visible = occlusion_masks(jax.lax.stop_gradient(disparity), views)
+    warped = jax.vmap(objective.features)(warp_views(disparity, views, visible))
+    away = warped - objective.features(views.centre)
+    count = jnp.maximum(jnp.sum(visible, axis=0).astype(dtype), 1)
+    each = terms.reprojection / (count * disparity.size * away.shape[1])
+    error = _rooted(away, jnp.where(visible, each, 0)[:, None], none, _BLUNT_FEATURE)
+    slopes = _edge_aware_slopes(disparity, views.centre)
+    slope = _rooted(slopes, terms.smoothness / disparity.size, none, _BLUNT_SLOPE)
+    return (error, slope, prior), disparity
+
+
+def _of_prior(trust: Trust, model: DepthModel) -> Float[Array, "n"]:
+    """Residuals whose half sum of squares is `Trust.penalty`."""
+    trust = cast(trust, model.disparity.dtype)
+    moved = (model.disparity - trust.origin.disparity) / jnp.maximum(trust.error, 1e-6)
+    squared = jnp.maximum(jnp.where(model.valid, moved, 0) ** 2, jnp.asarray(1e-12, moved.dtype))
+    count = jnp.maximum(jnp.sum(model.valid).astype(moved.dtype), 1)
+    slope = safe_sqrt(2 * trust.weight * jnp.log1p(squared) / squared / count)
+    return jnp.where(model.valid, moved * slope, 0)
+
+
+def _rooted(error: Array, absolute: Array, square: Array, blunt: Array | float) -> Array:
+    """Residual r with r²/2 = `absolute |error| + square error²`, smoothed at 0."""
+    bent = jnp.sqrt(1 + (error / blunt) ** 2)
+    return error * safe_sqrt(2 * (square + absolute / (blunt * (1 + bent))))
