@@ -21,7 +21,8 @@ import tyro
 from _report import print_table, shared_data, write_csv, write_json
 from _scenes import find_scene
 from matplotlib.figure import Figure
-from peers.codec import Encoding, decode, encode
+
+from mvedge_jax.model.codec import Encoding, decode, encode
 
 OURS, PNG, JPEG = "points and cuts", "PNG", "JPEG 2000"
 _LEVELS = (4, 6, 8, 10, 12, 14, 16)

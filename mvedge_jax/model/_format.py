@@ -84,7 +84,15 @@ def _constriction() -> Any:
 
 
 def pack(parts: Parts, first: np.ndarray) -> bytes:
-    """The bytes of a file; `first` marks where points are likely, by their number alone."""
+    """The bytes of a file.
+
+    Args:
+        parts: see `Parts`.
+        first: where points are likely, `[y, x]`: those of a grid that follows from their number.
+
+    Returns:
+        Header and code.
+    """
     bits = _Bits()
     _bitmap(bits, np.zeros_like(parts.cut, np.int64), parts.cut)
     _bitmap(bits, _around(parts.cut, first), parts.point)
@@ -97,9 +105,17 @@ def pack(parts: Parts, first: np.ndarray) -> bytes:
 
 
 def unpack(content: bytes, first: Callable[[int, int, int], np.ndarray]) -> Parts:
-    """What `pack` packed; `first` marks the likely places of rows, columns and a number of points.
+    """What `pack` packed.
 
-    A ValueError says, as a clause, that it is no such file, of another version, or damaged.
+    Args:
+        content: of a file.
+        first: makes the likely places of so many rows, columns and points.
+
+    Returns:
+        Its parts.
+
+    Raises:
+        ValueError: it is no such file, of another version, or damaged.
     """
     if content[:4] != MAGIC or len(content) < _HEADER.size:
         raise ValueError(f"it starts with {content[:4]!r}, expected {MAGIC!r} and a header")

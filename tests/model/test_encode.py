@@ -5,8 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from experiments.peers import _codec_file
-from experiments.peers.codec import Encoding, decode, encode
+from mvedge_jax.model import _format
+from mvedge_jax.model.codec import Encoding, decode, encode
 
 
 def depth_map(shape=(19, 23)):
@@ -53,7 +53,7 @@ def test_flat_maps_and_bad_input(tmp_path):
 
 
 def packed(parts, likely):
-    content = _codec_file.pack(parts, likely)
+    content = _format.pack(parts, likely)
     assert content[:5] == b"MVEC\x01"
     return content
 
@@ -65,8 +65,8 @@ def test_any_cuts_points_and_labels_come_back(shape, bits):
     for share in (0.0, 0.2, 1.0):
         cut, point, likely = (draw.random((3, *shape)) < share) | (np.zeros((3, *shape), bool))
         label = draw.integers(0, 2**bits, int(point.sum()))
-        parts = _codec_file.Parts(cut, point, label, bits, (-1.5, 2.0))
-        again = _codec_file.unpack(packed(parts, likely), lambda *_, likely=likely: likely)
+        parts = _format.Parts(cut, point, label, bits, (-1.5, 2.0))
+        again = _format.unpack(packed(parts, likely), lambda *_, likely=likely: likely)
         for a, b in zip(parts, again, strict=True):
             np.testing.assert_array_equal(a, b)
 
@@ -77,7 +77,7 @@ def test_what_is_regular_takes_few_bytes():
     point = np.zeros((64, 64), bool)
     point[::8, ::8] = True
     label = np.add.outer(100 * np.arange(8), np.full(8, 5000)).ravel()
-    parts = _codec_file.Parts(cut, point, label, 16, (0.0, 1.0))
+    parts = _format.Parts(cut, point, label, 16, (0.0, 1.0))
     # The header, a few words of either plane, and about a byte per label.
     assert len(packed(parts, point)) < 42 + 60 + 64
 
@@ -107,8 +107,8 @@ def test_files_that_are_no_encoding_are_refused(tmp_path):
 
     def claiming(**change):
         names = ("magic", "version", "bits", "height", "width", "count", "low", "high", "check")
-        fields = dict(zip(names, _codec_file._HEADER.unpack_from(whole), strict=True)) | change
-        return _codec_file._HEADER.pack(*fields.values()) + whole[_codec_file._HEADER.size :]
+        fields = dict(zip(names, _format._HEADER.unpack_from(whole), strict=True)) | change
+        return _format._HEADER.pack(*fields.values()) + whole[_format._HEADER.size :]
 
     for content, message in (
         (b"", "it starts with b''"),

@@ -10,14 +10,16 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from mvedge_jax.losses import SupervisedWeights
-from mvedge_jax.model import DepthModel, Renderer
-from mvedge_jax.model._host import compiled_render
-from mvedge_jax.model.objectives import Supervised, unlimited
-from mvedge_jax.model.optimisation import Rates, advance, all_at_once, begin
-from mvedge_jax.model.optimisation._grow import worst_pixels
 from mvedge_jax.splatting import SplatLabels, SplatWidths
 
-from ._codec_file import Parts, pack, unpack
+from ._format import Parts, pack, unpack
+from ._host import compiled_render
+from ._model import DepthModel, Renderer
+from .objectives import Supervised, unlimited
+from .optimisation._grow import worst_pixels
+from .optimisation._optimise import advance
+from .optimisation._routine import Rates, all_at_once
+from .optimisation._state import begin
 
 _ROUGHNESS = 12.0
 _LOG_WEIGHT = -4.0
@@ -156,7 +158,8 @@ def encode(
         ValueError: `k` is below 1 or above the number of pixels, `bits` are not 1 to 16, or the map
             is not finite.
 
-    Source: Thesis 1.1.1 and 7.2.3 (completeness).
+    Source:
+        Thesis 1.1.1 and 7.2.3 (completeness).
     """
     if not 1 <= k <= disparity.size:
         raise ValueError(f"`k` must be from 1 to the {disparity.size} pixels there are, got {k}.")
