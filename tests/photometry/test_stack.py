@@ -119,8 +119,12 @@ def test_photographs_that_do_not_show_a_pixel_count_little():
     costs = jnp.asarray([0.1, 0.12, 0.9, 1.0])[:, None, None]
     found = float(Agreement().pooled(costs)[0, 0])
     assert 0.1 < found < 0.2
-    np.testing.assert_allclose(Agreement(temperature=100.0).pooled(costs), costs.mean(), rtol=2e-3)
-    np.testing.assert_allclose(Agreement(temperature=1e-5).pooled(costs), 0.1, rtol=1e-3)
+    np.testing.assert_allclose(
+        Agreement(temperature=jnp.asarray(100.0)).pooled(costs), costs.mean(), rtol=2e-3
+    )
+    np.testing.assert_allclose(
+        Agreement(temperature=jnp.asarray(1e-5)).pooled(costs), 0.1, rtol=1e-3
+    )
 
 
 @pytest.mark.parametrize("sigma", [0.01, 0.03])
