@@ -1,11 +1,15 @@
 """Transparent pixels of photographs: they take no part, and get no depth."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from posed.walls import MATRIX, POSES, wall
 
+from mvedge_jax.photometry import Noise
+from mvedge_jax.photometry._scene import measuring_in
+from mvedge_jax.photometry.measuring import Measurement, ViewSplines
 from mvedge_jax.posed import Photographs, StereoDepth, posed_sweep, reference_of, stereo
 
 IMAGES, DEPTHS = wall(POSES)
@@ -19,6 +23,26 @@ def cut(color: float) -> Photographs:
     """The wall, of which a disc is left, on a color."""
     images = np.where(MASK[..., None], IMAGES, color)
     return Photographs(jnp.asarray(images), POSES, MATRIX, mask=MASK)
+
+
+def test_what_is_transparent_is_read_in_no_photograph():
+    """Of an opaque pixel, nothing changes with the color of what is transparent elsewhere."""
+    params = measuring_in(Noise.of(jnp.asarray(0.002)), jnp.asarray(1.0), Measurement())
+    # Splines reach far, though hardly: what is next to the mask is left out of it here.
+    inner, both = DISTANCE < 5, []
+    for view in (cut(0.0), cut(0.7)):
+        wanted = reference_of(view, 0, depth_range=RANGE)
+        shown = jnp.asarray(np.stack([inner] * 4), jnp.float64)
+        views = eqx.tree_at(lambda v: v.shown, wanted.views(view), shown)
+        disparity = wanted.scale(view) / jnp.asarray(DEPTHS[0])
+        both.append(ViewSplines.of(views).look(disparity, params))
+    for name in ("right", "information", "power", "freedom"):
+        one, other = (np.asarray(getattr(each, name)) for each in both)
+        assert np.isfinite(one).all()
+        np.testing.assert_allclose(one[inner], other[inner], atol=1e-3, rtol=0.02)
+        # What is transparent is seen by the reference alone, and tells nothing.
+        outer = one[~inner]
+        assert (outer.max() if name == "freedom" else np.abs(outer).max()) < 1e-9
 
 
 def test_a_sweep_has_no_depth_where_the_photograph_is_transparent():
