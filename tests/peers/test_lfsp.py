@@ -7,9 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from experiments.peers._clustering import alike
 from experiments.peers._lfsp_painting import Ends, painted
-from experiments.peers._lfsp_segments import Segments, split
 from experiments.peers._lfsp_views import propagated
 from experiments.peers.lfsp import LfspParams, LfspSizes, thesis_superpixels
 from mvedge_jax.lightfield import LightField
@@ -63,39 +61,6 @@ def test_segments_are_drawn_nearest_on_top_where_views_show_them(steps):
         columns = np.arange(12)
         wanted[row, (columns >= first) & (columns < last)] = k
     np.testing.assert_array_equal(drawn, wanted)
-
-
-def test_wide_segments_are_split_at_the_disparity_there():
-    disparity = np.zeros((3, 60))
-    disparity[2] = 0.5
-    wide = Segments(np.array([2, 0]), np.array([[0.0, 0.5], [0.0, 0.0]]),
-                    np.array([[40.0, 0.5], [12.0, 0.0]]), 9)  # fmt: skip
-    found = split(wide, disparity)
-    widths = found.right[:, 0] - found.left[:, 0]
-    assert widths.max() <= 15
-    assert (found.epi == 2).sum() == 4
-    assert widths[found.epi == 2].sum() == 40
-    assert set(found.left[found.epi == 2][:, 1]) == {0.5}
-
-
-def test_the_closest_known_pixel_is_that_of_loops():
-    rng = np.random.default_rng(1)
-    known, lab = rng.random((9, 11)) < 0.2, rng.normal(size=(9, 11, 3))
-    found = np.asarray(alike(jnp.asarray(known), jnp.asarray(lab), jnp.asarray(0.3),
-                             jnp.asarray(2.0), radius=2))  # fmt: skip
-    for y, x in np.ndindex(9, 11):
-        costs = {
-            (b, a): 0.3 * ((b - y) ** 2 + (a - x) ** 2) + 2 * ((lab[b, a] - lab[y, x]) ** 2).sum()
-            for b in range(max(y - 2, 0), min(y + 3, 9))
-            for a in range(max(x - 2, 0), min(x + 3, 11))
-            if known[b, a]
-        }
-        if known[y, x]:
-            assert found[y, x] == y * 11 + x
-        elif costs:
-            assert divmod(found[y, x], 11) == min(costs, key=lambda place: costs[place])
-        else:
-            assert found[y, x] == -1
 
 
 @pytest.mark.parametrize("clamped", [False, True])
