@@ -1,10 +1,5 @@
 """What the tables of superpixels count beside the metrics."""
 
-import importlib
-from pathlib import Path
-from types import SimpleNamespace
-
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -30,36 +25,3 @@ def test_other_numbers_of_the_same_superpixels_are_no_change():
     others = labels.copy()
     others[..., 0, :2] = 2
     assert changed(labels, others) == pytest.approx(2 / 24)
-
-
-@pytest.fixture
-def figure(monkeypatch):
-    """The script of Fig. 5.4, which imports its neighbours by their names alone."""
-    monkeypatch.syspath_prepend(Path(__file__).parents[2] / "experiments")
-    return importlib.import_module("figure_5_4")
-
-
-@pytest.mark.parametrize(
-    ("method", "program"),
-    [
-        ("ours", "superpixels"),
-        ("thesis", "thesis_superpixels"),
-        ("k-means", "kmeans_superpixels"),
-    ],
-)
-def test_a_sweep_varies_what_its_rows_say(figure, method, program, monkeypatch):
-    given = []
-
-    def caught(*arguments):
-        given.extend(each for each in arguments if isinstance(each, figure.SWEPT[method]))
-        return SimpleNamespace(labels=None)
-
-    monkeypatch.setattr(figure, program, caught)
-    views, depths = jnp.zeros((3, 3, 4, 4, 3)), jnp.zeros((3, 3, 4, 4))
-    measured = figure.ViewDepths(depths, depths, depths, jnp.zeros((), jnp.int32))
-    case = figure.Case(figure.LightField(views), measured, depths, depths)
-    rows = figure._swept(f"{method}.color", ["3", "5"], size=12.0)
-    for label, kind, params in rows:
-        assert label.startswith(f"{method}, color ")
-        figure.cut(kind, case, 12.0, params)
-    assert [float(params.color) for params in given] == [3, 5]

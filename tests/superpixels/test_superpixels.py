@@ -250,6 +250,7 @@ def test_bad_input_is_named():
     field, depths, _ = _cards()
     other = depths._replace(disparity=depths.disparity[:, :, :5])
     model = SuperpixelClustering.for_depths(depths)
+    assert "size = 20 px" in str(model)
     with pytest.raises(ValueError, match="`depths` must have the shape of the views"):
         inspect.unwrap(superpixels)(field, other, model)
     with pytest.raises(ValueError, match="`capacity` must be at least 1, got 0"):
