@@ -60,7 +60,7 @@ def test_no_coarse_matrix_is_smaller_than_the_galerkin_product():
 
 def test_interpolation_keeps_a_constant_where_there_is_no_data():
     system = random_system(6, 8, key=jax.random.key(1))
-    _, weights = coarsen(Stencil(jnp.zeros((6, 8)), *system.edges, None, None))
+    _, weights = coarsen(Stencil(jnp.zeros((6, 8)), system.tx, system.ty, None, None))
     # The last column and row have a corner on one side only.
     np.testing.assert_allclose(interpolate(weights, jnp.ones((3, 4)), (6, 8)), 1, rtol=1e-14)
 

@@ -20,7 +20,7 @@ def systems():
 # Never converging would be true, too.
 @pytest.mark.parametrize(("dtype", "converged"), [(jnp.float32, 30), (jnp.float64, 40)])
 def test_converged_is_never_a_lie(systems, dtype, converged):
-    rows = [row(*system, dtype, AutoSolver()) for system in systems]
+    rows = [row(case, system, truth, dtype, AutoSolver()) for case, system, truth in systems]
     assert len(rows) == 40
     assert not [found for found in rows if found["wrong"]]
     assert sum(found["converged"] for found in rows) >= converged

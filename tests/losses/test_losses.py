@@ -179,10 +179,10 @@ def test_vgg_runs_on_a_users_weights_and_says_what_is_wrong(tmp_path):
         ({**arrays, "features.0.bias": np.zeros(3)}, r"'features.0.bias' .* has the shape \(3,\)"),
         ({"features.0.bias": np.zeros(64)}, r"has no array 'features.0.weight'"),
     ):
-        np.savez(tmp_path / "bad.npz", **changed)
+        np.savez(tmp_path / "bad.npz", **changed)  # pyright: ignore
         with pytest.raises(ValueError, match=message):
             load_vgg16(tmp_path / "bad.npz")
-    np.savez(tmp_path / "good.npz", **arrays)
+    np.savez(tmp_path / "good.npz", **arrays)  # pyright: ignore
     out = load_vgg16(tmp_path / "good.npz")(jnp.full((3, 6, 7), 0.5))
     assert out.shape == (64, 6, 7)
     assert float(out.min()) >= 0

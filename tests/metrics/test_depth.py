@@ -87,9 +87,9 @@ def test_scores_are_the_single_metrics():
     assert int(scores.pixels) == int(mask[1:-1, 1:-1].sum())
     for found, metric, counted in (
         (scores.q25, q25, mask),
-        (scores.bad_07, lambda *maps, **k: bad_pixels(*maps, 0.07, **k), mask),
+        (scores.bad_07, lambda d, t, **k: bad_pixels(d, t, 0.07, **k), mask),
         (scores.edge_mse, mse, band),
-        (scores.edge_bad_07, lambda *maps, **k: bad_pixels(*maps, 0.07, **k), band),
+        (scores.edge_bad_07, lambda d, t, **k: bad_pixels(d, t, 0.07, **k), band),
     ):
         np.testing.assert_allclose(found, metric(disparity, truth, mask=counted, crop=1))
 

@@ -1,6 +1,7 @@
 """What every metric keeps: values that are not finite, masks, transforms, precision, errors."""
 
 import inspect
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -49,7 +50,7 @@ TO_TRUTH = {"mse": mse, "mae": mae, "q25": q25, "bad": _bad, "boundary": _bounda
 BY_VIEWS = {"rgb": _rgb, "lab": _lab, "consistency": _consistency}
 
 
-def _case(name, shape=(13, 18)):
+def _case(name, shape=(13, 18)) -> Any:
     """A metric, a map to score, what it is scored by, and pixels that count."""
     rng = np.random.default_rng(3)
     truth = np.kron(rng.normal(size=(4, 5)), np.ones((4, 4)))[: shape[0], : shape[1]]

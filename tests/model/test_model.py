@@ -97,9 +97,11 @@ def test_both_modes_and_the_second_derivative():
 
 @pytest.mark.parametrize("kind", [pytest.param(Supervised, marks=pytest.mark.slow), SelfSupervised])
 def test_both_modes_and_the_second_derivative_of_the_objectives(kind):
-    model = small_model()
-    known = (TARGET, jnp.ones(SHAPE, bool)) if kind is Supervised else (random_views(),)
-    objective, key = kind(*known, unlimited(model), exact()), jax.random.key(8)
+    model, key = small_model(), jax.random.key(8)
+    objective = {
+        Supervised: lambda *rest: Supervised(TARGET, jnp.ones(SHAPE, bool), *rest),
+        SelfSupervised: lambda *rest: SelfSupervised(random_views(), *rest),
+    }[kind](unlimited(model), exact())
 
     def loss(model):
         return objective(model, jnp.zeros(SHAPE), key=key)[0]

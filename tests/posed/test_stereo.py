@@ -1,5 +1,7 @@
 """Depth from posed photographs: of walls whose depth is known, and what may be wrong with them."""
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -32,7 +34,7 @@ def photographs(images=IMAGES, poses=POSES, dtype=jnp.float64, **known):
     return Photographs(jnp.asarray(images, dtype), poses, MATRIX, **known)
 
 
-def wanted_of(view, index=0, depth_range=RANGE):
+def wanted_of(view, index: int | str = 0, depth_range: Any = RANGE):
     return reference_of(view, index, depth_range=depth_range)
 
 
@@ -167,7 +169,8 @@ def test_gradients_with_respect_to_poses_and_images():
     model = StereoDepth.of(wanted, choices=choices)
 
     def mean(tree):
-        return jnp.mean(stereo(Photographs(*tree, MATRIX), wanted, model).depth)
+        moved = Photographs(tree[0], tree[1], MATRIX)
+        return jnp.mean(stereo(moved, wanted, model).depth)
 
     tree = (view.images * 0.9 + 0.05, view.poses)
     check_gradient(mean, tree, rtol=2e-2, step=1e-7, key=jax.random.key(0))
@@ -258,6 +261,7 @@ def test_a_living_room_and_one_seen_from_too_far_apart_which_is_said_to_fail(nam
     if fails:
         return
     view = load_photographs(shared_data("mvs", name), intrinsics=camera)
+    assert view.depth is not None
     wanted = reference_of(view, 2)
     model, truth = StereoDepth.of(wanted), view.depth[2]
     errors = depth_errors(stereo(view.without_truth(), wanted, model).depth, truth)

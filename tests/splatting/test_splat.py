@@ -93,7 +93,8 @@ def test_masked_points_change_neither_value_nor_gradient():
     xy, label, weight, valid = cloud()
 
     def value(tree):
-        result = splat(*tree, valid, SplatWidths(), SHAPE, SplatRaster())
+        xy, label, weight = tree
+        result = splat(xy, label, weight, valid, SplatWidths(), SHAPE, SplatRaster())
         return jnp.sum(maps(result) ** 2)
 
     spoiled = (

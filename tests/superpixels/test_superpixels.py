@@ -103,7 +103,7 @@ def test_tables_tell_what_the_labels_show():
     assert len(np.unique(parents[depth > 0])) == 1
 
 
-def _one_view(disparity, views=0.5):
+def _one_view(disparity, views: Any = 0.5):
     """Depths and colours of 64x64 pixels, for one program of all such tests."""
     maps = jnp.asarray(disparity, jnp.float32)[None, None]
     depths = ViewDepths(maps, 0 * maps, jnp.zeros(maps.shape, jnp.int8), jnp.asarray(0))

@@ -78,6 +78,6 @@ def test_one_trace_vmap_over_views_and_single_precision():
     assert traces() == 1
     mapped, _ = jax.vmap(backward_warp, (None, None, 0))(image, disparity, steps)
     np.testing.assert_allclose(mapped, single, atol=1e-12)
-    narrow, _ = backward_warp(*(a.astype(jnp.float32) for a in (image, disparity)), steps[0])
+    narrow, _ = backward_warp(image.astype(jnp.float32), disparity.astype(jnp.float32), steps[0])
     assert narrow.dtype == jnp.float32
     np.testing.assert_allclose(narrow, single[0], atol=5e-6)
