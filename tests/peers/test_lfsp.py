@@ -1,4 +1,4 @@
-"""The thesis' superpixels: segments at their places, labels that follow surfaces, the bugs."""
+"""The thesis' superpixels: segments at their places, labels that follow surfaces."""
 
 from dataclasses import replace
 
@@ -44,7 +44,6 @@ def test_labels_keep_to_surfaces_in_all_views(slope):
     assert float(scores.accuracy) > 0.9
     assert float(scores.unlabelled) == 0
     assert float(scores.inconsistent) < 0.06
-    np.testing.assert_array_equal(labels, _found(field))
 
 
 @pytest.mark.parametrize("steps", [(0, 0), (1, 0), (-2, 1)])
