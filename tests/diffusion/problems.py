@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import scipy.sparse.linalg
 
-from mvedge_jax.diffusion import System, edge_weights
+from mvedge_jax.diffusion import System
 
 
 def random_system(y, x, *, contrast=2.0, data=0.2, dtype=jnp.float64, key):
@@ -22,20 +22,20 @@ def random_system(y, x, *, contrast=2.0, data=0.2, dtype=jnp.float64, key):
     return jax.tree.map(lambda a: a.astype(dtype), system)
 
 
-def cut_discs(size, *, seed=0):
-    """Discs at heights of their own, smooth inside and all but cut off at their outlines."""
-    random = np.random.default_rng(seed)
-    rows, columns = np.mgrid[:size, :size]
-    height = np.zeros((size, size))
-    for _ in range(25):
-        y, x, radius = *random.uniform(0, size, 2), random.uniform(0.04, 0.2) * size
-        height[(rows - y) ** 2 + (columns - x) ** 2 < radius**2] = random.uniform(-1.5, 1.5)
-    outline = np.diff(height, axis=0, prepend=0) != 0
-    outline |= np.diff(height, axis=1, prepend=0) != 0
-    weight = np.where(outline & (random.uniform(size=height.shape) < 0.4), 1e5, 0.0)
-    weight[0, 0] = 1e5
-    smoothness = jnp.asarray(np.where(outline, 1e-5, 1e4))
-    return System(jnp.asarray(weight), jnp.asarray(height), *edge_weights(smoothness))
+def positive_system(y, x, *, key):
+    """Away from zero weights, where a step would make the matrix indefinite."""
+    system = random_system(y, x, contrast=1.0, key=key)
+    return System(system.weight + 0.1, system.label, system.tx + 0.1, system.ty + 0.1)
+
+
+def stacked(systems):
+    """Systems of one shape as a batch."""
+    return jax.tree.map(lambda *maps: jnp.stack(maps), *systems)
+
+
+def member(batch, i):
+    """One system of a batch."""
+    return jax.tree.map(lambda maps: maps[i], batch)
 
 
 def direct(system):
@@ -43,3 +43,11 @@ def direct(system):
     right = np.asarray(system.right_hand_side(), np.float64).ravel()
     solution = scipy.sparse.linalg.spsolve(system.to_scipy().tocsc(), right)
     return np.asarray(solution).reshape(system.shape)
+
+
+def dense(system, right=None):
+    """The solution by a dense factorisation, which JAX differentiates by itself."""
+    right = system.right_hand_side() if right is None else right
+    identity = jnp.eye(right.size).reshape(right.size, *system.shape)
+    matrix = jax.vmap(system.matvec)(identity).reshape(right.size, right.size)
+    return jnp.linalg.solve(matrix, right.ravel()).reshape(system.shape)

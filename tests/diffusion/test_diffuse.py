@@ -1,25 +1,23 @@
 """The solve against direct solves, its transformations, and what happens to bad systems."""
 
+from dataclasses import replace
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from diffusion.problems import cut_discs, direct, random_system
+from diffusion.problems import direct, member, random_system, stacked
 from helpers import count_traces, shared_data
 
-from mvedge_jax.diffusion import (
-    AutoSolver,
-    Elimination,
-    Multigrid,
-    System,
-    _banded,
-    diffuse,
-    edge_weights,
-)
+from mvedge_jax.diffusion import AutoSolver, Elimination, Multigrid, System, diffuse, edge_weights
 
 TIGHT = AutoSolver(tolerance=1e-12)
 SHAPE = (17, 18)
+
+
+def with_label(system, label):
+    return eqx.tree_at(lambda s: s.label, system, label)
 
 
 @pytest.mark.parametrize(
@@ -28,6 +26,7 @@ SHAPE = (17, 18)
         ((1, 1), AutoSolver),
         ((5, 23), AutoSolver),
         ((23, 5), AutoSolver),
+        (SHAPE, Elimination),
         ((1, 7), Multigrid),
         ((9, 1), Multigrid),
         ((37, 53), Multigrid),
@@ -53,67 +52,29 @@ def test_equals_direct_solve_at_more_sizes(shape, kind):
     np.testing.assert_allclose(found.value, direct(system), rtol=0, atol=1e-8)
 
 
-def test_elimination_finds_the_same():
-    system = random_system(*SHAPE, key=jax.random.key(1))
-    found = diffuse(system, solver=Elimination(tolerance=1e-11))
-    assert bool(found.stats.converged)
-    np.testing.assert_allclose(found.value, direct(system), rtol=0, atol=1e-9)
-
-
-def test_float32_in_float32_out_and_jit_is_eager():
-    system = random_system(*SHAPE, contrast=1.0, dtype=jnp.float32, key=jax.random.key(2))
-    found = diffuse(system)
-    assert found.value.dtype == jnp.float32
-    assert found.stats.residual.dtype == jnp.float32
-    spread = float(jnp.ptp(system.label))
-    assert np.abs(np.asarray(found.value) - direct(system)).max() < 1e-4 * spread
-    jitted = eqx.filter_jit(diffuse)(system)
-    np.testing.assert_allclose(jitted.value, found.value, rtol=0, atol=1e-6)
-
-
-def test_the_estimate_covers_the_error():
-    """Data weights of 1e5, smoothness of 1 cut to 1e-4, in float32."""
+def test_the_estimate_covers_the_error_in_float32():
+    """Data weights of 1e5, smoothness of 1 cut to 1e-4; `test_truth.py` has far worse systems."""
     rows, columns = jnp.mgrid[:48, :48]
     inside = (rows - 22) ** 2 + (columns - 25) ** 2 < 150
     smoothness = jnp.where(inside & (jnp.roll(inside, 2) ^ inside), 1e-4, 1.0)
     weight = jnp.where((rows * 7 + columns * 3) % 29 == 0, 1e5, 0.0)
-    label = jnp.where(inside, 2.0, -1.0)
-    maps = (a.astype(jnp.float32) for a in (weight, label, *edge_weights(smoothness)))
-    system = System(*maps)
-    found = diffuse(system)
+    maps = (weight, jnp.where(inside, 2.0, -1.0), *edge_weights(smoothness))
+    system = System(*(a.astype(jnp.float32) for a in maps))
+    found, few = diffuse(system), diffuse(system, solver=AutoSolver(max_iterations=2))
     error = float(np.abs(np.asarray(found.value) - direct(system)).max())
     assert bool(found.stats.converged)
-    assert error < 1e-3 * 3
+    assert found.value.dtype == found.stats.residual.dtype == jnp.float32
+    jitted = eqx.filter_jit(diffuse)(system)
+    np.testing.assert_allclose(jitted.value, found.value, rtol=0, atol=1e-6)
     assert error < float(found.stats.estimate) + 1e-6
     assert float(found.stats.estimate) <= 3.01e-4
-
-
-def test_random_contrast_in_float32():
-    """Smoothness of 1 and 1e-4 at random, data weights of 1e5."""
-    keys = jax.random.split(jax.random.key(16), 3)
-    smoothness = jnp.where(jax.random.bernoulli(keys[0], 0.5, (48, 48)), 1e-4, 1.0)
-    weight = jnp.where(jax.random.bernoulli(keys[1], 0.03, (48, 48)), 1e5, 0.0)
-    label = jax.random.normal(keys[2], (48, 48))
-    maps = (a.astype(jnp.float32) for a in (weight, label, *edge_weights(smoothness)))
-    system = System(*maps)
-    found = diffuse(system)
-    assert bool(found.stats.converged)
-    assert np.abs(np.asarray(found.value) - direct(system)).max() < 5e-4
-
-
-def test_regions_that_hardly_hang_on_are_not_taken_for_converged():
-    """Smoothness 1e4 cut to 1e-5: without probing, an error of 1.4 passes for 1e-4."""
-    system = cut_discs(64)
-    exact = direct(system)
-    assert not bool(diffuse(system, solver=AutoSolver(max_iterations=12)).stats.converged)
-    found = diffuse(system)
-    assert bool(found.stats.converged)
-    assert np.abs(np.asarray(found.value) - exact).max() < 1e-4
+    assert not bool(few.stats.converged)
+    assert int(few.stats.iterations) == 2
 
 
 def test_a_large_offset_costs_no_digits():
     system = random_system(*SHAPE, dtype=jnp.float32, contrast=1.0, key=jax.random.key(3))
-    shifted = eqx.tree_at(lambda s: s.label, system, system.label + 1000)
+    shifted = with_label(system, system.label + 1000)
     value = diffuse(shifted, solver=AutoSolver(tolerance=1e-5)).value
     assert np.abs(np.asarray(value, np.float64) - 1000 - direct(system)).max() < 1e-3
 
@@ -124,7 +85,7 @@ def test_vmap_equals_loop_and_members_stop_alone():
         random_system(*SHAPE, contrast=contrast, key=key)
         for contrast, key in zip((0.1, 1.0, 3.0), keys, strict=True)
     ]
-    batch = jax.tree.map(lambda *maps: jnp.stack(maps), *systems)
+    batch = stacked(systems)
     together = jax.vmap(diffuse)(batch)
     alone = [diffuse(system) for system in systems]
     for i, one in enumerate(alone):
@@ -135,29 +96,14 @@ def test_vmap_equals_loop_and_members_stop_alone():
     np.testing.assert_allclose(nested.value[:, 0], together.value[:2], rtol=0, atol=1e-12)
 
 
-@pytest.mark.slow
-def test_vmap_over_large_images_and_over_labels_only():
-    system = random_system(130, 140, contrast=0.5, key=jax.random.key(5))
-    labels = jnp.stack([system.label, 2 * system.label])
-    tight = AutoSolver(tolerance=1e-10)
-
-    def value(label):
-        return diffuse(eqx.tree_at(lambda s: s.label, system, label), solver=tight).value
-
-    both = jax.vmap(value)(labels)
-    np.testing.assert_allclose(both[0], direct(system), rtol=0, atol=1e-8)
-    np.testing.assert_allclose(both[1], 2 * both[0], rtol=0, atol=1e-8)
-
-
-def test_groups_of_a_batch_are_filled_up():
-    """More members than are solved together, and not a multiple of that."""
-    system = random_system(64, 65, contrast=0.5, key=jax.random.key(6))
-    labels = system.label[None] * jnp.arange(1.0, 6.0)[:, None, None]
-    values = jax.vmap(lambda label: diffuse(eqx.tree_at(lambda s: s.label, system, label)).value)(
-        labels
+def test_large_images_are_solved_in_turn():
+    system = random_system(96, 100, contrast=0.5, key=jax.random.key(6))
+    sizes, solver = jnp.array([1.0, 3.0]), AutoSolver(tolerance=1e-10)
+    found = jax.vmap(lambda size: diffuse(with_label(system, size * system.label), solver=solver))(
+        sizes
     )
-    for i in range(5):
-        np.testing.assert_allclose(values[i], (i + 1) * values[0], rtol=0, atol=1e-3 * (i + 1))
+    exact = direct(system)
+    np.testing.assert_allclose(found.value, np.stack([exact, 3 * exact]), rtol=0, atol=1e-8)
 
 
 def test_epipolar_plane_images_at_once():
@@ -170,8 +116,7 @@ def test_epipolar_plane_images_at_once():
     assert bool(found.stats.converged.all())
     assert int(found.stats.iterations.max()) == 1
     for i in (0, 64, 130):
-        exact = direct(jax.tree.map(lambda maps, i=i: maps[i], batch))
-        np.testing.assert_allclose(found.value[i], exact, rtol=0, atol=1e-5)
+        np.testing.assert_allclose(found.value[i], direct(member(batch, i)), rtol=0, atol=1e-5)
 
 
 @pytest.mark.parametrize("shape", [(9, 80), (1, 400), (90, 5)], ids=str)
@@ -179,15 +124,14 @@ def test_epipolar_plane_images_at_once():
 def test_what_elimination_leaves_is_rounding(shape, contrast):
     """Edges over 0, 8 and 13 decades; float32 against a direct solve in float64."""
     for data in (0.9, 0.02):
-        system = random_system(
-            *shape, contrast=contrast, data=data, dtype=jnp.float32, key=jax.random.key(3)
-        )
+        options = {"contrast": contrast, "data": data, "dtype": jnp.float32}
+        system = random_system(*shape, **options, key=jax.random.key(3))
         found = diffuse(system, solver=AutoSolver(tolerance=1e-5))
-        exact = direct(jax.tree.map(lambda maps: maps.astype(jnp.float64), system))
         assert bool(found.stats.converged)
         assert int(found.stats.iterations) == 1
-        assert np.abs(np.asarray(found.value) - exact).max() < float(found.stats.estimate)
-        assert float(found.stats.estimate) < 1e-5 * float(np.ptp(np.asarray(system.label)))
+        error = np.abs(np.asarray(found.value) - direct(system)).max()
+        assert error < float(found.stats.estimate)
+        assert float(found.stats.estimate) < 1e-5 * float(jnp.ptp(system.label))
 
 
 def test_a_tolerance_finer_than_rounding_is_iterated_for():
@@ -195,23 +139,6 @@ def test_a_tolerance_finer_than_rounding_is_iterated_for():
     found = diffuse(system, solver=AutoSolver(tolerance=1e-6))
     assert bool(found.stats.converged)
     assert int(found.stats.iterations) > 1
-
-
-@pytest.mark.parametrize("shape", [(3, 9, 30), (2, 30, 4), (1, 1, 50), (1, 1, 1)], ids=str)
-def test_an_elimination_serves_other_right_hand_sides(shape):
-    keys = jax.random.split(jax.random.key(6), shape[0])
-    batch = jax.vmap(lambda key: random_system(*shape[1:], key=key))(keys)
-    right = jax.vmap(lambda system: system.right_hand_side())(batch)
-    eliminated, carried = _banded._eliminate(batch.coefficients, jnp.zeros_like(right))
-    np.testing.assert_array_equal(carried, 0)
-    carried = _banded._forwards(eliminated, _banded._in_order(right))
-    np.testing.assert_allclose(
-        carried, _banded._eliminate(batch.coefficients, right)[1], rtol=1e-12, atol=1e-12
-    )
-    found = _banded._as_images(_banded._backwards(eliminated, carried), right.shape)
-    for i in range(shape[0]):
-        exact = direct(jax.tree.map(lambda maps, i=i: maps[i], batch))
-        np.testing.assert_allclose(found[i], exact, rtol=0, atol=1e-10)
 
 
 def test_thin_images_with_a_negative_weight_are_iterated():
@@ -227,7 +154,7 @@ def test_scan_and_checkpoint():
 
     def total(scale):
         def step(carry, _):
-            scaled = eqx.tree_at(lambda s: s.label, system, scale * system.label)
+            scaled = with_label(system, scale * system.label)
             return carry + jnp.sum(diffuse(scaled, solver=TIGHT).value), None
 
         return jax.lax.scan(jax.checkpoint(step), jnp.zeros(()), None, length=2)[0]
@@ -247,8 +174,7 @@ def test_one_trace_for_many_values():
 
 def test_labels_without_weight_change_nothing():
     system = random_system(*SHAPE, key=jax.random.key(8))
-    wild = jnp.where(system.weight > 0, system.label, jnp.nan)
-    changed = eqx.tree_at(lambda s: s.label, system, wild)
+    changed = with_label(system, jnp.where(system.weight > 0, system.label, jnp.nan))
     np.testing.assert_array_equal(diffuse(changed).value, diffuse(system).value)
     gradient = jax.grad(lambda s: jnp.sum(diffuse(s).value ** 2))(changed)
     assert all(bool(jnp.isfinite(leaf).all()) for leaf in jax.tree.leaves(gradient))
@@ -273,10 +199,6 @@ def test_rises_carry_a_slope_over_pixels_without_data():
     np.testing.assert_allclose(found.value, slanted, atol=1e-7)
     assert float(system.energy(found.value)) < 1e-12
     assert float(found.stats.residual) < 1e-6
-    with pytest.raises(ValueError, match="`system.rise_x` and `system.rise_y`"):
-        diffuse(eqx.tree_at(lambda s: s.rise_y, system, None))
-    with pytest.raises(ValueError, match="`system.rise_y` has the shape"):
-        diffuse(eqx.tree_at(lambda s: s.rise_y, system, jnp.ones((3, 3))))
 
 
 def test_a_part_without_data_takes_the_mean_of_the_rest():
@@ -305,13 +227,6 @@ def test_no_data_at_all_is_zero():
     np.testing.assert_array_equal(diffuse(empty).value, 0)
 
 
-def test_not_converged_is_reported():
-    system = random_system(*SHAPE, key=jax.random.key(11))
-    found = diffuse(system, solver=AutoSolver(tolerance=1e-12, max_iterations=2))
-    assert not bool(found.stats.converged)
-    assert int(found.stats.iterations) == 2
-
-
 def test_nan_under_jit_is_not_silent():
     system = random_system(*SHAPE, key=jax.random.key(12))
     broken = eqx.tree_at(lambda s: s.tx, system, system.tx.at[3, 3].set(jnp.nan))
@@ -320,31 +235,32 @@ def test_nan_under_jit_is_not_silent():
     assert bool(jnp.isnan(found.value).any())
 
 
+ONES = jnp.ones((3, 3))
+
+
 @pytest.mark.parametrize(
-    ("name", "where", "value", "message"),
+    ("change", "message"),
     [
-        ("weight", (0, 0), -1.0, "`system.weight` must be finite and not negative"),
-        ("tx", (1, 1), np.nan, "`system.tx` must be finite"),
-        ("ty", (1, 1), -2.0, "`system.ty` .* -2.0"),
-        ("label", (0, 0), np.nan, "`system.label` is NaN or infinite at 1 pixels"),
+        (lambda s: {"weight": s.weight.at[0, 0].set(-1)}, "weight` must be finite and not negat"),
+        (lambda s: {"tx": s.tx.at[1, 1].set(np.nan)}, "tx` must be finite"),
+        (lambda s: {"ty": s.ty.at[1, 1].set(-2)}, "ty` .* -2.0"),
+        (lambda s: {"label": s.label.at[0, 0].set(np.nan)}, "label` is NaN or infinite at 1 pixel"),
+        (lambda _: {"tx": ONES}, r"tx` has the shape \(3, 3\)"),
+        (lambda s: {"rise_x": s.tx}, "rise_x` and `system.rise_y` must be given together"),
+        (lambda s: {"rise_x": s.tx, "rise_y": ONES}, "rise_y` has the shape"),
+        (lambda s: {"label": s.label.astype(jnp.float32)}, "label` is float32"),
     ],
 )
-def test_bad_values_raise(name, where, value, message):
+def test_bad_systems_are_refused(change, message):
     system = random_system(*SHAPE, key=jax.random.key(13))
-    array = getattr(system, name).at[where].set(value)
-    with pytest.raises(ValueError, match=message):
-        diffuse(eqx.tree_at(lambda s: getattr(s, name), system, array))
+    with pytest.raises((ValueError, TypeError), match=f"`system.{message}"):
+        diffuse(replace(system, **change(system)))
 
 
-def test_bad_shapes_and_options_raise():
+def test_bad_options_are_refused():
     system = random_system(*SHAPE, key=jax.random.key(14))
     with pytest.raises(ValueError, match="`start` has the shape"):
-        diffuse(system, start=jnp.zeros((3, 3)))
-    wrong = eqx.tree_at(lambda s: s.tx, system, jnp.ones(SHAPE))
-    with pytest.raises(ValueError, match=r"`system.tx` has the shape \(17, 18\)"):
-        diffuse(wrong)
-    with pytest.raises(TypeError, match="`system.label` is float32"):
-        diffuse(eqx.tree_at(lambda s: s.label, system, system.label.astype(jnp.float32)))
+        diffuse(system, start=ONES)
     for kind in (AutoSolver, Multigrid, Elimination):
         with pytest.raises(ValueError, match="`max_iterations` must be positive"):
             kind(max_iterations=0)

@@ -1,4 +1,4 @@
-"""The preconditioners as linear operators, and the coarse matrices."""
+"""The preconditioner as a linear operator, and the coarse matrices."""
 
 import jax
 import jax.numpy as jnp
@@ -6,14 +6,8 @@ import numpy as np
 import pytest
 from diffusion.problems import random_system
 
-from mvedge_jax.diffusion import Multigrid
-from mvedge_jax.diffusion._coarsen import (
-    Stencil,
-    coarsen,
-    interpolate,
-    product as nine_point,
-    restrict,
-)
+from mvedge_jax.diffusion import Multigrid, System, diffuse
+from mvedge_jax.diffusion._coarsen import Stencil, coarsen, interpolate, product, restrict
 
 
 def dense(function, shape):
@@ -22,60 +16,51 @@ def dense(function, shape):
     return np.asarray(columns).T
 
 
-@pytest.mark.parametrize("shape", [(5, 6), (1, 7), (2, 2)])
-def test_coarse_matrix_is_the_galerkin_product(shape):
-    """Twice: from a five-point stencil, and from the nine-point one that it gives."""
-    y, x = shape
-    keys = jax.random.split(jax.random.key(0), 4)
-    weight = jax.random.uniform(keys[0], shape)
-    # Strong isolated data give negative row sums and strongly uneven edges negative ones, which
-    # are cut off: not here.
-    stencil = Stencil(
-        jnp.where(jax.random.bernoulli(keys[1], 0.4, shape), weight, 0),
-        jax.random.uniform(keys[2], (y, x - 1), minval=0.5),
-        jax.random.uniform(keys[3], (y - 1, x), minval=0.5),
-        None,
-        None,
-    )
+def two_coarser(stencil):
+    """Of the five-point stencil and of the nine-point one below it: coarse, Galerkin matrix."""
     for _ in range(2):
         coarse, weights = coarsen(stencil)
         shape, below = stencil.mass.shape, coarse.mass.shape
         up = dense(lambda image, w=weights, s=shape: interpolate(w, image, s), below)
         down = dense(lambda image, w=weights: restrict(w, image), shape)
         np.testing.assert_allclose(down, up.T, rtol=0, atol=1e-14)
-        fine = dense(lambda image, s=stencil: nine_point(s, image), shape)
-        found = dense(lambda image, s=coarse: nine_point(s, image), below)
-        np.testing.assert_allclose(found, up.T @ fine @ up, rtol=0, atol=1e-12 * fine.max())
+        fine = dense(lambda image, s=stencil: product(s, image), shape)
+        found = dense(lambda image, s=coarse: product(s, image), below)
+        yield coarse, found, up.T @ fine @ up
         stencil = coarse
+
+
+@pytest.mark.parametrize("shape", [(5, 6), (1, 7)])
+def test_coarse_matrix_is_the_galerkin_product(shape):
+    y, x = shape
+    keys = jax.random.split(jax.random.key(0), 4)
+    weight = jax.random.uniform(keys[0], shape)
+    # Strong isolated data give negative row sums and strongly uneven edges negative ones, which
+    # are cut off: not here.
+    data = jnp.where(jax.random.bernoulli(keys[1], 0.4, shape), weight, 0)
+    tx = jax.random.uniform(keys[2], (y, x - 1), minval=0.5)
+    ty = jax.random.uniform(keys[3], (y - 1, x), minval=0.5)
+    for _, found, galerkin in two_coarser(Stencil(data, tx, ty, None, None)):
+        np.testing.assert_allclose(found, galerkin, rtol=0, atol=1e-12 * np.abs(galerkin).max())
 
 
 def test_no_coarse_matrix_is_smaller_than_the_galerkin_product():
     """Edges of 1 and 1e-4 at random, where the product itself has negative ones."""
-    shape = (9, 10)
     keys = jax.random.split(jax.random.key(3), 3)
     tx = jnp.where(jax.random.bernoulli(keys[0], 0.5, (9, 9)), 1.0, 1e-4)
     ty = jnp.where(jax.random.bernoulli(keys[1], 0.5, (8, 10)), 1.0, 1e-4)
-    weight = jnp.where(jax.random.bernoulli(keys[2], 0.1, shape), 1e5, 0.0)
-    stencil = Stencil(weight, tx, ty, None, None)
+    weight = jnp.where(jax.random.bernoulli(keys[2], 0.1, (9, 10)), 1e5, 0.0)
     cut = []
-    for _ in range(2):
-        coarse, weights = coarsen(stencil)
-        shape, below = stencil.mass.shape, coarse.mass.shape
-        up = dense(lambda image, w=weights, s=shape: interpolate(w, image, s), below)
-        fine = dense(lambda image, s=stencil: nine_point(s, image), shape)
-        found = dense(lambda image, s=coarse: nine_point(s, image), below)
-        galerkin = up.T @ fine @ up
+    for coarse, found, galerkin in two_coarser(Stencil(weight, tx, ty, None, None)):
         cut.append(np.abs(found - galerkin).max())
         assert np.linalg.eigvalsh(found - galerkin).min() > -1e-9 * np.abs(found).max()
         assert all(float(maps.min()) >= 0 for maps in jax.tree.leaves(coarse))
-        stencil = coarse
     assert max(cut) > 1e-3
 
 
 def test_interpolation_keeps_a_constant_where_there_is_no_data():
     system = random_system(6, 8, key=jax.random.key(1))
-    stencil = Stencil(jnp.zeros((6, 8)), system.tx, system.ty, None, None)
-    _, weights = coarsen(stencil)
+    _, weights = coarsen(Stencil(jnp.zeros((6, 8)), system.tx, system.ty, None, None))
     # The last column and row have a corner on one side only.
     np.testing.assert_allclose(interpolate(weights, jnp.ones((3, 4)), (6, 8)), 1, rtol=1e-14)
 
@@ -91,8 +76,6 @@ def test_preconditioner_is_symmetric_and_definite(shape):
 
 @pytest.mark.slow
 def test_iterations_hardly_grow_with_size():
-    from mvedge_jax.diffusion import System, diffuse
-
     counts = []
     for size in (128, 1024):
         rows, columns = jnp.mgrid[:size, :size]

@@ -1,3 +1,5 @@
+"""Losses: their terms against loops and scikit-image, masks, derivatives, features."""
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -11,6 +13,7 @@ from mvedge_jax.losses import (
     LossWeights,
     SupervisedWeights,
     Views,
+    all_views,
     gather_views,
     occlusion_masks,
     self_supervised_loss,
@@ -23,18 +26,15 @@ from mvedge_jax.warping import backward_warp
 ssim = jax.jit(terms.ssim)
 edge_aware_smoothness = jax.jit(terms.edge_aware_smoothness)
 reprojection_error = eqx.filter_jit(terms.reprojection_error)
-self_supervised = eqx.filter_jit(self_supervised_loss)
 
 
 def smooth_light_field(shape=(12, 15), disparity=0.6):
     """A textured plane of constant disparity, sampled exactly."""
     y, x = np.mgrid[: shape[0], : shape[1]].astype(float)
     views = np.zeros((3, 3, *shape, 3))
-    for v in range(3):
-        for u in range(3):
-            px, py = x - (1 - u) * disparity, y - (1 - v) * disparity
-            for c in range(3):
-                views[v, u, ..., c] = 0.5 + 0.3 * np.sin(0.5 * px + c) * np.cos(0.4 * py - c)
+    for v, u, c in np.ndindex(3, 3, 3):
+        px, py = x - (1 - u) * disparity, y - (1 - v) * disparity
+        views[v, u, ..., c] = 0.5 + 0.3 * np.sin(0.5 * px + c) * np.cos(0.4 * py - c)
     return LightField(jnp.asarray(views))
 
 
@@ -101,34 +101,23 @@ def test_all_views_masked_is_defined():
     assert float(run(jnp.full((6, 7), 0.9))[0]) == pytest.approx(float(value), abs=1e-12)
 
 
-def test_missing_views_do_not_count_for_the_similarity():
-    light_field = smooth_light_field((12, 13))
-    both = [gather_views(light_field, choice=views) for views in ([(1, 0)], [(1, 0), (0, 1)])]
-    one, two = both[0], eqx.tree_at(lambda v: v.available, both[1], jnp.array([True, False]))
+@pytest.mark.parametrize("similarity", [False, True])
+def test_missing_views_do_not_count(similarity):
+    light_field = smooth_light_field()
+    one, two = (gather_views(light_field, choice=c) for c in ([(1, 0)], [(1, 0), (0, 1)]))
+    two = eqx.tree_at(lambda v: v.available, two, jnp.array([True, False]))
+    weights = LossWeights(dissimilarity=jnp.asarray(0.3))
 
     @jax.jit
     def value(disparity, views):
-        weights = LossWeights(dissimilarity=jnp.asarray(0.3))
-        return self_supervised_loss(disparity, views, weights, similarity=True)[0]
+        return self_supervised_loss(disparity, views, weights, similarity=similarity)[0]
 
-    disparity = jnp.full((12, 13), 0.2)
-    run = jax.jit(jax.value_and_grad(value))
+    disparity, run = jnp.full((12, 15), 0.2), jax.jit(jax.value_and_grad(value))
     (a, slope_a), (b, slope_b) = run(disparity, one), run(disparity, two)
     assert float(a) == pytest.approx(float(b), rel=1e-12)
     np.testing.assert_allclose(slope_a, slope_b, atol=1e-12)
-    assert bool(
-        jnp.isfinite(value(disparity, eqx.tree_at(lambda v: v.available, two, jnp.zeros(2, bool))))
-    )
-
-
-def test_missing_views_do_not_count():
-    light_field = smooth_light_field((6, 7))
-    views = gather_views(light_field, choice=[(1, 0), (1, 2), (0, 1)])
-    some = Views(views.centre, views.others, views.steps, jnp.array([True, True, False]))
-    disparity = jnp.full((6, 7), 0.55)
-    a, _ = self_supervised(disparity, some, LossWeights())
-    b, _ = self_supervised(disparity, views.take(jnp.array([0, 1])), LossWeights())
-    assert float(a) == pytest.approx(float(b), rel=1e-12)
+    nothing = eqx.tree_at(lambda v: v.available, two, jnp.zeros(2, bool))
+    assert bool(jnp.isfinite(value(disparity, nothing)))
 
 
 def test_ssim_equals_scikit_image_away_from_the_border():
@@ -176,10 +165,6 @@ def test_supervised_loss_skips_unknown_pixels():
     assert float(nothing) == 0
 
 
-def save(path, arrays):
-    np.savez(path, **arrays)  # pyright: ignore
-
-
 def test_vgg_runs_on_a_users_weights_and_says_what_is_wrong(tmp_path):
     rng = np.random.default_rng(0)
     arrays = {
@@ -190,17 +175,27 @@ def test_vgg_runs_on_a_users_weights_and_says_what_is_wrong(tmp_path):
     }
     with pytest.raises(FileNotFoundError, match="no file of VGG16 weights"):
         load_vgg16(tmp_path / "none.npz")
-    save(tmp_path / "bad.npz", {**arrays, "features.0.bias": np.zeros(3)})
-    with pytest.raises(ValueError, match=r"'features.0.bias' .* has the shape \(3,\)"):
-        load_vgg16(tmp_path / "bad.npz")
-    save(tmp_path / "less.npz", {"features.0.bias": np.zeros(64)})
-    with pytest.raises(ValueError, match=r"has no array 'features.0.weight'"):
-        load_vgg16(tmp_path / "less.npz")
-    save(tmp_path / "good.npz", arrays)
+    for changed, message in (
+        ({**arrays, "features.0.bias": np.zeros(3)}, r"'features.0.bias' .* has the shape \(3,\)"),
+        ({"features.0.bias": np.zeros(64)}, r"has no array 'features.0.weight'"),
+    ):
+        np.savez(tmp_path / "bad.npz", **changed)  # pyright: ignore
+        with pytest.raises(ValueError, match=message):
+            load_vgg16(tmp_path / "bad.npz")
+    np.savez(tmp_path / "good.npz", **arrays)  # pyright: ignore
     out = load_vgg16(tmp_path / "good.npz")(jnp.full((3, 6, 7), 0.5))
     assert out.shape == (64, 6, 7)
     assert float(out.min()) >= 0
     np.testing.assert_allclose(out[:, 2, 3], out[:, 3, 3], atol=1e-9)
+
+
+def test_all_views_leaves_out_the_centre_and_what_is_missing():
+    available = jnp.ones((3, 3), bool).at[0, 0].set(False)
+    light_field = LightField(jnp.zeros((3, 3, 4, 5, 3)), available=available)
+    chosen = all_views(light_field)
+    assert len(chosen) == 7
+    assert (1, 1) not in chosen
+    assert gather_views(light_field, choice=chosen).steps.shape == (7, 2)
 
 
 @pytest.mark.parametrize(

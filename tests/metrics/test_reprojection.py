@@ -1,7 +1,5 @@
 """Reprojection error: against SciPy, a loop over pixels for visibility, and scikit-image's Lab."""
 
-import inspect
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -86,17 +84,6 @@ def test_the_right_disparity_has_the_smallest_error():
     assert min(errors[:2]) > 5 * errors[2]
 
 
-@pytest.mark.parametrize("space", ["rgb", "lab"])
-def test_values_that_are_not_finite_never_improve_a_score(space):
-    disparity, scene = _scene()
-    before = reprojection_error(disparity, scene, space=space).error
-    for seed in range(4):
-        hole = np.random.default_rng(seed).random(disparity.shape) < 0.05
-        assert reprojection_error(jnp.where(hole, jnp.nan, disparity), scene, space=space).error > (
-            before
-        )
-
-
 def test_gradients_match_differences():
     disparity, scene = _scene((3, 3, 6, 7))
 
@@ -107,30 +94,3 @@ def test_gradients_match_differences():
     check_gradient(
         loss, (0.3 * disparity, scene.views), rtol=1e-5, step=1e-7, key=jax.random.key(1)
     )
-
-
-@pytest.mark.parametrize(
-    ("disparity", "options", "message"),
-    [
-        (jnp.zeros((9, 11)), {}, "`disparity` must have the size of the views"),
-        (jnp.zeros((9, 12)), {"targets": ((0, 5),)}, "asks for view"),
-        (jnp.zeros((9, 12)), {"crop": 5}, "`crop` must"),
-        (jnp.zeros((9, 12)), {"space": "hsv"}, "`space` must"),
-    ],
-)
-def test_bad_input_says_what_is_wrong(disparity, options, message):
-    _, scene = _scene()
-    with pytest.raises(ValueError, match=message):
-        inspect.unwrap(reprojection_error)(disparity, scene, **options)
-
-
-def test_a_missing_corner_is_an_error():
-    _, scene = _scene((3, 3, 6, 7))
-    cross = np.zeros((3, 3), bool)
-    cross[1] = cross[:, 1] = True
-    views = np.asarray(scene.views) * cross[..., None, None, None]
-    scene = LightField(views, available=cross)
-    with pytest.raises(ValueError, match="the crosshair"):
-        reprojection_error(jnp.zeros((6, 7)), scene)
-    ends = reprojection_error(jnp.zeros((6, 7)), scene, targets=((1, 0), (2, 1)))
-    assert jnp.isfinite(ends.error)

@@ -1,3 +1,5 @@
+"""The rendered model: its derivatives, what points show and hide, and how it begins."""
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -6,20 +8,16 @@ import pytest
 from helpers import check_modes, count_traces, lean
 
 from mvedge_jax.depth import SplattedLabels
-from mvedge_jax.diffusion import AutoSolver, Elimination, Multigrid
-from mvedge_jax.losses import LossWeights, SupervisedWeights, Views, self_supervised_loss
+from mvedge_jax.diffusion import AutoSolver, Elimination
+from mvedge_jax.losses import LossWeights, Views, self_supervised_loss
 from mvedge_jax.model import DepthModel, Renderer, StartFit, render_model, start_from_image
-from mvedge_jax.model._model import (
-    downsample,
-    map_roughness,
-    upsample,
-)
+from mvedge_jax.model._model import downsample, map_roughness, upsample
 from mvedge_jax.model._start import Start, start_from_points
-from mvedge_jax.model.approaches import ByReprojection
 from mvedge_jax.model.objectives import SelfSupervised, Supervised, unlimited
 from mvedge_jax.splatting import SplatLabels, SplatRaster, SplatWidths
 
 SHAPE = (13, 16)
+TARGET = jnp.asarray(np.random.default_rng(4).normal(size=SHAPE))
 render = eqx.filter_jit(render_model)
 
 
@@ -54,10 +52,9 @@ def random_views(seed=1):
     return Views(jnp.asarray(image(0.0)), others, steps, jnp.ones(3, bool))
 
 
-@pytest.mark.parametrize("scale", [pytest.param(1, marks=pytest.mark.slow), 2])
-def test_gradient_of_the_whole_chain(scale):
-    """Splat, diffuse, warp, loss: with respect to Z, xy, R and Q, each on its own."""
-    renderer = exact(SplatLabels(SplatWidths(), SplatRaster(scale=scale, lanes=16)))
+def test_gradient_of_the_whole_chain():
+    """Splat at twice the size, diffuse, warp, loss: of Z, xy, R and Q, each on its own."""
+    renderer = exact(SplatLabels(SplatWidths(), SplatRaster(scale=2, lanes=16)))
     model, views = small_model(), random_views()
     visible = jnp.asarray(np.random.default_rng(2).random((3, *SHAPE)) > 0.2)
     moving, fixed = eqx.partition(model, eqx.is_inexact_array)
@@ -84,34 +81,27 @@ def test_gradient_of_the_whole_chain(scale):
         assert analytic == pytest.approx(numeric, rel=1e-5), part
 
 
-@pytest.mark.parametrize("kind", [Elimination, Multigrid])
-def test_both_modes_and_the_second_derivative(kind):
+@pytest.mark.slow
+def test_both_modes_and_the_second_derivative():
     """Of the rendered map, with respect to points and parameters."""
-    solver = kind(tolerance=1e-13)
+    solver = Elimination(tolerance=1e-13)
     renderer = jax.tree.map(jnp.asarray, exact().replace(solver=solver))
-    target = jnp.asarray(np.random.default_rng(4).normal(size=SHAPE))
     still, turning = eqx.partition(renderer, lambda leaf: leaf is renderer.solver.tolerance)
 
     def loss(tree):
         model, turning = tree
-        renderer = eqx.combine(still, turning)
-        return jnp.sum(jnp.sin(render_model(model, renderer).disparity - target))
+        return jnp.sum(jnp.sin(render_model(model, eqx.combine(still, turning)).disparity - TARGET))
 
     check_modes(loss, (small_model(), turning), rtol=1e-5, key=jax.random.key(6))
 
 
-@pytest.mark.parametrize("name", ["supervised", "self-supervised"])
-def test_both_modes_and_the_second_derivative_of_the_objectives(name):
-    model, renderer = small_model(), exact()
-    target = jnp.asarray(np.random.default_rng(4).normal(size=SHAPE))
-    objective: Supervised | SelfSupervised
-    if name == "supervised":
-        weights = SupervisedWeights()
-        objective = Supervised(target, jnp.ones(SHAPE, bool), unlimited(model), renderer, weights)
-    else:
-        views = random_views()
-        objective = SelfSupervised(views, unlimited(model), renderer)
-    key = jax.random.key(8)
+@pytest.mark.parametrize("kind", [pytest.param(Supervised, marks=pytest.mark.slow), SelfSupervised])
+def test_both_modes_and_the_second_derivative_of_the_objectives(kind):
+    model, key = small_model(), jax.random.key(8)
+    objective = {
+        Supervised: lambda *rest: Supervised(TARGET, jnp.ones(SHAPE, bool), *rest),
+        SelfSupervised: lambda *rest: SelfSupervised(random_views(), *rest),
+    }[kind](unlimited(model), exact())
 
     def loss(model):
         return objective(model, jnp.zeros(SHAPE), key=key)[0]
@@ -134,13 +124,10 @@ def test_a_plane_of_equal_labels_is_reproduced_and_a_mask_ignored():
 
 @pytest.mark.slow
 def test_unnormalised_labels_fade_beside_points():
-    model = small_model(n=1)
-    model = eqx.tree_at(
-        lambda m: (m.xy, m.disparity), model, (jnp.array([[8.0, 6.0]]), jnp.ones(1))
-    )
-    full = render(model, exact()).disparity
+    place = (jnp.array([[8.0, 6.0]]), jnp.ones(1))
+    model = eqx.tree_at(lambda m: (m.xy, m.disparity), small_model(n=1), place)
+    np.testing.assert_allclose(render(model, exact()).disparity, 1, atol=1e-9)
     faded = render(model, exact(normalized=False)).disparity
-    np.testing.assert_allclose(full, 1, atol=1e-9)
     assert 1e-6 < float(1 - faded.mean()) < 1e-2
 
 
@@ -184,16 +171,6 @@ def test_points_of_a_model_are_splatted_as_those_of_the_chain(scale):
     np.testing.assert_array_equal(found.label, expected.label)
 
 
-def test_a_renderer_lists_its_numbers_and_takes_others_by_path():
-    renderer = Renderer.on_raster(1)
-    assert "splat.widths.sigma_label = 0.35 raster px" in str(renderer)
-    thicker = renderer.replace({"splat.widths.density": 7.0}, clears=False)
-    assert float(thicker.splat.widths.density) == 7.0
-    assert not thicker.clears
-    with pytest.raises(ValueError, match="`splat.width` is no path of `Renderer`"):
-        renderer.replace({"splat.width": 1.0})
-
-
 def test_resampling_is_aligned_and_adjoint_to_averaging():
     ramp = jnp.broadcast_to(jnp.arange(7.0)[None], (5, 7))
     up = upsample(ramp, 2)
@@ -227,39 +204,9 @@ def test_one_trace_and_float32():
     assert float(jnp.abs(first.astype(float) - wide).max()) < 1e-3
 
 
-def test_objective_with_all_views_masked_is_finite():
-    views = random_views()
-    views = Views(views.centre, views.others, views.steps, jnp.zeros(3, bool))
-    model = small_model()
-    objective = SelfSupervised(views, unlimited(model))
-
-    def loss(tree):
-        return objective(eqx.combine(tree, model), jnp.zeros(SHAPE), key=jax.random.key(0))[0]
-
-    value, gradient = lean(jax.value_and_grad(loss))(eqx.filter(model, eqx.is_inexact_array))
-    assert bool(jnp.isfinite(value))
-    assert all(bool(jnp.isfinite(leaf).all()) for leaf in jax.tree.leaves(gradient))
-
-
-@pytest.mark.parametrize("scale", [1, 2])
-def test_narrow_points_end_where_their_sizes_cut_them_off(scale):
-    rng = np.random.default_rng(3)
-    n = 200
-    xy = jnp.asarray(rng.uniform([-2, -2], [SHAPE[1] + 1, SHAPE[0] + 1], (n, 2)))
-    model = DepthModel(
-        jnp.asarray(rng.normal(size=n)), xy, jnp.asarray(rng.normal(size=n)),
-        jnp.asarray(rng.uniform(0, 4, SHAPE)), jnp.ones(n, bool),
-    )  # fmt: skip
-    narrow = SplatLabels.on_raster(scale)
-    everywhere = SplatLabels(narrow.widths, SplatRaster(scale=scale, radius=16))
-    expected = render(model, Renderer(everywhere)).splat
-    found = render(model, Renderer(narrow)).splat
-    for name in ("label_sum", "weight", "transmittance"):
-        np.testing.assert_allclose(getattr(found, name), getattr(expected, name), atol=2e-5)
-
-
 def test_points_that_are_cut_off_are_refused():
     narrow = Renderer.on_raster(1)
+    assert "splat.widths.sigma_label = 0.35 raster px" in str(narrow)
     assert Renderer.on_raster(2).splat.widths.sigma_label == 0.7
     assert Renderer.thesis().splat.widths.sigma_label == 1.3
     with pytest.raises(ValueError, match=r"sigma_label` = 1\.3 px .*radius` = 2 px"):
@@ -269,6 +216,8 @@ def test_points_that_are_cut_off_are_refused():
     # Of several settings, the widest counts.
     with pytest.raises(ValueError, match=r"sigma_weight` = 3 px .*radius` = 2 px"):
         narrow.replace({"splat.widths.sigma_weight": jnp.asarray([0.4, 3.0])})
+    with pytest.raises(ValueError, match="`splat.width` is no path of `Renderer`"):
+        narrow.replace({"splat.width": 1.0})
 
 
 def test_a_point_outside_of_the_image_takes_no_part():
@@ -278,9 +227,3 @@ def test_a_point_outside_of_the_image_takes_no_part():
         jnp.zeros(SHAPE), StartFit(),
     )  # fmt: skip
     assert start.model.valid.tolist() == [True, False]
-
-
-def test_views_to_draw_are_at_least_one():
-    for subset in (0, -5):
-        with pytest.raises(ValueError, match=f"`subset` must be at least 1.* got {subset}"):
-            ByReprojection(subset=subset)

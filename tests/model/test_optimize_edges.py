@@ -1,3 +1,5 @@
+"""Maps that views correct, what of it is kept, and where it begins."""
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -14,7 +16,12 @@ from mvedge_jax.model import (
     render_model,
     start_from_depth,
 )
-from mvedge_jax.model.approaches import Bending, ByEvidence, ByReprojection, polish
+from mvedge_jax.model.approaches import (
+    Bending,
+    ByEvidence,
+    ByReprojection,
+    polish,
+)
 from mvedge_jax.model.approaches._approach import explained
 from mvedge_jax.model.optimisation import Rates, all_at_once
 
@@ -101,7 +108,10 @@ def test_the_edges_alone_are_a_start():
     assert error.max() < 0.02
 
 
-def test_a_start_of_another_shape_is_refused():
+def test_bad_input_is_named():
     start = level(TRUE)._replace(disparity=jnp.zeros((3, 4)))
     with pytest.raises(ValueError, match=r"`start` has the shape \(3, 4\); the views have \(20"):
         optimize_edges(plane(), start, ByEvidence(), NARROW)
+    for subset in (0, -5):
+        with pytest.raises(ValueError, match=f"`subset` must be at least 1.* got {subset}"):
+            ByReprojection(subset=subset)

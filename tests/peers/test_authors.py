@@ -17,6 +17,7 @@ from mvedge_jax.photometry import CalibratedViews, Evidence
 from mvedge_jax.photometry.brightness import Exposure, Noise
 
 
+@pytest.mark.slow
 def test_parts_keep_their_protocols():
     case = given()
     found = check_part(

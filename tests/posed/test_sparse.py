@@ -50,9 +50,7 @@ def test_points_are_where_the_photograph_shows_them():
     scale = float(WANTED.scale(photographs()))
     np.testing.assert_allclose(seen.disparity[:-2], scale / DEPTHS[INDEX].ravel()[PIXELS])
     assert np.asarray(seen.valid).tolist() == [True] * 40 + [False] * 2
-
-
-def test_only_points_that_the_photograph_saw():
+    # Only points that the photograph saw.
     observed = np.ones((4, 42), bool)
     observed[INDEX, :10] = False
     view = Photographs(jnp.asarray(IMAGES), POSES, MATRIX, points=POINTS, observed=observed)
@@ -60,11 +58,8 @@ def test_only_points_that_the_photograph_saw():
 
 
 def test_the_truth_explains_the_photographs_best():
-    view, wanted = photographs(), WANTED
-    scale = wanted.scale(view)
-    truth = scale / jnp.asarray(DEPTHS[INDEX])
-    weights = SparseStereoDepth().weights
-    views = wanted.views(view)
+    truth = WANTED.scale(photographs()) / jnp.asarray(DEPTHS[INDEX])
+    weights, views = SparseStereoDepth().weights, WANTED.views(photographs())
     loss = jax.jit(lambda d: posed_loss(truth + d, views, weights))
     losses = [float(loss(d)) for d in (-0.2, -0.1, -0.05, 0.0, 0.05, 0.1, 0.2)]
     assert losses == sorted(losses[:4], reverse=True) + sorted(losses[4:])
@@ -99,11 +94,8 @@ def test_gradients_of_the_loss_with_respect_to_points_and_poses():
 
 @pytest.mark.slow
 def test_optimising_makes_the_diffused_points_better():
-    noise = np.random.default_rng(1).normal(scale=0.04, size=(len(POINTS), 1))
-    view, wanted = (
-        photographs(POSES[INDEX, :3, 3] + (1 + noise) * (POINTS - POSES[INDEX, :3, 3])),
-        WANTED,
-    )
+    noise, centre = np.random.default_rng(1).normal(scale=0.04, size=(42, 1)), POSES[INDEX, :3, 3]
+    view, wanted = photographs(centre + (1 + noise) * (POINTS - centre)), WANTED
     method = SparseStereoDepth(smoothing=10, iterations=10, passes=3)
     found = sparse_stereo(view, wanted, method, key=jax.random.key(0))
     truth = jnp.asarray(DEPTHS[INDEX])

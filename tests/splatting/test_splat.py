@@ -1,3 +1,5 @@
+"""Splatting: against every point at every pixel, derivatives, and sets of any kind."""
+
 from dataclasses import replace
 
 import equinox as eqx
@@ -5,11 +7,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers import check_gradient, check_modes, count_traces, with_values
+from helpers import check_modes, count_traces, with_values
 from splatting.reference import splat_reference
 
 from mvedge_jax import splatting
-from mvedge_jax.splatting import SplatRaster, SplatWidths, absorption
+from mvedge_jax.splatting import SplatRaster, SplatWidths
 
 SHAPE = (21, 27)
 splat = eqx.filter_jit(splatting.splat)
@@ -68,48 +70,11 @@ def test_fast_path_equals_every_point_at_every_pixel(sizes):
         np.testing.assert_allclose(a, b, atol=1e-10)
 
 
-def test_gradient_against_differences():
-    tree = (*cloud()[:3], SplatWidths(), 0.3 + cloud()[2] / 3)
-    check_gradient(
-        random_functional(splat, SplatRaster(lanes=16)), tree, rtol=1e-5, key=jax.random.key(0)
-    )
-
-
 @pytest.mark.parametrize("absorption", ["closed", "quadrature"])
 def test_both_modes_and_the_second_derivative(absorption):
     sizes = SplatRaster(absorption=absorption, lanes=16)
     tree = (*cloud()[:3], SplatWidths(), 0.3 + cloud()[2] / 3)
     check_modes(random_functional(splat, sizes), tree, rtol=1e-5, key=jax.random.key(5))
-
-
-def test_default_radius_cuts_less_than_it_says():
-    points = cloud()
-    fast = splat(*points, SplatWidths(), SHAPE, SplatRaster())
-    slow = splat_reference(*points, SplatWidths(), SHAPE, SplatRaster())
-    assert float(jnp.abs(maps(fast) - maps(slow)).max()) < 4e-4 * float(
-        jnp.abs(points[1]).max() * 2
-    )
-
-
-def test_closed_form_equals_quadrature():
-    distance = jnp.linspace(0, 6, 200)
-    optical = 6.2 * np.sqrt(2 * np.pi) * jnp.exp(-(distance**2) / (2 * 1.69))
-    closed = absorption(optical, "closed")[0]
-    sampled = absorption(optical, "quadrature")[0]
-    assert float(jnp.abs(closed - sampled).max()) < 2e-3
-    points = cloud()
-    a = splat(*points, SplatWidths(), SHAPE, SplatRaster())
-    b = splat(*points, SplatWidths(), SHAPE, SplatRaster(absorption="quadrature"))
-    spread = float(jnp.abs(points[1]).max())
-    assert float(jnp.abs(a.label_sum - b.label_sum).max()) < 2e-3 * max(spread, 1)
-    assert float(jnp.abs(a.weight - b.weight).max()) < 2e-3
-
-
-def test_absorptions_and_remaining_transmittance_sum_to_one():
-    xy, _, weight, valid = cloud(dtype=np.float32)
-    result = splat(xy, jnp.ones_like(weight), weight, valid, SplatWidths(), SHAPE, SplatRaster())
-    assert result.label_sum.dtype == jnp.float32
-    assert float(jnp.abs(result.label_sum + result.transmittance - 1).max()) < 1e-6
 
 
 @pytest.mark.parametrize("border", [7.5, 8.0, 9.0])
@@ -144,26 +109,25 @@ def test_masked_points_change_neither_value_nor_gradient():
     for a, b in zip(gradient_one, gradient_two, strict=True):
         np.testing.assert_array_equal(a, b)
         assert float(jnp.abs(a[~valid]).max()) == 0
+    # Points that are not finite are left out although they are valid.
+    few, rest = valid.at[:2].set(False), (SplatWidths(), SHAPE, SplatRaster())
+    found = splat(xy.at[0, 0].set(jnp.nan), label.at[1].set(jnp.inf), weight, valid, *rest)
+    np.testing.assert_array_equal(maps(found), maps(splat(xy, label, weight, few, *rest)))
 
 
-def test_not_finite_points_are_left_out_although_valid():
-    xy, label, weight, valid = cloud()
-    result = splat(
-        xy.at[0, 0].set(jnp.nan), label.at[1].set(jnp.inf), weight, valid,
-        SplatWidths(), SHAPE, SplatRaster(),
-    )  # fmt: skip
-    expected = splat(
-        xy, label, weight, valid.at[:2].set(False), SplatWidths(), SHAPE, SplatRaster()
-    )
-    np.testing.assert_array_equal(maps(result), maps(expected))
-
-
-def test_nearest_label_wins_for_disparity_and_for_depth():
+@pytest.mark.parametrize(
+    ("nearest", "opacity", "expected"),
+    [("largest", 1.0, 2.0), ("smallest", 1.0, 0.5), ("largest", 1e-6, 0.5)],
+)
+def test_the_nearest_label_wins_unless_it_is_transparent(nearest, opacity, expected):
     xy = jnp.array([[10.0, 10.0], [10.2, 10.0]])
-    label, weight, valid = jnp.array([0.5, 2.0]), jnp.ones(2), jnp.ones(2, bool)
-    for nearest, expected in (("largest", 2.0), ("smallest", 0.5)):
-        result = splat(xy, label, weight, valid, SplatWidths(), SHAPE, SplatRaster(nearest=nearest))
-        assert float(result.label[10, 10]) == pytest.approx(expected, abs=1e-4)
+    points = xy, jnp.array([0.5, 2.0]), jnp.ones(2), jnp.ones(2, bool)
+    result = splat(
+        *points, SplatWidths(), SHAPE, SplatRaster(nearest=nearest),
+        opacity=jnp.array([1.0, opacity]),
+    )  # fmt: skip
+    tolerance = 1e-4 if opacity == 1 else 1e-3
+    assert float(result.label[10, 10]) == pytest.approx(expected, abs=tolerance)
 
 
 def test_capacity_drops_the_farthest_and_counts_them():
@@ -204,22 +168,9 @@ def test_degenerate_sets_are_defined_with_finite_gradients(case):
         assert float(result.label[5, 5]) == pytest.approx(float(label[0]), abs=1e-6)
 
 
-def test_a_transparent_point_hides_nothing():
-    xy = jnp.array([[10.0, 10.0], [10.2, 10.0]])
-    label, weight, valid = jnp.array([0.5, 2.0]), jnp.ones(2), jnp.ones(2, bool)
-    for opacity, expected in ((1.0, 2.0), (1e-6, 0.5)):
-        result = splat(
-            xy, label, weight, valid, SplatWidths(), SHAPE, SplatRaster(),
-            opacity=jnp.array([1.0, opacity]),
-        )  # fmt: skip
-        assert float(result.label[10, 10]) == pytest.approx(expected, abs=1e-3)
-
-
 def test_equal_depths_are_ordered_by_index():
-    xy = jnp.array([[5.0, 5.0], [5.0, 5.0]])
-    label = jnp.array([0.3, 0.3])
-    weight = jnp.array([1.0, 4.0])
-    result = splat(xy, label, weight, jnp.ones(2, bool), SplatWidths(), SHAPE, SplatRaster())
+    points = jnp.full((2, 2), 5.0), jnp.full(2, 0.3), jnp.array([1.0, 4.0]), jnp.ones(2, bool)
+    result = splat(*points, SplatWidths(), SHAPE, SplatRaster())
     assert float(result.weight[5, 5]) == pytest.approx(1.0, abs=1e-5)
 
 
@@ -235,20 +186,20 @@ def test_jit_vmap_and_one_trace():
         params, shifts
     )
     np.testing.assert_allclose(batch, loop, atol=1e-12)
-    eager = maps(
-        splatting.splat(
-            xy, label * 0.3, weight, valid, SplatWidths(density=jnp.asarray(5.3)), SHAPE, sizes
-        )
-    )
-    np.testing.assert_allclose(eager, loop[1], atol=1e-12)
+    widths = SplatWidths(density=jnp.asarray(5.3))
+    eager = splatting.splat(xy, label * 0.3, weight, valid, widths, SHAPE, sizes)
+    np.testing.assert_allclose(maps(eager), loop[1], atol=1e-12)
 
 
-def test_float32_is_close_to_float64():
+def test_float32_is_close_to_float64_and_absorptions_sum_to_one():
     wide, narrow = cloud(), cloud(dtype=np.float32)
     exact = splat(*wide, SplatWidths(), SHAPE, SplatRaster())
     single = splat(*narrow, SplatWidths(), SHAPE, SplatRaster())
     assert single.weight.dtype == jnp.float32
     assert float(jnp.abs(maps(exact) - maps(single).astype(float)).max()) < 2e-5
+    xy, _, weight, valid = narrow
+    ones = splat(xy, jnp.ones_like(weight), weight, valid, SplatWidths(), SHAPE, SplatRaster())
+    assert float(jnp.abs(ones.label_sum + ones.transmittance - 1).max()) < 1e-6
 
 
 @pytest.mark.parametrize(
@@ -266,16 +217,20 @@ def test_bad_sizes_say_what_is_wrong(change, message):
         SplatRaster(**change)
 
 
-@pytest.mark.parametrize("name", ["sigma_label", "sigma_weight"])
-def test_points_wider_than_their_radius_are_refused(name):
-    points = (jnp.zeros((1, 2)), jnp.ones(1), jnp.ones(1), jnp.ones(1, bool))
-    wide = with_values(SplatWidths, **{name: 3.0})
-    with pytest.raises(ValueError, match=f"{name}` = 3 px still count .* at `radius` = 6 px"):
-        splatting.splat(*points, wide, SHAPE, SplatRaster())
-    splatting.splat(*points, wide, SHAPE, SplatRaster(radius=14))
-    for width in (0.0, float("nan")):
-        with pytest.raises(ValueError, match=f"`{name}` must be positive, got {width}"):
-            SplatRaster().check(with_values(SplatWidths, **{name: width}))
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"sigma_label": 0.0}, "`sigma_label` must be positive, got 0.0"),
+        ({"sigma_weight": float("nan")}, "`sigma_weight` must be positive, got nan"),
+        ({"density": 0.0}, "`density` and `sigma_depth` must be positive, got 0 and"),
+        ({"sigma_label": 3.0}, "sigma_label` = 3 px still count .* at `radius` = 6 px"),
+        ({"sigma_weight": 3.0}, "sigma_weight` = 3 px still count .* at `radius` = 6 px"),
+    ],
+)
+def test_bad_widths_say_what_is_wrong(change, message):
+    points = jnp.zeros((1, 2)), jnp.ones(1), jnp.ones(1), jnp.ones(1, bool)
+    with pytest.raises(ValueError, match=message):
+        splatting.splat(*points, with_values(SplatWidths, **change), SHAPE, SplatRaster())
 
 
 @pytest.mark.parametrize("order", [2, 6, 26])
@@ -294,11 +249,6 @@ def test_steep_weights_have_finite_derivatives_in_float32(order):
     slope = jax.jit(lambda p: jax.jvp(total, (p,), (direction,))[1])(params)
     assert all(bool(jnp.isfinite(leaf).all()) for leaf in jax.tree.leaves(gradient))
     assert float(slope) == pytest.approx(sum(float(g) for g in jax.tree.leaves(gradient)), rel=1e-4)
-
-
-def test_a_ray_without_density_is_refused():
-    with pytest.raises(ValueError, match="`density` and `sigma_depth` must be positive, got 0 and"):
-        SplatRaster().check(with_values(SplatWidths, density=0.0))
 
 
 @pytest.mark.parametrize("name", ["sigma_label", "sigma_weight"])

@@ -10,30 +10,26 @@ from helpers import check_gradient
 from mvedge_jax.all_views import ViewDepths
 from mvedge_jax.color import srgb_to_lab
 from mvedge_jax.lightfield import LightField
-from mvedge_jax.superpixels import (
-    SuperpixelClustering,
-    soft_superpixels,
-    through_superpixels,
-)
+from mvedge_jax.superpixels import SuperpixelClustering, soft_superpixels, through_superpixels
 
 
-def _scene(shape=(14, 17), dtype=np.float64):
+def _scene(shape=(14, 17)):
     rng = np.random.default_rng(0)
     y, x = np.mgrid[: shape[0], : shape[1]]
     depth = np.where(x > 8, 0.4, 0.0) + 0.01 * y + 0.02 * rng.normal(size=shape)
     picture = np.clip(0.4 + 0.2 * (x > 8)[..., None] + 0.05 * rng.normal(size=(*shape, 3)), 0, 1)
-    field = LightField(jnp.asarray(picture[None, None], dtype))
-    maps = jnp.asarray(depth[None, None], dtype)
+    field = LightField(jnp.asarray(picture[None, None]))
+    maps = jnp.asarray(depth[None, None])
     return field, ViewDepths(maps, 0 * maps, jnp.zeros(maps.shape, jnp.int8), jnp.asarray(0))
-
-
-def _soft(field, depths, **numbers):
-    return soft_superpixels(field, depths, _model(**numbers))
 
 
 def _model(**numbers):
     few = SuperpixelClustering(capacity=16, margin=2, rounds=3)
     return few.replace({"size": 6.0, "temperature": 0.5, **numbers})
+
+
+def _soft(field, depths, **numbers):
+    return soft_superpixels(field, depths, _model(**numbers))
 
 
 def test_shares_are_those_of_the_formula():
@@ -61,14 +57,15 @@ def test_shares_are_those_of_the_formula():
         np.testing.assert_allclose(share[used], wanted, rtol=1e-9)
 
 
-def test_a_low_temperature_tells_surfaces_apart():
+def test_a_low_temperature_tells_surfaces_apart_and_leaves_means_unchanged():
     field, depths = _scene()
     soft = _soft(field, depths, temperature=0.01)
-    labels = np.take_along_axis(
-        np.asarray(soft.names), np.asarray(soft.shares).argmax(0)[None], axis=0
-    )[0]
+    best = np.asarray(soft.shares).argmax(0)[None]
+    labels = np.take_along_axis(np.asarray(soft.names), best, axis=0)[0]
     near = np.arange(17) > 8
     assert not set(np.unique(labels[:, near])) & set(np.unique(labels[:, ~near]))
+    flat = jnp.full((14, 17, 2), 0.3)
+    np.testing.assert_allclose(through_superpixels(soft, flat), flat, rtol=1e-12)
 
 
 @pytest.mark.parametrize("what", ["views", "depth", "params"])
@@ -94,10 +91,3 @@ def test_gradients_are_those_of_differences(what):
     }
     tree, function = cases[what]
     check_gradient(function, tree, rtol=1e-5, step=1e-6, key=jax.random.key(0))
-
-
-def test_an_image_of_means_passes_unchanged():
-    field, depths = _scene()
-    soft = _soft(field, depths, temperature=1e-3)
-    flat = jnp.full((14, 17, 2), 0.3)
-    np.testing.assert_allclose(through_superpixels(soft, flat), flat, rtol=1e-12)

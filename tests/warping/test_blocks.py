@@ -24,7 +24,7 @@ def _whole(images):
     return _box_and_product(np.pad(images, margin)[None])[0]
 
 
-@pytest.mark.parametrize("shape", [(1, 1), (3, 40), (16, 32), (50, 67), (200, 130)])
+@pytest.mark.parametrize("shape", [(1, 1), (3, 40), (200, 130)])
 @pytest.mark.parametrize("share", [0.0, 0.002, 0.1, 1.0])
 def test_what_is_wanted_is_that_of_the_whole_image(shape, share):
     rng = np.random.default_rng(0)

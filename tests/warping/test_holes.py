@@ -31,7 +31,7 @@ def _row(hit, y, step):
     return None
 
 
-@pytest.mark.parametrize("shape", [(1, 9), (9, 1), (7, 12), (16, 5)])
+@pytest.mark.parametrize("shape", [(9, 1), (7, 12)])
 @pytest.mark.parametrize("share", [0.0, 0.03, 0.1, 0.5, 0.9, 1.0])
 def test_holes_are_those_of_a_walk_from_each_pixel(shape, share):
     rng = np.random.default_rng(0)

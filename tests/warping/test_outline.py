@@ -36,23 +36,17 @@ def test_a_pixel_belongs_to_what_covers_most_of_it_in_linear_light(front, back, 
     np.testing.assert_array_equal(_outlined(_steps(drawn), light), expected)
 
 
-def test_where_nothing_tells_the_map_stays():
+def test_what_has_no_outline_stays_and_a_pixel_between_two_surfaces_is_given_to_one():
     disparity = _steps(13)
     np.testing.assert_array_equal(_outlined(disparity, np.full((16, 24), 0.2)), disparity)
-
-
-def test_a_pixel_between_two_surfaces_is_given_to_one():
-    disparity = _steps(12)
-    disparity[:, 12] = 0.5
+    steep = np.tile(0.3 * np.arange(24.0), (16, 1))
+    light = np.random.default_rng(0).random((16, 24))
+    np.testing.assert_array_equal(_outlined(steep, light, prior=0.0), steep)
+    between = _steps(12)
+    between[:, 12] = 0.5
     light = np.where(np.arange(24) < 12, 0.6, 0.1)
     light[12] = 0.2
-    np.testing.assert_array_equal(_outlined(disparity, light), _steps(12))
-
-
-def test_a_steep_surface_has_no_outline():
-    disparity = np.tile(0.3 * np.arange(24.0), (16, 1))
-    light = np.random.default_rng(0).random((16, 24))
-    np.testing.assert_array_equal(_outlined(disparity, light, prior=0.0), disparity)
+    np.testing.assert_array_equal(_outlined(between, light), _steps(12))
 
 
 def test_the_more_the_map_is_believed_the_less_it_changes():
@@ -122,11 +116,8 @@ def test_single_precision_tells_the_same():
 
 
 def test_it_is_a_selection_without_gradient():
-    view = jnp.asarray(
-        _encoded(np.broadcast_to(np.where(np.arange(24) < 12, 0.6, 0.1), (3, 16, 24)))
-    )
-
-    even = Outline(odds=jnp.asarray(1.0))
+    light = np.broadcast_to(np.where(np.arange(24) < 12, 0.6, 0.1), (3, 16, 24))
+    view, even = jnp.asarray(_encoded(light)), Outline(odds=jnp.asarray(1.0))
 
     def total(disparity):
         return jnp.sum(disparity.ravel()[outline(disparity, view, jnp.asarray(0.0), even)])
