@@ -76,7 +76,7 @@ depth SCENE OUT --range -inf inf | `disparity_range` must be finite with low < h
 depth SCENE OUT --max-gb nan | MVEDGE_MAX_GB must be a positive number of gigabytes, got nan
 depth SCENE OUT --max-gb much | MVEDGE_MAX_GB must be a positive number of gigabytes, got much
 depth SCENE OUT --max-gb 1e-9 | /input_Cam004.png belongs to claims 3x3x6x8x3 numbers, 0.0 GB in
-depth SCENE OUT --set refine.solvse=1 | --set refine.solvse: `refine.solvse` is no path of
+depth EMPTY OUT --set refine.solvse=1 | `refine.solvse` is no path of
 depth nowhere OUT | nowhere is not there; expected a folder or file
 depth x[/old] OUT | x[/old] is not there
 depth MAP OUT | is not a light field that can be read
@@ -84,10 +84,10 @@ depth /dev/zero OUT | /dev/zero is not there
 edges SCENE SCENE --overwrite | is the input
 edges SCENE PARENT --overwrite | holds the input
 edges SCENE OUT --range 1 -1 | low < high
-edges SCENE OUT --set refine.solvse=1 | --set refine.solvse: `refine.solvse` is no path of
+edges EMPTY OUT --set refine.solvse=1 | `refine.solvse` is no path of
 views nowhere OUT | nowhere is not there; expected a folder or file
 views SCENE OUT --views 2 | `views` must be odd, at least 3 and at most the grid of 3x3 views of
-views SCENE OUT --set refine.solvse=1 | --set refine.solvse: `refine.solvse` is no path of
+views EMPTY OUT --set refine.solvse=1 | `refine.solvse` is no path of
 optimize SCENE SCENE/inside --overwrite | lies in the input
 optimize SCENE OUT --iterations 0 | --iterations must be at least 1, got 0
 optimize SCENE OUT --grow-points 3 | --grow-points needs --supervised
@@ -98,7 +98,7 @@ optimize SCENE OUT --features vgg16 --vgg16 MAP | is not an .npz file
 optimize SCENE OUT --state nowhere | There is no saved state at
 optimize SCENE OUT --state MAP | does not hold a whole state of the optimisation in the
 optimize SCENE OUT --state /dev/zero | There is no saved state at /dev/zero
-optimize SCENE OUT --set refine.solvse=1 | --set refine.solvse: `refine.solvse` is no path of
+optimize EMPTY OUT --set refine.solvse=1 | `refine.solvse` is no path of
 learn OUT --what smoothness.colour | no path of `EdgeDepth`: the fields of `Col
 learn OUT --what refine.solves | `refine.solves` holds 2; only numbers and arrays can be
 learn OUT --model MAP | codec can't decode byte
@@ -114,7 +114,7 @@ learn OUT --size 8 --views 3 --prior nan | `prior` must be finite and not negati
 learn OUT --size 8 --views 3 --limit nan | `limit` must be positive, got nan
 learn SCENE OUT --validation 1 | --validation 1 leaves none of 1 scenes to learn from
 learn SCENE BARE OUT | has no ground truth to learn from
-learn SCENE OUT --set refine.solvse=1 | --set refine.solvse: `refine.solvse` is no path of
+learn EMPTY OUT --set refine.solvse=1 | `refine.solvse` is no path of
 learn nowhere OUT | there is no such file or folder
 edit nowhere OUT --mask MASK | nowhere is not there; expected a folder or file
 edit SCENE OUT | either --insert or --mask
@@ -200,7 +200,7 @@ batch SCENE OUT --scheduler nonsense | nonsense
 batch SCENE OUT --video --scheduler tcp://nowhere:1 | --workers or --scheduler exclude each other
 batch SCENE OUT --video --slurm | --workers or --scheduler exclude each other
 batch SCENE OUT --slurm --workers 1 | --workers or --scheduler exclude each other
-batch SCENE OUT --set refine.solvse=1 | --set refine.solvse: `refine.solvse` is no path of
+batch EMPTY OUT --set refine.solvse=1 | `refine.solvse` is no path of
 sweep SCENE | at least one scene and
 sweep nowhere OUT --vary dense.trust=1:2 | there is no such file or folder
 sweep SCENE OUT | at least one number or choice
@@ -210,7 +210,7 @@ sweep SCENE OUT --vary dense.turst=1:2 | `dense.turst` is no path of `EdgeDepth`
 sweep SCENE OUT --vary refine.solves=1:2 | `refine.solves` is not a number, as an interval
 sweep SCENE OUT --vary dense.trust=1:2 --preset edges | `dense.trust` is no path
 sweep SCENE OUT --vary dense.trust=1:2 --set refine.solves=0 | --set refine.solves: `solves`
-sweep SCENE OUT --vary dense.trust=1:2 --set refine.solvse=1 | `refine.solvse` is no path
+sweep EMPTY OUT --vary dense.trust=1:2 --set refine.solvse=1 | `refine.solvse` is no path
 sweep SCENE OUT --vary dense.trust=2:1 | an interval must have finite ends in increasing order
 sweep SCENE OUT --vary dense.trust=0:1 | a logarithmic interval must be positive, got 0.0
 sweep SCENE OUT --vary dense.trust=1:nan | must be finite
@@ -240,7 +240,7 @@ superpixels SCENE OUT --size 5 --pick 8 0 | --pick must lie in the centre view, 
 superpixels SCENE OUT --size 5 --pick -1 0 | --pick must lie in the centre view, 8x6 px, got
 superpixels SCENE OUT --size 5 --colour nan 0 0 | --colour must be three numbers between 0 and
 superpixels SCENE OUT --views 2 | `views` must be odd, at least 3 and at most the grid of 3x3
-superpixels SCENE OUT --set refine.solvse=1 | --set refine.solvse: `refine.solvse` is no path of
+superpixels EMPTY OUT --set refine.solvse=1 | `refine.solvse` is no path of
 """
 
 
@@ -252,11 +252,12 @@ def _places(folder: Path) -> dict[str, Path]:
     (folder / "labels").mkdir()
     np.save(folder / "labels" / "labels.npy", np.zeros((1, 2), np.float32))
     (folder / "folder.html").mkdir()
+    (folder / "empty").mkdir()
     (folder / "page.html").write_text("mine")
     scene = hci(folder)
     return {
         "SCENE": scene, "SCENE/inside": scene / "inside", "PARENT": folder,
-        "SCENE/..": scene / "..",
+        "SCENE/..": scene / "..", "EMPTY": folder / "empty",
         "SCENE/parameters.cfg": scene / "parameters.cfg",
         "BIG": write_hci(folder / "big", random_views((3, 3, 16, 16, 3))),
         "BARE": write_hci(folder / "bare", random_views((3, 3, 16, 16, 3)), settings=False),
