@@ -226,10 +226,10 @@ def test_positions_are_those_of_rows_and_columns(positions, message):
 
 
 def test_positions_are_written_with_a_program_and_no_size_is_chosen_from_traced_ones():
-    pytest.importorskip("flatbuffers", reason="jax.export writes files by it")
     field = _random(positions=_places())
     with pytest.raises(TypeError, match="`light_field.positions` is traced"):
         jax.jit(lambda s: jnp.asarray(s.farthest))(field)
+    pytest.importorskip("flatbuffers", reason="jax.export writes files by it")
     data = export.export(jax.jit(lambda s: (s, s.steps)))(field).serialize()
     same, steps = export.deserialize(data).call(field)
     np.testing.assert_array_equal(same.positions, field.positions)
