@@ -68,6 +68,15 @@ def test_leaves_nothing_half_written(monkeypatch, tmp_path, render, error, code)
     assert list(tmp_path.iterdir()) == []
 
 
+def test_interrupting_the_renderer_leaves_nothing(monkeypatch, tmp_path, render):
+    def interrupt(*args, **kwargs):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(synthetic, "visibility", interrupt)
+    render("crossing", tmp_path / "out", code=130)
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_help_names_every_scene(mvedge):
     text = mvedge("render", "--help").out
     assert all(name in text for name in synthetic.scene_names())
