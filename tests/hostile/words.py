@@ -83,6 +83,7 @@ depth MAP OUT | is not a light field that can be read
 depth /dev/zero OUT | /dev/zero is not there
 edges SCENE SCENE --overwrite | is the input
 edges SCENE PARENT --overwrite | holds the input
+edges nowhere OUT | nowhere is not there
 edges SCENE OUT --range 1 -1 | low < high
 edges EMPTY OUT --set refine.solvse=1 | `refine.solvse` is no path of
 views nowhere OUT | nowhere is not there; expected a folder or file
@@ -174,6 +175,7 @@ view SCENE --port 70000 | the port must be between 0 and 65535, got 70000
 view SCENE --host nowhere.invalid | the page cannot be served at nowhere.invalid
 view SCENE --host 192.0.2.1 | the page cannot be served at 192.0.2.1, port 8765
 export BIG OUT | Missing from mvedge export: --to
+export SCENE OUT --to colmap | `images` must be at least 8 px a side, got 6x8
 export BIG OUT --to obj | invalid choice 'obj' for argument '--to'
 export BIG OUT --to ply | has no depth to make points of; run mvedge depth
 export BIG OUT --to ply --points edges | has no edge points; run mvedge depth
