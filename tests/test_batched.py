@@ -100,17 +100,23 @@ def test_no_rows_give_none():
     assert batched(lambda row: row[:2])(jnp.zeros((0, 3))).shape == (0, 2)
 
 
+LENGTHS = "`rows` must have one leading axis in all of its leaves"
+
+
 @pytest.mark.parametrize(
-    "rows", [(), jnp.asarray(1.0), (jnp.zeros(2), jnp.zeros(3)), (jnp.zeros(2), jnp.asarray(1.0))]
+    ("rows", "options", "message"),
+    [
+        ((), {}, LENGTHS),
+        (jnp.asarray(1.0), {}, LENGTHS),
+        ((jnp.zeros(2), jnp.zeros(3)), {}, LENGTHS),
+        ((jnp.zeros(2), jnp.asarray(1.0)), {}, LENGTHS),
+        (jnp.zeros(2), {"together": 0}, "`together` must be at least 1, got 0"),
+        (jnp.zeros(2), {"devices": []}, "`devices` must have one device at least, got none"),
+    ],
 )
-def test_rows_of_other_lengths_are_told(rows):
-    with pytest.raises(ValueError, match="`rows` must have one leading axis in all of its leaves"):
-        batched(lambda row: row)(rows)
-
-
-def test_none_together_is_told():
-    with pytest.raises(ValueError, match="`together` must be at least 1, got 0"):
-        batched(lambda row: row, together=0)
+def test_mistakes_are_told(rows, options, message):
+    with pytest.raises(ValueError, match=message):
+        batched(lambda row: row, **options)(rows)
 
 
 SPREAD = """
@@ -141,8 +147,3 @@ for size in (1, 4, 5):
 def test_rows_on_two_devices_are_those_on_one():
     ran = subprocess.run([sys.executable, "-c", SPREAD], capture_output=True, text=True)
     assert ran.returncode == 0, ran.stderr
-
-
-def test_no_devices():
-    with pytest.raises(ValueError, match="`devices` must have one device at least, got none"):
-        batched(lambda row: row, devices=[])

@@ -98,32 +98,27 @@ def test_a_call_that_compiles_for_long_says_so_once(monkeypatch, caplog):
         assert not caplog.records
 
 
-@pytest.mark.parametrize("value", [float("nan"), float("inf"), -float("inf"), -1.0])
+@pytest.mark.parametrize("value", [float("nan"), float("inf"), -1.0])
 @pytest.mark.parametrize("where", ["inner.sigma", "weight", "pair[1].sigma"])
 def test_what_is_no_number_is_named(where, value):
-    params = _Outer(pair=(_Inner(), _Inner()))
-    if where == "weight":
-        params = eqx.tree_at(lambda p: p.weight, params, jnp.asarray([0.0, value]))
-    elif where == "inner.sigma":
-        params = eqx.tree_at(lambda p: p.inner.sigma, params, value)
-    else:
-        params = eqx.tree_at(lambda p: p.pair[1].sigma, params, value)
+    place, bad = {
+        "inner.sigma": (lambda p: p.inner.sigma, value),
+        "weight": (lambda p: p.weight, jnp.asarray([0.0, value])),
+        "pair[1].sigma": (lambda p: p.pair[1].sigma, value),
+    }[where]
+    params = eqx.tree_at(place, _Outer(pair=(_Inner(), _Inner())), bad)
     with pytest.raises(ValueError, match=r"must be finite and not negative, got ") as caught:
         with_numbers(params)
     assert f"`{where}`" in str(caught.value)
     assert not bool(jax.jit(sound)(jax.tree.map(jnp.asarray, params)))
 
 
-def test_filters_may_be_negative_but_not_nan():
+def test_filters_may_be_negative_but_not_nan_and_become_strongly_typed():
     assert bool(sound(with_numbers(_Outer())))
     wrong = eqx.tree_at(lambda p: p.inner.taps, _Outer(), jnp.asarray([jnp.nan, 1.0]))
     with pytest.raises(ValueError, match=r"`inner.taps` must be finite, got nan"):
         with_numbers(wrong)
-
-
-def test_a_weakly_typed_filter_in_a_tuple_becomes_strong():
-    params = _Outer(pair=(_Inner(), _Inner()))
-    params = eqx.tree_at(lambda p: p.pair[1].sigma, params, 3)
+    params = eqx.tree_at(lambda p: p.pair[1].sigma, _Outer(pair=(_Inner(), _Inner())), 3)
     found = with_numbers(params)
     assert found.pair is not None
     assert float(found.pair[1].sigma) == 3

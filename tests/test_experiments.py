@@ -1,6 +1,5 @@
 """What the experiments share: origins of results, the page's tables, the table of edges."""
 
-import importlib
 import json
 import sys
 from pathlib import Path
@@ -18,43 +17,25 @@ from mvedge_jax.posed import Photographs, reference_of
 from mvedge_jax.posed.sparse import seen_points
 
 
-@pytest.fixture
-def script(monkeypatch):
-    """A script of the folder by its name, which imports what is beside it."""
-    monkeypatch.syspath_prepend(Path(_report.__file__).parent)
-    return importlib.import_module
-
-
-def test_a_recorded_command_has_no_folder_of_this_machine(monkeypatch):
-    data = _report.ROOT.parent / "shared" / "data"
-    words = [
-        str(_report.ROOT / "experiments" / "table_edges.py"),
-        "--data",
-        str(data),
-        "--size",
-        "64",
-    ]
-    monkeypatch.setattr("sys.argv", words)
-    wish = "python experiments/table_edges.py --data ../shared/data --size 64"
-    assert _report.command() == wish
-
-
-def test_results_tell_commit_and_command_and_are_shown_on_the_page(tmp_path, monkeypatch):
-    script = Path(_report.__file__).parent / "table_edges.py"
-    monkeypatch.setattr(sys, "argv", [str(script), "--scenes", "edges", "--out", "a folder"])
+def test_results_tell_commit_and_command_without_folders_of_this_machine(tmp_path, monkeypatch):
+    script = str(_report.ROOT / "experiments" / "table_edges.py")
+    data = str(_report.ROOT.parent / "shared" / "data")
+    monkeypatch.setattr(sys, "argv", [script, "--data", data, "--out", "a folder"])
     rows = [{"scene": "edges", "MSE*100": 0.5}]
     _report.write_json(tmp_path / "found.json", {"rows": rows})
     found = json.loads((tmp_path / "found.json").read_text())
     assert found["commit"]
-    words = "python experiments/table_edges.py --scenes edges --out 'a folder'"
+    words = "python experiments/table_edges.py --data ../shared/data --out 'a folder'"
     assert found["command"] == words
+    # They are shown on the page.
     assert list(page._tables(found, "found")) == [("found: rows", rows)]
 
 
-def test_every_item_has_its_script_and_a_name_of_its_own():
+def test_every_item_has_a_name_of_its_own_and_a_script_that_leaves_its_rows_as_json():
     folder = Path(_items.__file__).parent
-    assert all((folder / item.script).is_file() for item in _items.ITEMS)
     assert len({item.name for item in _items.ITEMS}) == len(_items.ITEMS)
+    texts = {item.script: (folder / item.script).read_text("utf-8") for item in _items.ITEMS}
+    assert [script for script, text in texts.items() if "write_json(" not in text] == []
 
 
 def test_the_table_of_edges_ends_with_the_mean_and_the_worst_scene():
@@ -77,21 +58,6 @@ def test_the_table_of_edges_ends_with_the_mean_and_the_worst_scene():
         "full without edges",
         "full",
     ]
-
-
-def test_scripts_share_compiled_programs_but_benchmarks_compile_their_own(tmp_path, monkeypatch):
-    monkeypatch.delenv("JAX_COMPILATION_CACHE_DIR", raising=False)
-    items = {item.name: item for item in _items.ITEMS}
-    shared = page._environment(items["table_6_2"], tmp_path)
-    assert shared["JAX_COMPILATION_CACHE_DIR"] == str(tmp_path)
-    alone = page._environment(items["benchmark_depth"], tmp_path)
-    assert "JAX_COMPILATION_CACHE_DIR" not in alone
-
-
-def test_every_script_of_a_table_leaves_its_rows_as_json():
-    folder = Path(_items.__file__).parent
-    texts = {item.script: (folder / item.script).read_text("utf-8") for item in _items.ITEMS}
-    assert [script for script, text in texts.items() if "write_json(" not in text] == []
 
 
 def test_a_published_map_is_scored_on_the_pixels_that_it_has(tmp_path):
@@ -153,29 +119,3 @@ def test_maps_of_colmap_are_asked_for_by_name_and_size(tmp_path):
     (tmp_path / "b.png.photometric.bin").write_bytes(b"2&1&1&" + bytes(8))
     with pytest.raises(SystemExit, match="has 2x1 px; expected the photographs' "):
         _photographs.from_colmap(photographs, reference, tmp_path)
-
-
-def test_a_weight_of_ours_is_the_inverse_of_a_scale(script):
-    weighted = script("figure_a_1").weighted
-    usual = weighted("ours", "color", 1.0, 20.0)
-    double = weighted("ours", "color", 2.0, 20.0)
-    assert float(double["color"]) == pytest.approx(float(usual["color"]) / 2)
-    assert double["size"] == 20
-    place = weighted("ours", "position", 2.0, 20.0)
-    assert float(place["color"]) == pytest.approx(2 * float(usual["color"]))
-    for method in ("k-means", "thesis"):
-        one, two = (weighted(method, "disparity", f, 20.0) for f in (1.0, 2.0))
-        assert float(two.disparity) == pytest.approx(2 * float(one.disparity))
-
-
-def test_cards_stand_on_the_largest_steps_between_both_surfaces(script):
-    figure_6_11 = script("figure_6_11")
-    disparity = np.zeros((60, 80))
-    disparity[20:44, 30:] = 1.0
-    disparity[20:44, 60:] = 0.4
-    (first, at_first), (second, at_second) = figure_6_11.places(disparity, (12, 8))
-    assert at_first == pytest.approx(0.5)
-    assert abs(first[0] - 29.5) <= 8 or min(abs(first[1] - y) for y in (20, 44)) <= 12
-    assert 0 < at_second < 1
-    assert max(abs(first[0] - second[0]), abs(first[1] - second[1])) >= 5
-    assert figure_6_11.card(20).shape == (30, 20, 4)

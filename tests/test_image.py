@@ -34,9 +34,8 @@ def test_window_sums_agree_with_scipy(radius, border, mode):
         np.testing.assert_allclose(found, expected, atol=1e-12)
 
 
-@pytest.mark.parametrize("radius", [0, 1, 3, 4])
+@pytest.mark.parametrize(("radius", "axis"), [(0, 0), (1, -1), (3, 0), (4, -1)])
 @pytest.mark.parametrize("border", ["edge", "constant"])
-@pytest.mark.parametrize("axis", [0, -1])
 def test_transposed_window_sums_are_those_of_the_matrix(radius, border, axis):
     image = jax.random.normal(jax.random.key(radius), (7, 9))
     sums = partial(window_sum, radius=radius, axis=axis, border=border)

@@ -61,8 +61,6 @@ D_MOVING = random_like(MOVING, key=jax.random.key(3))
 COMPOSITIONS = {
     "value": lambda f: _loss(f, MATRIX, MOVING),
     "grad": lambda f: jax.grad(_loss, 2)(f, MATRIX, MOVING),
-    "jvp, moving": lambda f: jax.jvp(lambda m: f(FIXED, m), (MOVING,), (D_MOVING,)),
-    "jvp, fixed": lambda f: jax.jvp(lambda a: f(_fixed(a), MOVING), (MATRIX,), (D_MATRIX,)),
     "jvp, both": lambda f: jax.jvp(
         lambda a, m: f(_fixed(a), m), (MATRIX, MOVING), (D_MATRIX, D_MOVING)
     ),
@@ -78,10 +76,6 @@ COMPOSITIONS = {
         lambda m: sum(jnp.sum(g**2) for g in jax.tree.leaves(jax.grad(_loss, 2)(f, MATRIX, m)))
     )(MOVING),
     "linearize": lambda f: jax.linearize(lambda m: f(FIXED, m), MOVING)[1](D_MOVING),
-    "jacfwd": lambda f: jax.jacfwd(_loss, 1)(f, MATRIX, MOVING),
-    "vmap of moving": lambda f: jax.vmap(lambda x: f(FIXED, {**MOVING, "x": x}))(
-        jnp.stack([MOVING["x"], D_MOVING["x"]])
-    ),
     "vmap of fixed": lambda f: jax.vmap(lambda a: f(_fixed(a), MOVING))(
         jnp.stack([MATRIX, D_MATRIX])
     ),
@@ -106,9 +100,9 @@ COMPOSITIONS = {
 }
 
 
-@pytest.mark.parametrize("jit", [False, True])
 @pytest.mark.parametrize("name", COMPOSITIONS)
-def test_compositions(name, jit):
+def test_compositions(name):
     run = COMPOSITIONS[name]
-    found = jax.jit(lambda: run(ours))() if jit else run(ours)
-    _same(found, run(plain))
+    expected = run(plain)
+    _same(run(ours), expected)
+    _same(jax.jit(lambda: run(ours))(), expected)

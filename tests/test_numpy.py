@@ -136,8 +136,11 @@ CALLS = {
 
 @pytest.mark.parametrize("name", CALLS)
 def test_float64_of_numpy_gives_no_warning(name):
+    """Arrays are taken at the boundary: to trace what is behind it shows as much as to run it."""
     with jax.enable_x64(False):
-        leaves = jax.tree.leaves(CALLS[name]())
+        # Segments are matched on the host.
+        found = CALLS[name]() if name == "segments" else jax.eval_shape(CALLS[name])
+    leaves = jax.tree.leaves(found)
     assert not [leaf for leaf in leaves if getattr(leaf, "dtype", None) == jnp.float64]
 
 

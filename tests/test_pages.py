@@ -44,31 +44,34 @@ def test_a_wrong_figure_on_a_page_is_found_and_mended(copy, capsys):
     assert page.read_text(encoding="utf-8") == right
 
 
-def test_another_result_shows_on_every_page_that_has_it(copy):
-    path = copy / "experiments" / "results" / "table_edges.json"
-    found = json.loads(path.read_text(encoding="utf-8"))
-    for row in found["content"]["summary"]:
-        row["MSE*100"] += 1
-    path.write_text(json.dumps(found), encoding="utf-8")
-    assert pages.disagreements(copy) == ["docs/accuracy.md: edges", "docs/parts.md: parts"]
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("<!-- results: edges -->\n", "page.md: each `<!-- results: ...` needs"),
+        (
+            "<!-- results: edge --><!-- /results -->",
+            "page.md: 'edge' is none of the tables accuracy",
+        ),
+        (
+            "<!-- results: program cotton --><!-- /results -->",
+            "`<!-- results: program cotton` is within a sentence",
+        ),
+        (
+            "<!-- results: step no_such_step --><!-- /results -->",
+            "thesis_steps.json has 0 rows with .*no_such_step",
+        ),
+    ],
+)
+def test_a_marker_that_leads_nowhere_is_an_error(tmp_path, text, message):
+    page = tmp_path / "page.md"
+    page.write_text(text)
+    with pytest.raises(ValueError, match=message):
+        pages.updated(page, Results(_report.ROOT / "experiments" / "results"))
 
 
-def test_a_marker_without_an_end_and_an_unknown_name_are_errors(copy):
-    page, results = copy / "page.md", Results(copy / "experiments" / "results")
-    page.write_text("<!-- results: edges -->\n")
-    with pytest.raises(ValueError, match="page.md: each `<!-- results: ...` needs"):
-        pages.updated(page, results)
-    page.write_text("<!-- results: edge --><!-- /results -->")
-    with pytest.raises(ValueError, match="page.md: 'edge' is none of the tables accuracy, edges"):
-        pages.updated(page, results)
-    page.write_text("<!-- results: program cotton --><!-- /results -->")
-    with pytest.raises(ValueError, match="`<!-- results: program cotton` is within a sentence"):
-        pages.updated(page, results)
-    page.write_text("<!-- results: step no_such_step --><!-- /results -->")
-    with pytest.raises(ValueError, match="thesis_steps.json has 0 rows with .*no_such_step"):
-        pages.updated(page, results)
+def test_a_result_that_is_not_there_is_told():
     with pytest.raises(ValueError, match="has no table_0.json; it has .*calibration, codec"):
-        results.rows("table_0")
+        Results(_report.ROOT / "experiments" / "results").rows("table_0")
 
 
 def test_every_table_is_on_a_page_and_every_result_is_small():
@@ -100,7 +103,7 @@ def test_a_result_is_stale_when_code_changes_but_not_when_a_comment_does(copy, c
     assert pages.main(["--check", "--strict"], copy) == 1
 
 
-def test_comments_docstrings_and_layout_are_no_code():
+def test_layout_is_no_code():
     one = 'def f(a, b):\n    """Text."""\n    # why\n    return a + "b" * (b)\n'
     two = "def f(\n    a,\n    b,\n):\n    return a + 'b' * b\n"
     assert _report.code_of(one) == _report.code_of(two)

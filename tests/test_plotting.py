@@ -55,11 +55,8 @@ def test_views_are_where_their_labels_say():
     assert 0 < pixels[0, 0].min() < 1
     assert [label.get_text() for label in figure.axes[0].get_xticklabels()] == list("01234")
     _draw(figure)
-
-
-def test_large_views_are_shrunk():
-    (mosaic,) = _images(plotting.plot_views(_scene(), pixels=30))
-    assert _array(mosaic).shape == (3 * 8 - 4, 5 * 9 - 4, 3)
+    (small,) = _images(plotting.plot_views(_scene(), pixels=30))
+    assert _array(small).shape == (3 * 8 - 4, 5 * 9 - 4, 3)
 
 
 @pytest.mark.parametrize("along", ["row", "column"])
@@ -86,16 +83,19 @@ def test_epi_lines_have_the_slope_of_the_convention(along):
     _draw(figure)
 
 
-def test_what_no_epi_is_drawn_of():
-    with pytest.raises(ValueError, match="exclude each other"):
-        plotting.plot_epi(_scene(), row=1, column=2)
-    with pytest.raises(ValueError, match="belong together"):
-        plotting.plot_epi(_scene(), positions=jnp.zeros(3))
-    for row in (99, -1):
-        with pytest.raises(ValueError, match="`row` must be from 0 to"):
-            plotting.plot_epi(_scene(), row=row)
-    with pytest.raises(ValueError, match="`column` must be from 0 to"):
-        plotting.plot_epi(_scene(), column=99)
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"row": 1, "column": 2}, "exclude each other"),
+        ({"positions": jnp.zeros(3)}, "belong together"),
+        ({"row": 99}, "`row` must be from 0 to"),
+        ({"row": -1}, "`row` must be from 0 to"),
+        ({"column": 99}, "`column` must be from 0 to"),
+    ],
+)
+def test_an_epi_that_is_not_there_is_refused(options, message):
+    with pytest.raises(ValueError, match=message):
+        plotting.plot_epi(_scene(), **options)
 
 
 def test_edges_are_coloured_by_disparity_and_near_ones_are_on_top():
@@ -253,16 +253,13 @@ def test_superpixels_are_outlined_or_filled_with_their_colours():
     np.testing.assert_array_equal(filled[0, 0], [51, 51, 51])
 
 
-def test_superpixels_of_all_views_are_drawn():
+def test_superpixels_of_all_views_and_labels_per_pixel_are_drawn():
     views, labels = np.full((3, 3, 8, 9, 3), 0.2), _labels()
     figure = plotting.plot_superpixels(views, labels, colours=plotting.label_colours(2))
     assert len(_images(figure)) == 5
     _draw(figure)
     assert len(plotting.superpixel_frames(views, labels)) == 8
     assert len(plotting.superpixel_frames(views[:1], labels[:1])) == 5
-
-
-def test_labels_per_pixel_are_drawn_from_one_on():
     figure = plotting.plot_labels_per_pixel(np.full((4, 5), 2.0))
     (image,) = _images(figure)
     assert image.get_clim() == (1, 8)

@@ -15,15 +15,13 @@ from mvedge_jax.model import Renderer, optimize_edges, start_from_depth
 from mvedge_jax.model.approaches import ByEvidence
 from mvedge_jax.model.optimisation import all_at_once
 from mvedge_jax.posed import Photographs, StereoDepth, reference_of, stereo
-from mvedge_jax.superpixels import (
-    SuperpixelClustering,
-    soft_superpixels,
-    superpixels,
-)
+from mvedge_jax.superpixels import SuperpixelClustering, soft_superpixels, superpixels
 
 pytestmark = pytest.mark.slow  # half a minute of compilation each
 
 COLOURS = {"black": (0.0, 0.0, 0.0), "constant": (0.5, 0.4, 0.6), "saturated": (1.0, 1.0, 1.0)}
+NAMES = (*COLOURS, "two colours")
+SMALL = [(1, 1), (1, 40), (40, 1)]
 
 
 def _field(name, shape=(16, 16)):
@@ -48,10 +46,7 @@ def _finite(tree):
 
 @pytest.mark.parametrize(
     ("name", "shape"),
-    [
-        *((name, (16, 16)) for name in (*COLOURS, "two colours")),
-        *(("two colours", shape) for shape in ((1, 1), (1, 40), (40, 1))),
-    ],
+    [*((name, (16, 16)) for name in NAMES), *(("two colours", shape) for shape in SMALL)],
 )
 def test_views_superpixels_and_optimisation(name, shape):
     field = _field(name, shape)
@@ -72,7 +67,7 @@ def test_views_superpixels_and_optimisation(name, shape):
     _finite(found.disparity)
 
 
-@pytest.mark.parametrize("name", [*COLOURS, "two colours"])
+@pytest.mark.parametrize("name", NAMES)
 def test_gradients_of_every_view_and_of_soft_superpixels(name):
     field = _field(name)
     result, every = _centre(field), ViewDepth.for_light_field(field)
@@ -103,7 +98,7 @@ def _photographs(name, shape):
 @pytest.mark.parametrize(
     ("name", "shape"),
     [
-        *((name, (16, 16)) for name in (*COLOURS, "two colours")),
+        *((name, (16, 16)) for name in NAMES),
         # The smallest that photographs may be.
         *(("two colours", shape) for shape in ((8, 8), (8, 40), (40, 8))),
     ],
@@ -124,7 +119,7 @@ def test_photographs_and_their_gradients(name, shape):
     _finite(jax.jit(jax.grad(total, argnums=(0, 1)))(model, images))
 
 
-@pytest.mark.parametrize("shape", [(1, 1), (1, 40), (40, 1)])
+@pytest.mark.parametrize("shape", SMALL)
 def test_photographs_of_a_single_row_are_refused(shape):
     with pytest.raises(ValueError, match=f"at least 8 px a side, got {shape[0]}x{shape[1]}"):
         _photographs("two colours", shape)

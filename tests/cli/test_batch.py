@@ -8,7 +8,6 @@ from datasets.layouts import write_hci
 from scipy import ndimage
 
 from mvedge_jax.cli import _batch, _batch_scene, _main
-from mvedge_jax.cli._paths import scenes_and_out
 from mvedge_jax.cli._source import scene_of
 from mvedge_jax.datasets import read_pfm
 
@@ -81,26 +80,6 @@ def test_a_batch_goes_on_after_a_failure_and_from_where_it_was(tmp_path, capsys,
 
 
 @pytest.mark.slow
-def test_twenty_light_fields_one_corrupt_and_one_of_another_shape(tmp_path, capsys, compilations):
-    depths = np.linspace(-0.4, 0.8, 20).round(3)
-    scenes = [
-        _plane(tmp_path / f"s{i:02}", d, height=36 if i == 11 else 32, seed=i)
-        for i, d in enumerate(depths)
-    ]
-    (scenes[7] / "input_Cam004.png").write_bytes(b"not a picture")
-    out = tmp_path / "out"
-    assert _main.main(["batch", *map(str, scenes), str(out)]) == 1
-    assert "19 of 20 light fields done" in capsys.readouterr().out
-    rows = _summary(out)
-    assert [name for name, row in rows.items() if row["state"] == "failed"] == ["s07"]
-    assert sorted(views.views.shape[2] for views, *_ in compilations) == [32, 36]
-    for name, depth in zip(rows, depths, strict=True):
-        if name != "s07":
-            found = read_pfm(out / name / "disparity.pfm")
-            assert np.median(np.abs(found - depth)) < 0.02, name
-
-
-@pytest.mark.slow
 def test_frames_take_their_range_from_the_frame_before(tmp_path, monkeypatch, compilations):
     measured, measure = [], _batch_scene.scene_range
 
@@ -127,11 +106,3 @@ def test_names_are_told_apart(tmp_path):
     assert _batch._names([tmp_path / "a/x", tmp_path / "b/x"]) == ["a_x", "b_x"]
     with pytest.raises(ValueError, match="is given twice"):
         _batch._names([tmp_path / "a/x", tmp_path / "b/../a/x"])
-
-
-def test_paths_are_scenes_and_a_folder(tmp_path):
-    assert scenes_and_out([tmp_path, tmp_path / "out"]) == ([tmp_path], tmp_path / "out")
-    with pytest.raises(ValueError, match="at least one scene and OUT, got 1"):
-        scenes_and_out([tmp_path])
-    with pytest.raises(FileNotFoundError, match="there is no such file"):
-        scenes_and_out([tmp_path / "missing", tmp_path])

@@ -14,7 +14,7 @@ import pytest
 from datasets.layouts import write_hci
 
 from mvedge_jax._settings import of_preset
-from mvedge_jax.cli import _batch_scene, _main
+from mvedge_jax.cli import _batch_scene
 from mvedge_jax.cli._cluster import connected, outcomes
 from mvedge_jax.cli._output import write_json
 
@@ -66,12 +66,11 @@ def estimated(monkeypatch):
 
 
 def test_a_failure_stops_no_other_and_what_may_pass_is_tried_again(
-    scenes, cluster, estimated, tmp_path, capsys
+    scenes, cluster, estimated, tmp_path, mvedge
 ):
     out = tmp_path / "out"
-    words = ["batch", *map(str, scenes.values()), str(out), "--scheduler", cluster]
-    assert _main.main([*words, "--range", "-1", "1"]) == 1
-    said = capsys.readouterr()
+    words = ["batch", *scenes.values(), out, "--scheduler", cluster, "--range", -1, 1]
+    said = mvedge(*words, code=1)
     with (out / "summary.csv").open() as file:
         rows = {row["name"]: row for row in csv.DictReader(file)}
     assert list(rows) == list(NAMES)
@@ -87,7 +86,7 @@ def test_a_failure_stops_no_other_and_what_may_pass_is_tried_again(
     assert "broken failed: RuntimeError: what went wrong" in said.err
     assert (out / "other" / "height").read_text() == "10"
 
-    assert _main.main([*words, "--range", "-1", "1"]) == 1
+    mvedge(*words, code=1)
     again = json.loads((out / "summary.json").read_text())
     assert [row["state"] for row in again.values()] == ["failed", "failed", *3 * ["there already"]]
     assert estimated == {"broken": 6, "fine": 1, "flaky": 3, "other": 1}
@@ -107,22 +106,10 @@ def test_a_result_whose_worker_died_before_it_told_is_not_made_again(scenes, est
     assert estimated["fine"] == 2
 
 
-@pytest.mark.parametrize(
-    "words", [["--video", "--workers", "1"], ["--video", "--slurm"], ["--slurm", "--workers", "2"]]
-)
-def test_options_that_exclude_each_other(words, scenes, tmp_path, capsys):
-    assert _main.main(["batch", str(scenes["fine"]), str(tmp_path / "out"), *words]) == 2
-    assert "--video, --slurm, and --workers or --scheduler exclude each other" in (
-        capsys.readouterr().err
-    )
-    assert not (tmp_path / "out").exists()
-
-
-def test_the_script_for_slurm_runs_the_same_command(scenes, tmp_path, capsys, monkeypatch):
+def test_the_script_for_slurm_runs_the_same_command(scenes, tmp_path, mvedge, monkeypatch):
     monkeypatch.chdir(tmp_path)
     words = ["--views", "3", "--range", "-1", "1.5", "--again", "--set", "refine.solves=1"]
-    assert _main.main(["batch", "fine", "out", *words, "--slurm"]) == 0
-    script = capsys.readouterr().out
+    script = mvedge("batch", "fine", "out", *words, "--slurm").out
     assert "cluster.scheduler_address" in script
     command = next(
         ast.literal_eval(line.value)

@@ -42,41 +42,6 @@ def test_figures_and_metrics_are_on_disk(tmp_path, capsys):
     assert str(out) in printed
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["--views", "1"], "--views must be"),
-        (["--views", "4"], "odd"),
-        (["--size", "8", "8"], "--size must be"),
-        (["--scene", "moon"], "moon"),
-    ],
-)
-def test_mistakes_are_one_line(tmp_path, capsys, arguments, message):
-    assert main(["demo", str(tmp_path / "demo"), *arguments]) == 2
-    assert message in capsys.readouterr().err
-    assert not list(tmp_path.iterdir())
-
-
-@pytest.mark.usefixtures("only_the_baseline")
-@pytest.mark.parametrize("error", [KeyboardInterrupt, RuntimeError])
-def test_nothing_is_left_when_it_stops_half_way(tmp_path, monkeypatch, error):
-    def stop(*arguments):
-        raise error
-
-    monkeypatch.setattr(_demo, "_write_metrics", stop)
-    monkeypatch.setattr(_demo, "_figures", lambda *arguments: [])
-    arguments = ["demo", str(tmp_path / "demo"), "--views", "3", "--size", "40", "48"]
-    assert main(arguments) == (130 if error is KeyboardInterrupt else 1)
-    assert not list(tmp_path.iterdir())
-
-
-def test_a_folder_in_use_is_kept(tmp_path, capsys):
-    (tmp_path / "mine.txt").write_text("keep")
-    assert main(["demo", str(tmp_path)]) == 2
-    assert "--overwrite" in capsys.readouterr().err
-    assert (tmp_path / "mine.txt").read_text() == "keep"
-
-
 @pytest.mark.slow
 def test_the_method_beats_the_baseline(tmp_path):
     out = tmp_path / "demo"

@@ -61,13 +61,3 @@ def test_the_epi_with_the_widest_spread_is_drawn():
     index = np.array([0, 0, 0, 1, 1, 2, 2, 2])
     disparity = np.array([-5.0, -5.0, -5.0, 0.1, 0.2, 1.0, -1.0, 1.0], np.float32)
     assert _edges._most_varied(index, disparity) == 2
-
-
-def test_mistakes_are_one_line(scene, tmp_path, capsys):
-    out = tmp_path / "out"
-    assert _main.main(["edges", str(scene), str(out), "--range", "1", "-1"]) == 2
-    error = capsys.readouterr().err
-    assert "low < high" in error
-    assert "Traceback" not in error
-    assert not out.exists()
-    assert not list(tmp_path.iterdir())

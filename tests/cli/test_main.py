@@ -7,46 +7,78 @@ import subprocess
 import sys
 import warnings
 from importlib.metadata import PackageNotFoundError
+from types import SimpleNamespace
 
 import pytest
 from rich.console import Console
 
 import mvedge_jax
 from mvedge import _version
+from mvedge_jax import _cache
 from mvedge_jax.cli import _common, _main, _output
 
 
-def _fail_with(error):
-    def command():
-        """Fails."""
-        raise error
+@pytest.fixture
+def failing(monkeypatch, mvedge):
+    """Runs a command that raises an error; gives its complaints."""
 
-    return lambda name: command
+    def run(error, *words, code):
+        def command():
+            """Fails."""
+            raise error
+
+        monkeypatch.setattr(_main, "_load", lambda name: command)
+        return mvedge("info", *words, code=code).err
+
+    return run
 
 
 @pytest.mark.parametrize(
     ("error", "code", "text"),
     [
-        (ValueError("`x` must be 1, got 2."), 2, "`x` must be 1, got 2."),
-        (FileNotFoundError("no such scene"), 2, "no such scene"),
-        (KeyboardInterrupt(), 130, "interrupted"),
-        (RuntimeError("broken"), 1, "internal error: RuntimeError: broken"),
+        (ValueError("`x` must be 1, got 2."), 2, "mvedge: error: `x` must be 1, got 2."),
+        (FileNotFoundError("no such scene"), 2, "mvedge: error: no such scene"),
+        (KeyboardInterrupt(), 130, "interrupted; nothing was left half-written"),
+        (
+            RuntimeError("broken"),
+            1,
+            "mvedge: internal error: RuntimeError: broken (--debug shows where)",
+        ),
     ],
 )
-def test_exit_codes(monkeypatch, capsys, error, code, text):
-    monkeypatch.setattr(_main, "_load", _fail_with(error))
-    monkeypatch.setenv("MVEDGE_CACHE", "off")
-    assert _main.main(["info"]) == code
-    captured = capsys.readouterr()
-    assert text in captured.err
-    assert "Traceback" not in captured.err
+def test_exit_codes(failing, error, code, text):
+    assert failing(error, code=code) == text
+
+
+@pytest.mark.parametrize(
+    "error", [MemoryError("Unable to allocate 9.0 GiB"), RuntimeError("RESOURCE_EXHAUSTED: 9 GiB")]
+)
+def test_memory_that_does_not_suffice(failing, error):
+    said = failing(error, code=2)
+    assert said.startswith("mvedge: error: the memory does not suffice: ")
+    assert "9" in said
+    assert "--scale 0.5" in said
 
 
 def test_debug_shows_the_traceback(monkeypatch, capsys):
-    monkeypatch.setattr(_main, "_load", _fail_with(ValueError("no")))
-    monkeypatch.setenv("MVEDGE_CACHE", "off")
+    def command():
+        """Fails."""
+        raise ValueError("no")
+
+    monkeypatch.setattr(_main, "_load", lambda name: command)
     assert _main.main(["info", "--debug"]) == 2
     assert "Traceback" in capsys.readouterr().err
+
+
+def test_libraries_warn_in_one_line(monkeypatch, mvedge):
+    def command():
+        """Warns."""
+        warnings.warn("something\nof two lines", UserWarning, stacklevel=1)
+
+    monkeypatch.setattr(_main, "_load", lambda name: command)
+    with warnings.catch_warnings():
+        warnings.simplefilter("default")
+        assert mvedge("info").err == "warning something\\nof two lines"
 
 
 _LIGHT = """
@@ -57,146 +89,89 @@ heavy = {"cv2", "jax", "mvedge_jax", "numpy"} & set(sys.modules)
 assert not heavy, heavy
 sys.exit(code)
 """
+
+
 _WHOLE = "import sys; from mvedge_jax.cli import main; sys.exit(main())"
 
 
-@pytest.mark.parametrize("words", [["--help"], ["--version"], []])
+@pytest.mark.parametrize("words", [["--help"], []])
 def test_the_overview_is_the_same_without_the_libraries(words):
     """`mvedge --help` reads docstrings from sources; the command line itself imports them."""
     environment = {**os.environ, "COLUMNS": "100", "MVEDGE_CACHE": "off"}
-    light, whole = (
-        subprocess.run(
-            [sys.executable, "-c", code, *words],
-            capture_output=True,
-            text=True,
-            env=environment,
-            check=False,
-        )
+    runs = [
+        subprocess.run([sys.executable, "-c", code, *words], capture_output=True, env=environment)
         for code in (_LIGHT, _WHOLE)
-    )
-    assert (light.returncode, light.stdout, light.stderr) == (
-        whole.returncode,
-        whole.stdout,
-        whole.stderr,
-    )
-    assert words != ["--help"] or all(command in light.stdout for command in _main.COMMANDS)
+    ]
+    light, whole = ((run.returncode, run.stdout, run.stderr) for run in runs)
+    assert light == whole
+    assert not words or all(command.encode() in light[1] for command in _main.COMMANDS)
 
 
-def test_help_names_every_command():
-    environment = {**os.environ, "MVEDGE_CACHE": "off"}
-    run = subprocess.run(
-        [sys.executable, "-m", "mvedge_jax", "--help"],
-        capture_output=True,
-        text=True,
-        check=True,
-        env=environment,
-    )
-    for command in _main.COMMANDS:
-        assert command in run.stdout
+def test_help_in_a_narrow_locale():
+    """Through both modules that may be run; it explains presets and settings."""
+    environment = {**os.environ, "PYTHONIOENCODING": "ascii", "COLUMNS": "200"}
+    for module in ("mvedge", "mvedge_jax"):
+        words = [sys.executable, "-m", module, "depth", "--help"]
+        run = subprocess.run(words, capture_output=True, env=environment, check=True)
+        said = run.stdout.decode("ascii")
+        wanted = ["--overwrite", "--preset {full,edges,thesis}", "--set PATH=VALUE", "--seed"]
+        for text in (*wanted, "smoothness.color=.3"):
+            assert text in said
 
 
 @pytest.mark.parametrize(
-    ("variables", "expected"),
+    ("variables", "configured", "expected"),
     [
-        ({"MVEDGE_CACHE": "off"}, "None"),
-        ({"MVEDGE_CACHE": "{tmp}/here"}, "{tmp}/here"),
-        ({"XDG_CACHE_HOME": "{tmp}/xdg"}, "{tmp}/xdg/mvedge_jax/jax"),
-        ({"JAX_COMPILATION_CACHE_DIR": "{tmp}/own"}, "{tmp}/own"),
+        ({"MVEDGE_CACHE": "off"}, None, None),
+        ({"MVEDGE_CACHE": "{tmp}/here"}, None, "{tmp}/here"),
+        ({"XDG_CACHE_HOME": "{tmp}/xdg"}, None, "{tmp}/xdg/mvedge_jax/jax"),
+        ({}, "{tmp}/own", "{tmp}/own"),
+        ({"MVEDGE_CACHE": "{tmp}/file/folder"}, None, None),
     ],
 )
-def test_cache_goes_where_the_user_says(tmp_path, variables, expected):
-    clean = {
-        k: v
-        for k, v in os.environ.items()
-        if k not in {"MVEDGE_CACHE", "XDG_CACHE_HOME", "JAX_COMPILATION_CACHE_DIR"}
-    }
-    run = subprocess.run(
-        [
-            sys.executable,
-            "-c",
-            "import jax; from mvedge_jax import compilation_cache as f;"
-            "print(f()); print(jax.config.values['jax_compilation_cache_dir'])",
-        ],
-        env={**clean, **{k: v.format(tmp=tmp_path) for k, v in variables.items()}},
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    assert run.stdout.split() == [expected.format(tmp=tmp_path)] * 2
+def test_cache_goes_where_the_user_says(tmp_path, monkeypatch, variables, configured, expected):
+    (tmp_path / "file").touch()
+    asked, place = {}, lambda text: text and text.format(tmp=tmp_path)
+    for name in ("MVEDGE_CACHE", "XDG_CACHE_HOME"):
+        monkeypatch.setenv(name, place(variables.get(name, "")))
+    values = {"jax_compilation_cache_dir": place(configured)}
+    config = SimpleNamespace(values=values, update=asked.__setitem__)
+    monkeypatch.setattr(_cache.jax, "config", config)
+    monkeypatch.setattr(_cache, "replaced_name", lambda: None)
+    monkeypatch.setattr(_cache, "use", lambda files: asked.update(files=files.folder))
+    found = mvedge_jax.compilation_cache()
+    assert (found and str(found)) == place(expected)
+    if configured or expected is None:
+        assert asked == {}
+    else:
+        assert asked["jax_compilation_cache_dir"] == str(found)
+        assert asked["files"] == found / "programs"
 
 
-def test_versions(capsys):
-    assert _main.main(["--version"]) == 0
-    assert capsys.readouterr().out == f"mvedge {mvedge_jax.__version__}\n"
-    assert mvedge_jax.plotting.plot_edges.__module__.startswith("mvedge_jax.plotting")
+def test_versions(monkeypatch, mvedge, tmp_path):
+    assert mvedge("--version").out == f"mvedge {mvedge_jax.__version__}\n"
     with pytest.raises(AttributeError, match="has no attribute 'ploting'"):
         _ = mvedge_jax.ploting
 
-
-def test_sources_run_without_an_installation(monkeypatch, capsys, tmp_path):
-    def missing(name):
+    def missing(name):  # sources run without an installation
         raise PackageNotFoundError(name)
 
     monkeypatch.setattr(_version, "version", missing)
     assert mvedge_jax.__version__ == "unknown (not installed)"
-    assert _main.main(["--version"]) == 0
-    assert capsys.readouterr().out == "mvedge unknown (not installed)\n"
+    assert mvedge("--version").out == "mvedge unknown (not installed)\n"
     with _output.output_folder(tmp_path / "out", inputs=[]):
         pass
     record = json.loads((tmp_path / "out" / _output.MARKER).read_text())
     assert record["version"] == "unknown (not installed)"
 
 
-def test_a_stage_tells_a_terminal_how_long_it_has_taken(monkeypatch):
+@pytest.mark.parametrize("terminal", [True, False])
+def test_a_stage_tells_a_terminal_how_long_it_has_taken(monkeypatch, terminal):
     said, now = io.StringIO(), iter([0.0, *([12.4] * 1000)])
     monkeypatch.setattr(_common.time, "perf_counter", lambda: next(now))
-    for terminal in (True, False):
-        console = Console(file=said, force_terminal=terminal, width=80, color_system=None)
-        monkeypatch.setattr(_common, "_PROGRESS", console)
-        now = iter([0.0, *([12.4] * 1000)])
-        with _common.stage("compiling depth"):
-            pass
-        found = said.getvalue()
-        assert ("compiling depth (12 s)" in found) == terminal
-        assert "done compiling depth (12.4 s)" in found
-        said.seek(0)
-        said.truncate()
-
-
-def test_libraries_warn_in_one_line(monkeypatch, capsys):
-    def command():
-        """Warns."""
-        warnings.warn("something\nof two lines", UserWarning, stacklevel=1)
-
-    monkeypatch.setattr(_main, "_load", lambda name: command)
-    monkeypatch.setenv("MVEDGE_CACHE", "off")
-    with warnings.catch_warnings():
-        warnings.simplefilter("default")
-        assert _main.main(["info"]) == 0
-    assert capsys.readouterr().err == "warning something\\nof two lines\n"
-
-
-@pytest.mark.parametrize(
-    "error", [MemoryError("Unable to allocate 9.0 GiB"), RuntimeError("RESOURCE_EXHAUSTED: 9 GiB")]
-)
-def test_memory_that_does_not_suffice(monkeypatch, capsys, error):
-    monkeypatch.setattr(_main, "_load", _fail_with(error))
-    monkeypatch.setenv("MVEDGE_CACHE", "off")
-    assert _main.main(["info"]) == 2
-    (line,) = capsys.readouterr().err.splitlines()
-    assert "the memory does not suffice: " in line
-    assert "9" in line
-    assert "--scale 0.5" in line
-
-
-@pytest.mark.parametrize("encoding", ["ascii", "latin-1"])
-def test_help_in_any_locale(encoding):
-    environment = {**os.environ, "MVEDGE_CACHE": "off", "PYTHONIOENCODING": encoding}
-    run = subprocess.run(
-        [sys.executable, "-m", "mvedge", "depth", "--help"],
-        capture_output=True,
-        env=environment,
-        check=False,
-    )
-    assert run.returncode == 0, run.stderr
-    assert "--overwrite" in run.stdout.decode(encoding)
+    console = Console(file=said, force_terminal=terminal, width=80, color_system=None)
+    monkeypatch.setattr(_common, "_PROGRESS", console)
+    with _common.stage("compiling depth"):
+        pass
+    assert ("compiling depth (12 s)" in said.getvalue()) == terminal
+    assert "done compiling depth (12.4 s)" in said.getvalue()

@@ -56,21 +56,3 @@ def test_optimize_writes_everything_and_ends_no_worse(scene, tmp_path, capsys, o
     for name in ("before.png", "after.png", "after_error.png", "loss.png"):
         assert cv2.imread(str(out / name)) is not None, name
     assert (out / "state.eqx").is_file()
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        (["--features", "vgg16"], "needs --vgg16 FILE"),
-        (["--features", "vgg16", "--vgg16", "none.npz"], "no file of VGG16 weights"),
-        (["--iterations", "0"], "--iterations must be at least 1, got 0"),
-        (["--grow-points", "5"], "--grow-points needs --supervised"),
-        (["--grow-points", "-1"], "--grow-points must not be negative, got -1"),
-    ],
-)
-def test_mistakes_are_one_line(scene, tmp_path, capsys, options, message):
-    assert _main.main(["optimize", str(scene), str(tmp_path / "out"), *options]) == 2
-    error = capsys.readouterr().err
-    assert message in error
-    assert "Traceback" not in error
-    assert not (tmp_path / "out").exists()

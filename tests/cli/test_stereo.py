@@ -2,15 +2,18 @@
 
 import json
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from cli.scenes import write_result, write_stereo_result, write_wall
 from datasets.layouts import write_hci
 from posed.walls import MATRIX, POSES, places, wall
 
-from mvedge_jax.cli import _main
+from mvedge_jax.cli._export import _written
+from mvedge_jax.cli._gathered import Gathered
 from mvedge_jax.cli._paths import stems_of
-from mvedge_jax.datasets import read_pfm, synthetic, write_hci as write_scene, write_pfm
+from mvedge_jax.datasets import read_pfm, synthetic, write_hci as write_scene
 from mvedge_jax.datasets.exchange import read_ply, write_colmap
 from mvedge_jax.datasets.photographs import load_photographs
 from mvedge_jax.lightfield import LightField
@@ -24,17 +27,13 @@ IMAGES, DEPTHS = wall(POSES)
 
 @pytest.fixture(scope="module")
 def model(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("model")
-    names = tuple(f"{i}.png" for i in range(4))
-    write_colmap(folder, Photographs(IMAGES.astype(np.float32), POSES, MATRIX, names=names))
-    return folder
+    return write_wall(tmp_path_factory.mktemp("model") / "model")[0]
 
 
 @pytest.mark.slow
-def test_stereo_and_its_export(model, tmp_path):
+def test_stereo_and_its_export(model, tmp_path, mvedge):
     out = tmp_path / "depth"
-    words = ["stereo", str(model), str(out), "--range", "1.2", "3.5", "--reference", "1"]
-    assert _main.main(words) == 0
+    mvedge("stereo", model, out, "--range", 1.2, 3.5, "--reference", 1)
     depth, error = read_pfm(out / "1_depth.pfm"), read_pfm(out / "1_error.pfm")
     assert np.median(np.abs(depth / DEPTHS[1] - 1)) < 0.01
     assert np.isfinite(error).all()
@@ -42,18 +41,18 @@ def test_stereo_and_its_export(model, tmp_path):
         assert (out / name).stat().st_size > 0
     report = json.loads((out / "report.json").read_text())
     assert report["photographs"]["1"]["measured in"] == [f"{i}.png" for i in range(4)]
-    assert _main.main(["export", str(out), str(tmp_path / "cloud"), "--to", "ply"]) == 0
+    mvedge("export", out, tmp_path / "cloud", "--to", "ply")
     points = read_ply(tmp_path / "cloud" / "1.ply")
     local = (points - POSES[1][:3, 3]) @ POSES[1][:3, :3]
     np.testing.assert_allclose(local[:, 2], depth.ravel(), rtol=1e-5)
-    assert _main.main(["export", str(out), str(tmp_path / "nerf"), "--to", "nerfstudio"]) == 0
+    mvedge("export", out, tmp_path / "nerf", "--to", "nerfstudio")
     again = load_photographs(tmp_path / "nerf")
     assert again.depth is not None
     np.testing.assert_allclose(again.depth[1], depth, atol=1e-4)
 
 
 def test_a_depth_that_failed_is_said_on_the_screen_and_in_the_report(
-    model, tmp_path, capsys, monkeypatch
+    model, tmp_path, mvedge, monkeypatch
 ):
     depth = jnp.full(DEPTHS[1].shape, 2.0)
     stats = StereoStats(
@@ -67,19 +66,17 @@ def test_a_depth_that_failed_is_said_on_the_screen_and_in_the_report(
     failed = StereoResult(depth, 0.2 * depth, depth, 0.2 * depth, depth, stats)
     monkeypatch.setattr("mvedge_jax.cli._stereo.estimate", lambda *_: failed)
     out = tmp_path / "out"
-    words = ["stereo", str(model), str(out), "--range", "1.2", "3.5", "--reference", "1"]
-    assert _main.main(words) == 0
+    said = mvedge("stereo", model, out, "--range", 1.2, 3.5, "--reference", 1)
     row = json.loads((out / "report.json").read_text())["photographs"]["1"]
     assert row["pixels without an accepted label, %"] == 75
     assert row["warnings"] == list(failed.problems())
     assert "75 % of the pixels have no accepted label" in row["warnings"][0]
     assert "above 20 % of their depth" in row["warnings"][1]
-    said = " ".join(capsys.readouterr().err.split())
-    assert all(f"1: {text}" in said for text in row["warnings"])
+    assert all(f"1: {text}" in said.err for text in row["warnings"])
 
 
 @pytest.mark.slow
-def test_points_are_optimised_and_exported_without_errors(model, tmp_path, monkeypatch):
+def test_points_are_optimised_and_exported_without_errors(tmp_path, mvedge, monkeypatch):
     few = SparseStereoDepth(smoothing=2, iterations=2, passes=1)
     monkeypatch.setattr("mvedge_jax.cli._stereo.SparseStereoDepth", lambda: few)
     pixels = np.random.default_rng(0).permutation(DEPTHS[1].size)[:40]
@@ -91,8 +88,7 @@ def test_points_are_optimised_and_exported_without_errors(model, tmp_path, monke
     )
     write_colmap(tmp_path / "model", known)
     out = tmp_path / "depth"
-    words = ["stereo", str(tmp_path / "model"), str(out), "--method", "points", "--reference", "1"]
-    assert _main.main(words) == 0
+    mvedge("stereo", tmp_path / "model", out, "--method", "points", "--reference", 1)
     depth = read_pfm(out / "1_depth.pfm")
     assert np.median(np.abs(depth / DEPTHS[1] - 1)) < 0.05
     assert sorted(p.name for p in out.iterdir() if "error" in p.name) == []
@@ -100,23 +96,18 @@ def test_points_are_optimised_and_exported_without_errors(model, tmp_path, monke
     assert report["method"] == "points"
     before, after = report["photographs"]["1"]["loss, before and after"]
     assert after <= before
-    assert _main.main(["export", str(out), str(tmp_path / "cloud"), "--to", "ply"]) == 0
+    mvedge("export", out, tmp_path / "cloud", "--to", "ply")
     assert read_ply(tmp_path / "cloud" / "1.ply").shape == (depth.size, 3)
 
 
-def test_mistakes_are_said(model, tmp_path, capsys):
-    out = str(tmp_path / "out")
-    assert _main.main(["stereo", str(model), out, "--reference", "nosuch"]) == 2
-    assert "has no photograph called 'nosuch'; there are 0.png" in capsys.readouterr().err
-    assert _main.main(["stereo", str(tmp_path), out]) == 2
-    assert "holds no posed photographs" in capsys.readouterr().err
+def test_a_reference_that_is_not_there_is_told(model, tmp_path, mvedge):
+    said = mvedge("stereo", model, tmp_path / "out", "--reference", "nosuch", code=2)
+    assert "has no photograph called 'nosuch'; there are 0.png" in said.err
     assert not (tmp_path / "out").exists()
 
 
 @pytest.fixture(scope="module")
 def light_field():
-    import jax
-
     return synthetic.render(
         synthetic.scene("slanted"), shape=(3, 3, 32, 40), samples=1, key=jax.random.key(0)
     )
@@ -131,31 +122,16 @@ def scene(light_field, tmp_path):
 @pytest.fixture
 def result(scene, light_field, tmp_path):
     """What `mvedge depth` writes, the truth in the place of what it finds."""
-    folder = tmp_path / "result"
-    folder.mkdir()
-    disparity = np.asarray(light_field.truth.disparity)
-    write_pfm(folder / "disparity.pfm", disparity)
-    write_pfm(folder / "standard_error.pfm", np.full_like(disparity, 0.01))
     rows, columns = np.mgrid[4:28:6, 4:36:8]
     xy = np.stack([columns.ravel(), rows.ravel()], 1).astype(np.float32)
-    np.savez(
-        folder / "points.npz",
-        xy=xy,
-        disparity=disparity[rows.ravel(), columns.ravel()],
-        error=np.full(len(xy), 0.01),
-        visible=np.ones((len(xy), 6), bool),
-    )
-    source = {"path": str(scene), "views": None, "scale": 1.0, "flip_u": False, "flip_v": False}
-    (folder / "report.json").write_text(json.dumps({"source": source}))
-    (folder / ".mvedge.json").write_text("{}")
-    return folder
+    return write_result(tmp_path / "result", scene, light_field.truth.disparity, xy=xy)
 
 
-def test_a_light_field_in_colmap(result, light_field, tmp_path):
+def test_a_light_field_in_colmap(result, tmp_path, mvedge):
     """Cameras, sensor shift and points: read by pycolmap, seen where the disparity says."""
     pycolmap = pytest.importorskip("pycolmap")
     out = tmp_path / "colmap"
-    assert _main.main(["export", str(result), str(out), "--to", "colmap"]) == 0
+    mvedge("export", result, out, "--to", "colmap")
     model = pycolmap.Reconstruction(str(out / "sparse" / "0"))
     assert len(model.images) == 9
     with np.load(result / "points.npz") as stored:
@@ -170,9 +146,9 @@ def test_a_light_field_in_colmap(result, light_field, tmp_path):
             np.testing.assert_allclose(place, xy[k - 1] + step * disparity[k - 1], atol=2e-3)
 
 
-def test_a_light_field_in_nerfstudio(result, light_field, tmp_path):
+def test_a_light_field_in_nerfstudio(result, light_field, tmp_path, mvedge):
     out = tmp_path / "nerf"
-    assert _main.main(["export", str(result), str(out), "--to", "nerfstudio"]) == 0
+    mvedge("export", result, out, "--to", "nerfstudio")
     found, wanted = load_photographs(out), photographs_of(light_field)
     assert found.depth is not None
     assert wanted.depth is not None
@@ -183,12 +159,11 @@ def test_a_light_field_in_nerfstudio(result, light_field, tmp_path):
     assert (out / "masks" / "input_Cam004.png.png").exists()
 
 
-def test_points_land_where_the_disparity_map_says(result, light_field, tmp_path):
+def test_points_land_where_the_disparity_map_says(result, light_field, tmp_path, mvedge):
     """Within .05 px of it in every view."""
     for kind, name in (("dense", "input_Cam004.ply"), ("edges", "edges.ply")):
         out = tmp_path / kind
-        words = ["export", str(result), str(out), "--to", "ply", "--points", kind]
-        assert _main.main(words) == 0
+        mvedge("export", result, out, "--to", "ply", "--points", kind)
         points = read_ply(out / name)
         if kind == "dense":
             rows, columns = np.mgrid[:32, :40]
@@ -206,26 +181,33 @@ def test_points_land_where_the_disparity_map_says(result, light_field, tmp_path)
             assert off < 0.05
 
 
-def test_what_cannot_be_exported(scene, result, tmp_path, capsys):
-    assert _main.main(["export", str(scene), str(tmp_path / "a"), "--to", "ply"]) == 2
-    assert "has no depth to make points of; run mvedge depth" in capsys.readouterr().err
+def test_a_camera_may_be_given_for_any_light_field(result, tmp_path, mvedge):
     (result / "report.json").write_text("{}")
-    assert _main.main(["export", str(result), str(tmp_path / "b"), "--to", "ply"]) == 2
-    assert "does not tell its light field; make the result again" in capsys.readouterr().err
+    said = mvedge("export", result, tmp_path / "b", "--to", "ply", code=2)
+    assert "does not tell its light field; make the result again" in said.err
     views = np.zeros((3, 3, 16, 16, 3), np.uint8)
-    plain = write_hci(tmp_path / "plain", views)
-    (plain / "parameters.cfg").unlink(missing_ok=True)
-    assert _main.main(["export", str(plain), str(tmp_path / "c"), "--to", "colmap"]) == 2
-    assert "does not know its camera; give its focal length" in capsys.readouterr().err
-    words = ["export", str(plain), str(tmp_path / "c"), "--to", "colmap"]
-    assert _main.main([*words, "--camera", "100", "0.1", "2"]) == 0
+    plain = write_hci(tmp_path / "plain", views, settings=False)
+    with pytest.raises(ValueError, match="does not know its camera"):
+        photographs_of(LightField(views.astype(np.float32)))
+    mvedge("export", plain, tmp_path / "c", "--to", "colmap", "--camera", 100, 0.1, 2)
     assert isinstance(load_photographs(tmp_path / "c", points=False), Photographs)
 
 
-def test_a_camera_may_be_given_for_any_light_field():
-    field = LightField(np.zeros((3, 3, 8, 8, 3), np.float32))
-    with pytest.raises(ValueError, match="does not know its camera"):
-        photographs_of(field)
+@pytest.mark.parametrize(
+    ("report", "text"),
+    [
+        ({"form": "ply", "points": {"a": 1728}}, "1 point cloud (a.ply), 1728 points"),
+        (
+            {"form": "ply", "points": dict.fromkeys("abcd", 5)},
+            "4 point clouds (a.ply, b.ply, c.ply, ...), 20 points",
+        ),
+        ({"form": "colmap"}, "4 views with their cameras, 0 points"),
+        ({"form": "nerfstudio"}, "4 views with their cameras, 0 points, depth of 1"),
+    ],
+)
+def test_what_export_wrote_is_said(report, text):
+    views = Photographs(IMAGES.astype(np.float32), POSES, MATRIX)
+    assert _written(Gathered(views, {1: DEPTHS[1]}, {}), report) == text
 
 
 @pytest.mark.parametrize(
@@ -242,19 +224,10 @@ def test_files_of_photographs_never_share_a_name(names, wanted):
     assert list(map(stems_of(names).get, names)) == wanted
 
 
-def test_points_of_a_colmap_model_are_no_edge_points(model, tmp_path, capsys):
+def test_points_of_a_colmap_model_are_no_edge_points(model, tmp_path, mvedge):
     """They belong to no single photograph whose colours and normals could be looked up."""
-    report = {
-        "command": "stereo", "model": str(model), "scale": 1.0, "method": "dense",
-        "images": None, "intrinsics": None, "photographs": {"1": {}},
-    }  # fmt: skip
-    folder = tmp_path / "result"
-    folder.mkdir()
-    (folder / "report.json").write_text(json.dumps(report))
-    (folder / ".mvedge.json").write_text("{}")
-    for kind in ("depth", "error"):
-        write_pfm(folder / f"1_{kind}.pfm", DEPTHS[1].astype(np.float32))
-    words = ["export", str(folder), str(tmp_path / "out"), "--to", "ply"]
-    assert _main.main([*words, "--points", "edges"]) == 2
-    assert "has no edge points; run mvedge depth" in capsys.readouterr().err
-    assert _main.main(words) == 0
+    folder = write_stereo_result(tmp_path / "result", model, DEPTHS.astype(np.float32), ("1",))
+    words = ("export", folder, tmp_path / "out", "--to", "ply")
+    said = mvedge(*words, "--points", "edges", code=2)
+    assert "has no edge points; run mvedge depth" in said.err
+    mvedge(*words)

@@ -42,16 +42,3 @@ def test_superpixels_writes_labels_tables_and_pictures(scene, tmp_path):
     assert picked[1, 1, 16, 20]
     assert changed[picked].mean() > 0.9
     assert changed[~picked].mean() < 0.01
-
-
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (["--size", "100"], "--size must be between 4 px and the shorter side, 32 px, got 100"),
-        (["--count", "0"], "--count must be at least 1, got 0"),
-        (["--pick", "50", "3"], "--pick must lie in the centre view, 40x32 px"),
-    ],
-)
-def test_mistakes_are_named(scene, tmp_path, capsys, words, message):
-    assert _main.main(["superpixels", str(scene), str(tmp_path / "out"), *words]) == 2
-    assert message in capsys.readouterr().err

@@ -106,12 +106,3 @@ def test_what_speaks_against_the_depth_is_said(command, tmp_path, capsys):
     assert any(
         "half of the pixels have a standard error above" in sentence for sentence in warnings
     )
-
-
-def test_a_mask_of_another_size_is_refused(scene, tmp_path, capsys):
-    mask = tmp_path / "mask.png"
-    cv2.imwrite(str(mask), np.zeros((8, 8), np.uint8))
-    assert _main.main(["edit", str(scene), str(tmp_path / "out"), "--mask", str(mask)]) == 2
-    assert "must have the size of the views, 40x32 px" in capsys.readouterr().err
-    assert _main.main(["edit", str(scene), str(tmp_path / "out")]) == 2
-    assert "either --insert or --mask" in capsys.readouterr().err

@@ -1,12 +1,11 @@
 """What a hostile case is, and what may come of it."""
 
-import dataclasses
 import random
 import time
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -17,8 +16,7 @@ from mvedge_jax import LightField
 PROMPT, LONGEST = 5.0, 420
 
 
-@dataclasses.dataclass(frozen=True)
-class Case:
+class Case(NamedTuple):
     """One hostile input.
 
     Attributes:
@@ -30,6 +28,30 @@ class Case:
     name: str
     run: Callable[[Path], None]
     fast: bool = True
+
+
+CASES: dict[str, Case] = {}
+
+
+def hostile(name: str, values: Iterable[Any] = ((),), *, fast: bool = True) -> Callable:
+    """Makes a function of a folder, and of a value, a case for each of some values.
+
+    Args:
+        name: of the cases; what is in braces stands for the value.
+        values: tuples are several arguments; in a dictionary they are what their keys are called.
+        fast: as in `Case`.
+    """
+    named = values.items() if isinstance(values, dict) else [(value, value) for value in values]
+
+    def register(function: Callable) -> Callable:
+        for label, value in named:
+            labels, arguments = (x if isinstance(x, tuple) else (x,) for x in (label, value))
+            case = Case(name.format(*labels), lambda f, a=arguments: function(f, *a), fast)
+            assert case.name not in CASES, f"twice: {case.name}"
+            CASES[case.name] = case
+        return function
+
+    return register
 
 
 def sentence(error: BaseException, *mentions: str) -> None:

@@ -1,25 +1,15 @@
 """Sizes that files only claim."""
 
+import itertools
 import struct
 import zlib
-from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from datasets.layouts import (
-    random_views,
-    write_grid,
-    write_hci,
-    write_stanford,
-)
-from hostile.case import Case, refuses
+from datasets.layouts import random_views, write_grid, write_hci, write_stanford
+from hostile.case import hostile, refuses
 from hostile.scenes import hci, smooth
 
 from mvedge_jax.datasets import load_light_field
-
-
-def cases() -> Iterator[Case]:
-    """All of them."""
-    yield from _claims()
 
 
 def _png(width: int, height: int, *, lines: int = 0, depth: int = 8, colour: int = 2) -> bytes:
@@ -48,81 +38,64 @@ def _bmp(width: int, height: int) -> bytes:
     return b"BM" + struct.pack("<IHHI", 54, 0, 0, 54) + head
 
 
-def _claims() -> Iterator[Case]:
-    sides = [(60_000, 60_000), (2**31 - 1, 2**31 - 1), (1, 2**31 - 1), (20_000, 30_000), (0, 0)]
-    makers: dict[str, Callable[[int, int], bytes]] = {"png": _png, "bmp": _bmp}
-    for suffix, make in makers.items():
-        for side in sides:
-            for every in (True, False):
+_MAKERS = {"png": _png, "bmp": _bmp, "jpg": _jpeg}
+_SIDES = [(60_000, 60_000), (2**31 - 1, 2**31 - 1), (1, 2**31 - 1), (20_000, 30_000), (0, 0)]
+_JPEGS = itertools.product(["jpg"], [(65_000, 65_000), (65_535, 1), (0, 0)], ["all views"])
 
-                def run(folder: Path, make=make, side=side, suffix=suffix, every=every) -> None:
-                    pattern = f"v_{{}}_{{}}.{suffix}"
-                    scene = write_grid(folder / "scene", random_views(), pattern=pattern)
-                    for image in scene.iterdir() if every else [scene / f"v_1_2.{suffix}"]:
-                        image.write_bytes(make(*side))
-                    refuses(lambda: load_light_field(scene), f".{suffix}")
 
-                which = "all views" if every else "one view"
-                yield Case(f"{suffix} of {side[0]}x{side[1]} px claimed, {which}", run)
-    for side in [(65_000, 65_000), (65_535, 1), (0, 0)]:
+@hostile(
+    "{} of {} px claimed, {}",
+    [*itertools.product(["png", "bmp"], _SIDES, ["all views", "one view"]), *_JPEGS],
+)
+def _claimed(folder: Path, suffix: str, side: tuple[int, int], which: str) -> None:
+    scene = write_grid(folder / "scene", smooth(), pattern=f"v_{{}}_{{}}.{suffix}")
+    for image in scene.iterdir() if which == "all views" else [scene / f"v_1_2.{suffix}"]:
+        image.write_bytes(_MAKERS[suffix](*side))
+    refuses(lambda: load_light_field(scene), f".{suffix}")
 
-        def jpeg(folder: Path, side=side) -> None:
-            scene = write_grid(folder / "scene", smooth(), pattern="v_{}_{}.jpg")
-            for image in scene.iterdir():
-                image.write_bytes(_jpeg(*side))
-            refuses(lambda: load_light_field(scene), ".jpg")
 
-        yield Case(f"jpeg of {side[0]}x{side[1]} px claimed", jpeg)
+@hostile("png bomb, 30000x30000 zeros packed", fast=False)
+def _packed(folder: Path) -> None:
+    data = _png(30_000, 30_000, lines=30_000, colour=0)
+    assert len(data) < 20_000_000
+    for k in range(9):
+        (folder / f"v_{k // 3}_{k % 3}.png").write_bytes(data)
+    refuses(lambda: load_light_field(folder), ".png", "GB", "max_gb")
 
-    def packed(folder: Path) -> None:
-        data = _png(30_000, 30_000, lines=30_000, colour=0)
-        assert len(data) < 20_000_000
-        for k in range(9):
-            (folder / f"v_{k // 3}_{k % 3}.png").write_bytes(data)
-        refuses(lambda: load_light_field(folder), ".png", "GB", "max_gb")
 
-    yield Case("png bomb, 30000x30000 zeros packed", packed, fast=False)
+@hostile("object ids of 50000x50000 px claimed")
+def _ids(folder: Path) -> None:
+    scene = hci(folder)
+    (scene / "objectids_lowres.png").write_bytes(_png(50_000, 50_000, colour=0))
+    refuses(lambda: load_light_field(scene), "objectids_lowres.png")
 
-    def ids(folder: Path) -> None:
-        scene = hci(folder)
-        (scene / "objectids_lowres.png").write_bytes(_png(50_000, 50_000, colour=0))
-        refuses(lambda: load_light_field(scene), "objectids_lowres.png")
 
-    yield Case("object ids of 50000x50000 px claimed", ids)
+@hostile("the limit is an option")
+def _limit(folder: Path) -> None:
+    scene = write_grid(folder / "scene", random_views())
+    refuses(lambda: load_light_field(scene, max_gb=1e-6), "max_gb", ".png")
+    assert load_light_field(scene, max_gb=1e-4).views.shape == (3, 3, 6, 8, 3)
 
-    def lifted(folder: Path) -> None:
-        scene = write_grid(folder / "scene", random_views())
-        refuses(lambda: load_light_field(scene, max_gb=1e-6), "max_gb", ".png")
-        assert load_light_field(scene, max_gb=1e-4).views.shape == (3, 3, 6, 8, 3)
 
-    yield Case("the limit is an option", lifted)
-    for wish in (0.0, -1.0, float("nan")):
+_FAR = [(10**6, 1), (1, 10**6), (10**9, 10**9), (10**60, 0)]
 
-        def bad_limit(folder: Path, wish=wish) -> None:
-            scene = write_grid(folder / "scene", random_views())
-            refuses(lambda: load_light_field(scene, max_gb=wish), "`max_gb`")
 
-        yield Case(f"a limit of {wish}", bad_limit)
-    for number in (100, 9999, 10_000, 999_999, 100_000_000, 10**40):
+@hostile("a view numbered {}", [100, 9999, 10_000, 999_999, 100_000_000, 10**40])
+def _far(folder: Path, number: int) -> None:
+    scene = write_hci(folder / "scene", random_views(), settings=False)
+    (scene / f"input_Cam{number}.png").write_bytes(_png(8, 6, lines=6))
+    refuses(lambda: load_light_field(scene), "input_Cam")
 
-        def far(folder: Path, number=number) -> None:
-            scene = write_hci(folder / "scene", random_views(), settings=False)
-            (scene / f"input_Cam{number}.png").write_bytes(_png(8, 6, lines=6))
-            refuses(lambda: load_light_field(scene), "input_Cam")
 
-        yield Case(f"a view numbered {number}", far)
-    for row, column in ((10**6, 1), (1, 10**6), (10**9, 10**9), (10**60, 0)):
+@hostile("a view at {}, {}", _FAR)
+def _far_in_a_grid(folder: Path, row: int, column: int) -> None:
+    scene = write_grid(folder / "scene", random_views())
+    (scene / f"lf_{row}_{column}.png").write_bytes(_png(8, 6, lines=6))
+    refuses(lambda: load_light_field(scene), "scene", "views")
 
-        def far_grid(folder: Path, row=row, column=column) -> None:
-            scene = write_grid(folder / "scene", random_views())
-            (scene / f"lf_{row}_{column}.png").write_bytes(_png(8, 6, lines=6))
-            refuses(lambda: load_light_field(scene), "scene", "views")
 
-        yield Case(f"a view at {row}, {column}", far_grid)
-
-        def far_rig(folder: Path, row=row, column=column) -> None:
-            scene = write_stanford(folder / "scene", random_views())
-            (scene / f"out_{row}_{column}_1.0_2.0.png").write_bytes(_png(8, 6, lines=6))
-            refuses(lambda: load_light_field(scene), "scene", "views")
-
-        yield Case(f"a camera at {row}, {column}", far_rig)
+@hostile("a camera at {}, {}", _FAR)
+def _far_in_a_rig(folder: Path, row: int, column: int) -> None:
+    scene = write_stanford(folder / "scene", random_views())
+    (scene / f"out_{row}_{column}_1.0_2.0.png").write_bytes(_png(8, 6, lines=6))
+    refuses(lambda: load_light_field(scene), "scene", "views")

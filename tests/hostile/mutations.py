@@ -1,89 +1,53 @@
 """Files of every format with flipped, missing and doubled bytes."""
 
+import itertools
 import struct
 import zlib
-from collections.abc import Callable, Iterator
-from functools import partial
 from pathlib import Path
 
 import numpy as np
-from datasets.layouts import (
-    random_views,
-    write_grid,
-    write_h5,
-    write_mat,
-)
-from hostile.case import Case, mutated, survives
+from datasets.layouts import random_views, write_grid, write_h5, write_mat
+from hostile.case import hostile, mutated, survives
 from hostile.scenes import hci, smooth
 
 from mvedge_jax.datasets import load_light_field
 
-_MUTATIONS = 32
+_KINDS = ("png", "jpg", "bmp", "pfm", "cfg", "hdf5", "mat 7", "mat 7.3")
 
 
-def cases() -> Iterator[Case]:
-    """All of them."""
-    yield from _mutations()
-    yield from _mended()
-
-
-def _formats() -> dict[str, Callable[[Path], tuple[Path, Path]]]:
-    """How to make a light field, and which of its files to damage."""
-
-    def grid(suffix: str, folder: Path) -> tuple[Path, Path]:
-        scene = write_grid(folder / "scene", smooth(), pattern=f"v_{{}}_{{}}.{suffix}")
-        return scene, scene / f"v_2_2.{suffix}"
-
-    def within(name: str, folder: Path) -> tuple[Path, Path]:
+def _light_field(kind: str, folder: Path) -> tuple[Path, Path]:
+    """A light field, and which of its files to damage."""
+    if kind in ("png", "jpg", "bmp"):
+        scene = write_grid(folder / "scene", smooth(), pattern=f"v_{{}}_{{}}.{kind}")
+        return scene, scene / f"v_2_2.{kind}"
+    if kind in ("pfm", "cfg"):
         scene = hci(folder)
-        return scene, scene / name
-
-    def h5(folder: Path) -> tuple[Path, Path]:
+        return scene, scene / {"pfm": "gt_disp_lowres.pfm", "cfg": "parameters.cfg"}[kind]
+    if kind == "hdf5":
         depth = np.full((3, 3, 6, 8), 5.0, "f4")
         path = write_h5(folder / "scene.h5", random_views(), depth=depth)
-        return path, path
-
-    def mat(version: str, folder: Path) -> tuple[Path, Path]:
+    else:
+        version = kind.partition(" ")[2]
         path = write_mat(folder / "scene.mat", random_views(), version=version)
-        return path, path
-
-    return {
-        "png": partial(grid, "png"),
-        "jpg": partial(grid, "jpg"),
-        "bmp": partial(grid, "bmp"),
-        "pfm": partial(within, "gt_disp_lowres.pfm"),
-        "cfg": partial(within, "parameters.cfg"),
-        "hdf5": h5,
-        "mat 7": partial(mat, "7"),
-        "mat 7.3": partial(mat, "7.3"),
-    }
+    return path, path
 
 
-def _mutations() -> Iterator[Case]:
-    for kind, make in _formats().items():
-        for seed in range(_MUTATIONS):
-
-            def run(folder: Path, make=make, seed=seed) -> None:
-                scene, victim = make(folder)
-                victim.write_bytes(mutated(victim.read_bytes(), seed))
-                survives(lambda: load_light_field(scene), "scene")
-
-            yield Case(f"mutated {kind} {seed}", run)
+@hostile("mutated {} {}", itertools.product(_KINDS, range(32)))
+def _mutation(folder: Path, kind: str, seed: int) -> None:
+    scene, victim = _light_field(kind, folder)
+    victim.write_bytes(mutated(victim.read_bytes(), seed))
+    survives(lambda: load_light_field(scene), "scene")
 
 
-def _mended() -> Iterator[Case]:
-    """PNGs that are damaged, with checksums that are not: only the decoder could tell."""
-    for seed in range(_MUTATIONS):
-
-        def run(folder: Path, seed=seed) -> None:
-            scene = hci(folder)
-            victim = scene / "input_Cam004.png"
-            data = victim.read_bytes()
-            # Behind the signature and the header's length and kind.
-            victim.write_bytes(_checked(data[:16] + mutated(data[16:], seed)))
-            survives(lambda: load_light_field(scene), "scene")
-
-        yield Case(f"mutated png with right checksums {seed}", run)
+@hostile("mutated png with right checksums {}", range(32))
+def _mended(folder: Path, seed: int) -> None:
+    """Only the decoder could tell."""
+    scene = hci(folder)
+    victim = scene / "input_Cam004.png"
+    data = victim.read_bytes()
+    # Behind the signature and the header's length and kind.
+    victim.write_bytes(_checked(data[:16] + mutated(data[16:], seed)))
+    survives(lambda: load_light_field(scene), "scene")
 
 
 def _checked(data: bytes) -> bytes:

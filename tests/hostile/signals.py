@@ -16,7 +16,6 @@ import sys
 import tempfile
 import time
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
@@ -29,22 +28,6 @@ _KINDS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _PATIENCE, _ENDING = 20.0, 1.0
 
 
-class Moment(NamedTuple):
-    """What a signal did.
-
-    Attributes:
-        verdict: empty if all is well.
-        code: exit code of the process, negative for the signal that killed it.
-        delay: seconds from the signal to the end.
-        late: the run was done before the signal could matter.
-    """
-
-    verdict: str
-    code: int
-    delay: float
-    late: bool = False
-
-
 def scene(folder: Path) -> Path:
     """A light field that the chain takes a second or two for: a plane with texture."""
     texture = np.random.default_rng(0).integers(40, 200, (40, 48, 3)).astype(np.uint8)
@@ -53,47 +36,43 @@ def scene(folder: Path) -> Path:
 
 
 def stamp(out: Path) -> int:
-    """When the result was put together, in nanoseconds."""
-    return (out / ".mvedge.json").stat().st_mtime_ns if whole(out) else 0
-
-
-def whole(out: Path) -> bool:
-    """Whether all is there that a result lists, and nothing else."""
+    """When the result was put together, in nanoseconds; 0 if it is not what it lists, no more."""
+    marker = out / ".mvedge.json"
     try:
-        listed = set(json.loads((out / ".mvedge.json").read_text())["written"])
+        listed = set(json.loads(marker.read_text())["written"])
     except (OSError, ValueError):
-        return False
-    return listed == {path.relative_to(out).as_posix() for path in out.rglob("*")}
+        return 0
+    whole = listed == {path.relative_to(out).as_posix() for path in out.rglob("*")}
+    return marker.stat().st_mtime_ns if whole else 0
 
 
-def interrupted(words: list[str], kind: signal.Signals, after: float, out: Path) -> Moment:
-    """Starts `mvedge`, sends a signal after some seconds, and looks at what is left."""
+def interrupted(
+    words: list[str], kind: signal.Signals, after: float, out: Path
+) -> tuple[str, float, bool]:
+    """Starts `mvedge`, sends a signal after some seconds, and looks at what is left.
+
+    Returns:
+        What is wrong; seconds from the signal to the end; whether the signal came too late.
+    """
     before, earlier = {path.name for path in out.parent.iterdir()}, stamp(out)
-    process = subprocess.Popen(
-        [sys.executable, "-m", "mvedge", *words],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    late = False
+    call = [sys.executable, "-m", "mvedge", *words]
+    process = subprocess.Popen(call, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    late, start = True, time.perf_counter() + after
     try:
         _, text = process.communicate(timeout=after)
-        late, start = True, time.perf_counter()
     except subprocess.TimeoutExpired:
-        start = time.perf_counter()
+        late = False
         process.send_signal(kind)
         try:
             _, text = process.communicate(timeout=_PATIENCE)
         except subprocess.TimeoutExpired:
             process.kill()
-            _, text = process.communicate()
-            return Moment(f"still running {_PATIENCE:g} s after {kind.name}", 0, _PATIENCE)
-    delay = time.perf_counter() - start
-    code = process.returncode
+            process.communicate()
+            return f"still running {_PATIENCE:g} s after it", _PATIENCE, False
+    delay, code = time.perf_counter() - start, process.returncode
     left = {path.name for path in out.parent.iterdir()} ^ before
     complaints = [line for line in text.splitlines() if not line.startswith(("done", "warning"))]
-    fresh = stamp(out) != earlier
-    late = late or (code == 0 and fresh and delay < _ENDING)
+    late = late or (code == 0 and stamp(out) != earlier and delay < _ENDING)
     verdict = ""
     if code != (0 if late else 128 + kind):
         verdict = f"exit code {code}"
@@ -101,9 +80,9 @@ def interrupted(words: list[str], kind: signal.Signals, after: float, out: Path)
         verdict = f"said {complaints[-3:]}"
     elif left:
         verdict = f"left or lost {left}"
-    elif not whole(out):
+    elif not stamp(out):
         verdict = "left half a result"
-    return Moment(verdict, code, delay, late)
+    return verdict, delay, late
 
 
 def main() -> int:
@@ -115,10 +94,9 @@ def main() -> int:
     for kind in _KINDS:
         # A shell has what it runs in the background ignore some, and children inherit that.
         signal.signal(kind, signal.default_int_handler)
-    draw, bad, late, delays = random.Random(options.seed), 0, 0, []
+    draw, bad, lates, delays = random.Random(options.seed), 0, 0, []
     with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        field, out = scene(folder), folder / "out"
+        field, out = scene(Path(name)), Path(name) / "out"
         runs = {}
         for command, more in (("depth", []), ("optimize", ["--iterations", "8"])):
             words = [command, str(field), str(out), "--overwrite", *more]
@@ -127,29 +105,23 @@ def main() -> int:
             start = time.perf_counter()
             subprocess.run(call, check=True, capture_output=True)
             runs[command] = time.perf_counter() - start, words
-            sys.stdout.write(f"{command}: {runs[command][0]:.1f} s\n")
+            print(f"{command}: {runs[command][0]:.1f} s")  # noqa: T201
         while len(delays) < options.moments:
             command, index = draw.choice(sorted(runs)), len(delays)
             seconds, words = runs[command]
             # Every second one falls into the first seconds, in which libraries are imported.
             after = draw.uniform(0.3, min(4.0, seconds)) if index % 2 else draw.random() * seconds
             kind = draw.choice(_KINDS)
-            found = interrupted(words, kind, after, out)
-            if found.late and not found.verdict:
+            verdict, delay, late = interrupted(words, kind, after, out)
+            if late and not verdict:
                 # The machine was less busy than when the run was timed.
-                late, runs[command] = late + 1, (after, words)
+                lates, runs[command] = lates + 1, (after, words)
                 continue
-            bad += bool(found.verdict)
-            delays.append(found.delay)
-            sys.stdout.write(
-                f"{index:3} {words[0]} {kind.name} at {after:.1f} s: code {found.code}, "
-                f"{found.delay:.2f} s, {found.verdict or 'fine'}\n"
-            )
-            sys.stdout.flush()
-    sys.stdout.write(
-        f"{options.moments} moments within a run, {late} after its end; {bad} bad, "
-        f"{max(delays):.1f} s at most\n"
-    )
+            bad += bool(verdict)
+            delays.append(delay)
+            said = f"{index:3} {command} {kind.name} at {after:.1f} s: {delay:.2f} s"
+            print(f"{said}, {verdict or 'fine'}", flush=True)  # noqa: T201
+    print(f"{len(delays)} moments, {lates} too late; {bad} bad, {max(delays):.1f} s at most")  # noqa: T201
     return min(bad, 100)
 
 

@@ -1,9 +1,8 @@
 """Many calls of one process: `python tests/hostile/soak.py --calls 300`.
 
-Light fields of five shapes take turns, each call with other views, and the compiled programs are
-forgotten now and then, as `estimate_depth` advises. Resident memory is read after every call. The
-first round may compile, which takes memory of its own; the largest of every later round may exceed
-that of the second by a tenth.
+Light fields of five shapes take turns, each call with other views, and compiled programs are
+forgotten after each round, as `estimate_depth` advises. The first round may compile, which takes
+memory of its own; the largest of every later round may exceed that of the second by a tenth.
 """
 
 import argparse

@@ -1,9 +1,8 @@
 """Files of programs are whole and private, or they are not read."""
 
-import multiprocessing
 import os
 import pickle
-from pathlib import Path
+from concurrent.futures import ThreadPoolExecutor
 
 import jax
 import jax.numpy as jnp
@@ -14,37 +13,14 @@ from mvedge_jax import _stored
 from mvedge_jax._stored import ProgramFiles, _files
 
 
-def _truncated(path):
-    path.write_bytes(path.read_bytes()[:-100])
+def _flipped(data):
+    middle = len(data) // 2
+    return data[:middle] + bytes([data[middle] ^ 1]) + data[middle + 1 :]
 
 
-def _corrupted(path):
-    data = bytearray(path.read_bytes())
-    data[len(data) // 2] ^= 1
-    path.write_bytes(data)
-
-
-def _empty(path):
-    path.write_bytes(b"")
-
-
-def _open_to_others(path):
-    path.chmod(0o640)
-
-
-def _in_an_open_folder(path):
-    path.parent.chmod(0o755)
-
-
-def _linked(path):
-    path.rename(path.with_suffix(".elsewhere"))
-    path.symlink_to(path.with_suffix(".elsewhere"))
-
-
-def _in_a_linked_folder(path):
-    aside = path.parent.with_name("aside")
-    path.parent.rename(aside)
-    path.parent.symlink_to(aside)
+def _linked(path, aside):
+    path.rename(aside)
+    path.symlink_to(aside)
 
 
 def _of_another_program(path):
@@ -52,36 +28,35 @@ def _of_another_program(path):
     path.write_bytes(other.read_bytes())
 
 
-def _another_pickle(path):
-    path.write_bytes(_files._sealed(pickle.dumps("no program"), path.stem))
-
-
 def _a_pipe(path):
     path.unlink()
     os.mkfifo(path, 0o600)
 
 
-@pytest.mark.parametrize(
-    "spoil",
-    [
-        _truncated,
-        _corrupted,
-        _empty,
-        _open_to_others,
-        _in_an_open_folder,
-        _linked,
-        _in_a_linked_folder,
-        _of_another_program,
-        _another_pickle,
-        _a_pipe,
-    ],
-)
-def test_a_file_in_doubt_is_ignored(files, spoil):
+SPOIL = {
+    "truncated": lambda path: path.write_bytes(path.read_bytes()[:-100]),
+    "corrupted": lambda path: path.write_bytes(_flipped(path.read_bytes())),
+    "empty": lambda path: path.write_bytes(b""),
+    "open to others": lambda path: path.chmod(0o640),
+    "in an open folder": lambda path: path.parent.chmod(0o755),
+    "linked": lambda path: _linked(path, path.with_suffix(".elsewhere")),
+    "in a linked folder": lambda path: _linked(path.parent, path.parent.with_name("aside")),
+    "of another program": _of_another_program,
+    "another pickle": lambda path: path.write_bytes(
+        _files._sealed(pickle.dumps("no program"), path.stem)
+    ),
+    "a pipe": _a_pipe,
+}
+
+
+@pytest.mark.parametrize("how", SPOIL)
+def test_a_file_in_doubt_is_ignored(files, how):
     part = Part(jnp.asarray(2.0))
     wanted, _ = run(X, part)
     (path,) = stored_files(files)
-    run(X[:3], part)
-    spoil(path)
+    if how == "of another program":
+        run(X[:3], part)
+    SPOIL[how](path)
     found, traces = run(X, part)
     assert traces == 1
     same(found, wanted)
@@ -116,7 +91,7 @@ def test_nothing_that_others_may_have_written_is_unpickled(files, tmp_path, mode
     assert (tmp_path / "made").exists() == ran
 
 
-def test_a_folder_that_cannot_be_written_is_no_error(files, monkeypatch):
+def test_a_folder_that_cannot_be_written_is_no_error(files):
     files.folder.parent.joinpath("programs").write_text("a file")
     assert run(X, Part(jnp.asarray(2.0)))[1] == 1
 
@@ -141,7 +116,7 @@ def test_the_oldest_programs_make_room(tmp_path):
 
 
 def _write_and_read(folder, letter):
-    files = ProgramFiles(Path(folder))
+    files = ProgramFiles(folder)
     for _ in range(100):
         if not files.write("key", letter * 100_000):
             return "not written"
@@ -152,9 +127,9 @@ def _write_and_read(folder, letter):
 
 
 def test_concurrent_writers_leave_whole_files(tmp_path):
-    with multiprocessing.get_context("forkserver").Pool(3) as pool:
-        work = [(tmp_path / "programs", letter) for letter in (b"a", b"b", b"c")]
-        assert pool.starmap(_write_and_read, work) == [None] * 3
+    with ThreadPoolExecutor(3) as pool:
+        found = pool.map(_write_and_read, 3 * [tmp_path / "programs"], (b"a", b"b", b"c"))
+        assert list(found) == [None] * 3
     assert [p.name for p in (tmp_path / "programs").iterdir()] == ["key.program"]
 
 

@@ -24,6 +24,8 @@ from stored.programs import (
     with_constant,
 )
 
+import mvedge_jax as mv
+from mvedge_jax import edit
 from mvedge_jax._compiler import lean_jit
 from mvedge_jax._stored import ProgramFiles
 
@@ -131,22 +133,20 @@ print(estimate_depth.traces, hashlib.sha256(bits).hexdigest())
 
 def _in_a_process(code, cache):
     environment = {k: v for k, v in os.environ.items() if k != "JAX_COMPILATION_CACHE_DIR"}
-    run = subprocess.run(
-        [sys.executable, "-c", code],
-        env=environment | {"MVEDGE_CACHE": str(cache)},
-        capture_output=True,
-        text=True,
-        check=True,
-    )
+    environment |= {"MVEDGE_CACHE": str(cache), "JAX_ENABLE_X64": "1"}
+    words = [sys.executable, "-c", code]
+    run = subprocess.run(words, env=environment, capture_output=True, text=True, check=True)
     return run.stdout.split()
 
 
 def test_a_second_process_reads_what_the_first_compiled(tmp_path):
-    first, second, without = (
-        _in_a_process(_PICTURE, cache) for cache in (tmp_path, tmp_path, "off")
+    first, second = (_in_a_process(_PICTURE, tmp_path) for _ in range(2))
+    assert (first[0], second[0]) == ("True", "False")
+    field = mv.LightField(jnp.zeros((3, 3, 9, 9, 3)), name="name")
+    here = edit.insert_picture(
+        field, jnp.zeros((3, 3, 9, 9)), jnp.ones((3, 3, 4)), at=(4.0, 4.0), disparity=1.0
     )
-    assert (first[0], second[0], without[0]) == ("True", "False", "True")
-    assert first[1:] == second[1:] == without[1:]
+    assert first[1:] == second[1:] == [str(float(here.views.sum())), "name"]
     (path,) = (tmp_path / "programs").iterdir()
     path.unlink()
     # Now JAX reads the program from its own cache, and such an executable has no second copy.

@@ -1,7 +1,5 @@
 """Sweeps: settings, scores, journals, pruning; against single calls."""
 
-import contextlib
-import json
 import os
 import re
 import signal
@@ -27,8 +25,6 @@ from mvedge_jax.sweep import Interval, Space, _evaluate, evaluate, plot_sweep, s
 optuna.logging.set_verbosity(optuna.logging.WARNING)
 
 SPACE = Space({"refine.precision": Interval(0.002, 0.02), "dense.trust": Interval(0.7, 2.8)})
-
-WIDE, BELOW = Interval(1.0, 2.0), Interval(-1.0, 1.0, log=False)
 
 
 @pytest.fixture
@@ -60,42 +56,41 @@ def bowl(monkeypatch):
         (lambda: sweep(["a"], SPACE, trials=0), "`trials` must be at least 1, got 0"),
         (lambda: sweep(["a"], SPACE, threads=0), "`threads` must be at least 1, got 0"),
         (lambda: sweep(["a"], SPACE, objective="bad"), "`objective` must be one of"),
+        (lambda: sweep(["a"], SPACE, preset="edges"), "`dense.trust` is no path of `EdgeDepth`"),
+        (
+            lambda: sweep(["a"], SPACE, start={"refine.solves": "two"}),
+            "`refine.solves` must be a whole number, got 'two'",
+        ),
     ],
 )
-def test_mistakes_are_told(make, message):
+def test_mistakes_are_told(make, message, bowl):
     with pytest.raises(ValueError, match=message):
         make()
-
-
-@pytest.mark.parametrize(
-    ("numbers", "choices", "message"),
-    [
-        (
-            {"refine.precisoin": WIDE},
-            {},
-            "`refine.precisoin` is no path of `EdgeDepth`: the fields",
-        ),
-        ({"refine.solves": WIDE}, {}, "`refine.solves` is not a number, as an interval needs"),
-        ({"refine.precision": BELOW}, {}, "`refine.precision` must be finite and not negative"),
-        ({}, {"refine.solvse": (1,)}, "`refine.solvse` is no path of `EdgeDepth`: the fields of"),
-        ({}, {"refine.precision": (0.1,)}, "`refine.precision` is a number, not a static field"),
-        ({}, {"refine": (1,)}, "`refine` is a part, whose numbers and static fields are"),
-        ({}, {"refine.solves": (1, 1.5)}, "`refine.solves` must be a whole number, got 1.5"),
-        ({}, {"refine.solves": (0,)}, "`solves` must be at least 1, got 0"),
-        ({}, {"solver.by_residual": (1,)}, "`solver.by_residual` must be true or false, got 1"),
-    ],
-)
-def test_what_the_model_does_not_have_is_not_varied(numbers, choices, message, bowl):
-    with pytest.raises(ValueError, match=re.escape(message)):
-        sweep(["a"], Space(numbers, choices))
     assert not bowl
 
 
-def test_a_space_and_a_start_belong_to_a_preset(bowl):
-    with pytest.raises(ValueError, match="`dense.trust` is no path of `EdgeDepth`"):
-        sweep(["a"], SPACE, preset="edges")
-    with pytest.raises(ValueError, match="`refine.solves` must be a whole number, got 'two'"):
-        sweep(["a"], SPACE, start={"refine.solves": "two"})
+WIDE, BELOW = Interval(1.0, 2.0), Interval(-1.0, 1.0, log=False)
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "message"),
+    [
+        ("refine.precisoin", WIDE, "`refine.precisoin` is no path of `EdgeDepth`: the fields"),
+        ("refine.solves", WIDE, "`refine.solves` is not a number, as an interval needs"),
+        ("refine.precision", BELOW, "`refine.precision` must be finite and not negative"),
+        ("refine.solvse", (1,), "`refine.solvse` is no path of `EdgeDepth`: the fields of"),
+        ("refine.precision", (0.1,), "`refine.precision` is a number, not a static field"),
+        ("refine", (1,), "`refine` is a part, whose numbers and static fields are"),
+        ("refine.solves", (1, 1.5), "`refine.solves` must be a whole number, got 1.5"),
+        ("refine.solves", (0,), "`solves` must be at least 1, got 0"),
+        ("solver.by_residual", (1,), "`solver.by_residual` must be true or false, got 1"),
+    ],
+)
+def test_what_the_model_does_not_have_is_not_varied(path, value, message, bowl):
+    varied = {path: value}
+    space = Space(varied) if isinstance(value, Interval) else Space({}, varied)
+    with pytest.raises(ValueError, match=re.escape(message)):
+        sweep(["a"], space)
     assert not bowl
 
 
@@ -321,38 +316,8 @@ def test_scenes_of_one_kind_share_a_program_whatever_their_names(monkeypatch):
         evaluate(field, np.array([[1.0]]), **{**options, "objective": "mae"})
 
 
-@contextlib.contextmanager
-def _by_hand(folder):
-    """The address of a scheduler with two workers that were started on the command line."""
-    told = folder / "scheduler.json"
-    port = ["--no-dashboard", "--port", "0"]
-    commands = [["scheduler", "--scheduler-file", str(told), "--host", "127.0.0.1", *port]]
-    commands += 2 * [["worker", "--scheduler-file", str(told), "--nthreads", "1", "--no-dashboard"]]
-    started = [
-        subprocess.Popen(
-            [sys.executable, "-m", "dask", *words],
-            stderr=subprocess.DEVNULL,
-            cwd=folder,
-            # Workers import the package that is tested.
-            env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
-        )
-        for words in commands
-    ]
-    try:
-        for _ in range(600):
-            if told.exists() and told.read_text():
-                break
-            time.sleep(0.1)
-        yield json.loads(told.read_text())["address"]
-    finally:
-        for process in reversed(started):
-            process.terminate()
-            process.wait()
-
-
 @pytest.mark.slow
 def test_a_cluster_gives_the_result_of_one_process(tmp_path, monkeypatch):
-    """Two processes of this machine, and those of a scheduler that was started by hand."""
     distributed = pytest.importorskip("distributed")
     monkeypatch.setenv("JAX_ENABLE_X64", "1")  # the workers' number format, as is that of tests
     light_field = synthetic.render(
@@ -368,12 +333,8 @@ def test_a_cluster_gives_the_result_of_one_process(tmp_path, monkeypatch):
         ) as cluster,
         distributed.Client(cluster.scheduler_address) as client,
     ):
-        local = sweep(scenes, SPACE, submit=client.submit, **options)
-    with _by_hand(tmp_path) as address, distributed.Client(address) as client:
-        client.wait_for_workers(2, timeout=120)
-        by_hand = sweep(scenes, SPACE, submit=client.submit, **options)
-    for shared in (local, by_hand):
-        for one, other in zip(alone.rows, shared.rows, strict=True):
-            assert [one[n] for n in SPACE.names] == [other[n] for n in SPACE.names]
-            assert one["mean"] == pytest.approx(other["mean"], rel=1e-9)
-        assert alone.study.best_trial.number == shared.study.best_trial.number
+        shared = sweep(scenes, SPACE, submit=client.submit, **options)
+    for one, other in zip(alone.rows, shared.rows, strict=True):
+        assert [one[n] for n in SPACE.names] == [other[n] for n in SPACE.names]
+        assert one["mean"] == pytest.approx(other["mean"], rel=1e-9)
+    assert alone.study.best_trial.number == shared.study.best_trial.number

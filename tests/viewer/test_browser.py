@@ -98,18 +98,16 @@ def html():
     return page(square_field(), result(), quality=100)
 
 
-def test_a_file_shows_the_centre_view(look, html):
-    tab = look(html)
-    assert _is(_pixel(tab, 34, 24), NEAR)
-    assert _is(_pixel(tab, 5, 5), FAR)
-
-
-def test_a_server_shows_the_same(look, html):
+@pytest.mark.parametrize("served", [False, True])
+def test_a_file_or_a_server_shows_the_centre_view(look, html, served):
     with serve(html, port=0) as server:
         thread = threading.Thread(target=server.serve_forever)
         thread.start()
-        tab = look(html, url=server.url)
+        tab = look(html, url=server.url if served else None)
         assert _is(_pixel(tab, 34, 24), NEAR)
+        assert _is(_pixel(tab, 5, 5), FAR)
+        assert tab.evaluate("mvedge.measure(0.2)") > 0
+        assert tab.evaluate("mvedge.loaded") > 0
         server.shutdown()
         thread.join()
 
@@ -261,22 +259,20 @@ def test_a_history_is_gone_through(look):
     assert tab.evaluate("mvedge.state.focus") == pytest.approx(0, abs=1e-4)
 
 
-@pytest.mark.parametrize(
-    "case", ["nothing known", "one row", "missing views", "labels", "truth alone"]
-)
+_LABELS = result()._replace(labels=np.arange(48 * 64).reshape(48, 64))
+_LESS = {
+    "nothing known": ({"known": False}, ()),
+    "one row": ({"grid": (1, 5), "known": False}, (result(),)),
+    "missing views": ({"missing": [(0, 0), (4, 4), (4, 3), (3, 4)]}, (result(),)),
+    "labels": ({"known": False}, (_LABELS,)),
+    "truth alone": ({}, ()),
+}
+
+
+@pytest.mark.parametrize("case", _LESS)
 def test_it_works_with_less(look, case):
-    if case == "nothing known":
-        field, results = square_field(known=False), ()
-    elif case == "one row":
-        field, results = square_field(grid=(1, 5), known=False), (result(),)
-    elif case == "missing views":
-        field, results = square_field(missing=[(0, 0), (4, 4), (4, 3), (3, 4)]), (result(),)
-    elif case == "labels":
-        field = square_field(known=False)
-        results = (result()._replace(labels=np.arange(48 * 64).reshape(48, 64)),)
-    else:
-        field, results = square_field(), ()
-    tab = look(page(field, *results, quality=100))
+    known, results = _LESS[case]
+    tab = look(page(square_field(**known), *results, quality=100))
     assert _is(_pixel(tab, 34, 24), NEAR)
     _set(tab, u=2)
     assert _is(_pixel(tab, 30, 24), NEAR)
@@ -308,12 +304,6 @@ def test_what_only_other_views_show_is_drawn_in_its_colour(look):
     assert tab.evaluate(green) == 0
     _set(tab, hidden=True, bound=-3)
     assert tab.evaluate(green) == 0
-
-
-def test_speed_is_measured_in_the_page(look, html):
-    tab = look(html)
-    assert tab.evaluate("mvedge.measure(0.2)") > 0
-    assert tab.evaluate("mvedge.loaded") > 0
 
 
 def test_a_page_in_a_frame_of_a_notebook(chromium, tmp_path, html):
