@@ -105,7 +105,9 @@ def test_pycolmap_reads_what_we_write_and_we_what_it_writes(model, tmp_path):
         assert_array_equal(np.sort(given(again.observed).sum(0)), np.sort(OBSERVED.sum(0)))
 
 
-@pytest.mark.parametrize("rotations", [Rotation.random(4, rng=0), Rotation.from_quat(np.eye(4))])
+@pytest.mark.parametrize(
+    "rotations", [Rotation.random(4, rng=np.random.default_rng(0)), Rotation.from_quat(np.eye(4))]
+)
 def test_any_rotation_comes_back(tmp_path, rotations):
     poses = POSES.copy()
     poses[:, :3, :3] = rotations.as_matrix()
@@ -190,7 +192,7 @@ def test_distortion_is_taken_out(model):
     # The same directions show the same colours.
     direction = np.stack([x, y, np.ones_like(x)], -1) @ np.linalg.inv(matrix).T @ MATRIX.T
     place = direction.astype(np.float32)[..., :2].transpose(2, 0, 1)
-    wanted = cv2.remap(IMAGES[0].astype(np.float32), *place, cv2.INTER_CUBIC)
+    wanted = cv2.remap(IMAGES[0].astype(np.float32), place[0], place[1], cv2.INTER_CUBIC)
     assert np.abs(np.asarray(found.images[0]) - wanted)[4:-4, 4:-4].mean() < 0.01
 
 

@@ -25,7 +25,7 @@ def refused(path, match, kind: type[Exception] = ValueError, **options):
     return str(caught.value)
 
 
-def other_pixels(file, *, shape=(6, 8, 3), dtype=np.uint8):
+def other_pixels(file, *, shape=(6, 8, 3), dtype: type = np.uint8):
     save_image(file, random_views((1, 1, *shape), dtype)[0, 0])
 
 
