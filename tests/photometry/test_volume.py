@@ -79,6 +79,7 @@ def test_the_transpose_is_that_of_the_costs(shape, share, window, counts, alpha)
     _alike(lean(own)(cotangent)[0], lean(expected)(cotangent)[0])
 
 
+@pytest.mark.slow
 def test_forward_mode_and_forward_over_reverse_are_those_of_the_costs():
     """A tangent of the cotangent where there is none: what is left out must not be forgotten."""
     shape = (20, 24)
