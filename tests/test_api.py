@@ -174,7 +174,7 @@ def _imports(file: str) -> Iterator[tuple[str, ...]]:
         if isinstance(node, ast.Import):
             found = [tuple(name.name.split(".")) for name in node.names]
         elif isinstance(node, ast.ImportFrom):
-            module = tuple(node.module.split(".")) if node.module else ()
+            module: tuple[str, ...] = tuple(node.module.split(".")) if node.module else ()
             if node.level:
                 module = (_PACKAGE.name, *here[: len(here) - node.level + 1], *module)
             whole = module == (_PACKAGE.name,)

@@ -1,6 +1,7 @@
-"""What all layouts share: values, options, memory layout."""
+"""What all layouts share, and what each knows: values, options, memory layout, ground truth."""
 
-import jax
+from typing import Any
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -14,11 +15,15 @@ from datasets.layouts import (
     write_mat,
     write_stanford,
 )
+from numpy.testing import assert_allclose, assert_array_equal
 
-from mvedge_jax.datasets import load_light_field
+from mvedge_jax.datasets import load_light_field, write_pfm
+
+DISPARITY = np.linspace(-1, 1, 48, dtype=np.float32).reshape(6, 8)
 
 
-def _write(layout, folder, views):
+def write(layout, folder, views):
+    """The views in one of `LAYOUTS`."""
     folder.mkdir(exist_ok=True)
     if layout == "hci":
         return write_hci(folder, views, settings=False)
@@ -34,90 +39,184 @@ def _write(layout, folder, views):
 LAYOUTS = ["hci", "stanford", "grid", "h5", "mat7", "mat7.3"]
 
 
+def unit(views):
+    """As light fields hold them."""
+    return views.astype(np.float32) / np.float32(np.iinfo(views.dtype).max)
+
+
+@pytest.fixture
+def scene(tmp_path):
+    """3x3 views in the HCI layout with settings and ground truth."""
+    return write_hci(tmp_path / "toy", random_views(), disparity=DISPARITY)
+
+
 @pytest.mark.parametrize("layout", LAYOUTS)
 def test_every_layout_gives_the_same_light_field(tmp_path, layout):
-    views = random_views((5, 5, 6, 9, 3))
-    loaded = load_light_field(_write(layout, tmp_path / "scene", views))
+    views = random_views((5, 5, 4, 6, 3))
+    path = write(layout, tmp_path / "scene", views)
+    loaded = load_light_field(path)
     assert loaded.views.dtype == jnp.float32
-    np.testing.assert_array_equal(np.asarray(loaded.views), views.astype(np.float32) / 255)
+    assert_array_equal(loaded.views, unit(views))
     assert loaded.available.all()
     assert loaded.truth is None
-
-
-@pytest.mark.parametrize("layout", LAYOUTS)
-def test_central_views_and_flips(tmp_path, layout):
-    views = random_views((5, 5, 4, 6, 3))
-    path = _write(layout, tmp_path / "scene", views)
-    loaded = load_light_field(path, views=3, flip_u=True)
-    expected = views[1:4, 1:4][:, ::-1].astype(np.float32) / 255
-    np.testing.assert_array_equal(np.asarray(loaded.views), expected)
-    loaded = load_light_field(path, views=3, flip_v=True, name="other")
-    np.testing.assert_array_equal(
-        np.asarray(loaded.views), views[1:4, 1:4][::-1].astype(np.float32) / 255
-    )
-    assert loaded.name == "other"
-    loaded = load_light_field(path, views=3, swap_axes=True, flip_u=True)
-    expected = views[1:4, 1:4].swapaxes(0, 1)[:, ::-1].astype(np.float32) / 255
-    np.testing.assert_array_equal(np.asarray(loaded.views), expected)
-
-
-def test_exchanged_axes_take_the_truth_of_every_view_along(tmp_path):
-    views = random_views((3, 3, 6, 8, 3))
-    depth = np.linspace(5, 9, 9 * 48, dtype=np.float32).reshape(3, 3, 6, 8)
-    path = write_h5(tmp_path / "a.h5", views, depth=depth, labels=random_views((3, 3, 6, 8)))
-    one, other = (known(load_light_field(path, swap_axes=swap).truth) for swap in (False, True))
-    np.testing.assert_array_equal(one.disparity, other.disparity)
-    for name in ("view_disparity", "view_ids"):
-        maps = known(getattr(one, name)), known(getattr(other, name))
-        np.testing.assert_array_equal(maps[0], maps[1].swapaxes(0, 1))
-
-
-def test_exchanged_axes_may_be_a_single_row(tmp_path):
-    folder = write_grid(tmp_path / "toy", random_views((1, 5, 6, 8, 3)))
-    assert load_light_field(folder, swap_axes=True).views.shape[:2] == (5, 1)
-
-
-@pytest.mark.parametrize("views", [2, 1, 7])
-@pytest.mark.parametrize("layout", LAYOUTS)
-def test_bad_number_of_views(tmp_path, layout, views):
-    path = _write(layout, tmp_path / "scene", random_views((5, 5, 4, 6, 3)))
-    with pytest.raises(ValueError, match="`views` must be odd, at least 3 and at most .* 5x5"):
-        load_light_field(path, views=views)
+    middle = unit(views[1:4, 1:4])
+    cases: list[tuple[dict[str, Any], Any]] = [
+        ({"flip_u": True}, middle[:, ::-1]),
+        ({"flip_v": True, "name": "other"}, middle[::-1]),
+        ({"swap_axes": True, "flip_u": True}, middle.swapaxes(0, 1)[:, ::-1]),
+    ]
+    for options, expected in cases:
+        found = load_light_field(path, views=3, **options)
+        assert_array_equal(found.views, expected)
+        assert found.name == options.get("name", loaded.name)
+    for many in (2, 1, 7):
+        with pytest.raises(ValueError, match="`views` must be odd, at least 3 and at most .* 5x5"):
+            load_light_field(path, views=many)
 
 
 @pytest.mark.parametrize("layout", ["stanford", "grid", "h5", "mat7", "mat7.3"])
 @pytest.mark.parametrize("grid", [(3, 5), (4, 4)])
 def test_grids_that_are_not_odd_squares(tmp_path, layout, grid):
     views = random_views((*grid, 4, 6, 3))
-    path = _write(layout, tmp_path / "scene", views)
+    path = write(layout, tmp_path / "scene", views)
     with pytest.raises(ValueError, match=f"{grid[0]}x{grid[1]} views.*odd square.*views=3") as e:
         load_light_field(path)
     assert "scene" in str(e.value) or "a (" in str(e.value)
-    centre = grid[0] // 2, grid[1] // 2
-    loaded = load_light_field(path, views=3)
     stored = views if layout != "h5" else views[:, ::-1]
-    expected = np.asarray(stored[centre], np.float32) / 255
-    np.testing.assert_array_equal(np.asarray(loaded.centre_view), expected)
-
-
-def test_non_square_grid_of_the_hci_layout(tmp_path):
-    path = write_hci(tmp_path / "scene", random_views((3, 5, 4, 6, 3)))
-    with pytest.raises(ValueError, match="3x5 views"):
-        load_light_field(path)
+    centre = unit(stored[grid[0] // 2, grid[1] // 2])
+    assert_array_equal(load_light_field(path, views=3).centre_view, centre)
 
 
 @pytest.mark.parametrize("grid", [(1, 5), (5, 1)])
 def test_a_single_row_or_column_of_views(tmp_path, grid):
     views = random_views((*grid, 4, 6, 3))
     path = write_hci(tmp_path / "scene", views)
-    expected = views.astype(np.float32) / 255
-    np.testing.assert_array_equal(np.asarray(load_light_field(path).views), expected)
+    expected = unit(views)
+    assert_array_equal(load_light_field(path).views, expected)
     middle = expected[:, 1:4] if grid[0] == 1 else expected[1:4]
-    np.testing.assert_array_equal(np.asarray(load_light_field(path, views=3).views), middle)
+    assert_array_equal(load_light_field(path, views=3).views, middle)
+    assert load_light_field(path, swap_axes=True).views.shape[:2] == grid[::-1]
     with pytest.raises(ValueError, match="`views` must be odd"):
         load_light_field(path, views=7)
     with pytest.raises(ValueError, match="1x4 views.*an odd row or column.*views=3"):
         load_light_field(write_hci(tmp_path / "even", views.reshape(1, 5, 4, 6, 3)[:, :4]))
+
+
+@pytest.mark.parametrize("suffix", ["jpg", "bmp"])
+def test_other_formats(tmp_path, suffix):
+    smooth = np.broadcast_to(random_views((3, 3, 1, 1, 3)), (3, 3, 16, 16, 3))
+    loaded = load_light_field(write_grid(tmp_path, smooth, pattern=f"view_{{}}_{{}}.{suffix}"))
+    assert_allclose(loaded.views, unit(smooth), atol=0 if suffix == "bmp" else 0.03)
+
+
+def test_sixteen_bits_grey_and_alpha(tmp_path):
+    deep, grey, clear = (
+        random_views(dtype=np.uint16), random_views((3, 3, 6, 8)), random_views((3, 3, 6, 8, 4))
+    )  # fmt: skip
+    # `save_image` reverses the channels: alpha first in memory is alpha last in the file.
+    for name, stored, expected in (
+        ("deep", deep, deep),
+        ("grey", grey, np.repeat(grey[..., None], 3, axis=-1)),
+        ("clear", clear[..., ::-1], clear[..., [2, 1, 0]]),
+    ):
+        loaded = load_light_field(write_grid(tmp_path / name, stored))
+        assert_array_equal(loaded.views, unit(expected))
+
+
+@pytest.mark.parametrize(
+    ("pattern", "first"),
+    [
+        ("{:02d}_{:02d}.png", 0),
+        ("{}_{}.png", 1),
+        ("2067_{:02d}_{:02d}.png", 1),
+        ("a-b_{:03d}_{:03d}.png", 4),
+        ("im{}-{}.bmp", 0),
+        ("x_{}_{}.PNG", 9),
+    ],
+)
+def test_names_of_grids(tmp_path, pattern, first):
+    views = random_views((3, 3, 4, 5, 3))
+    loaded = load_light_field(write_grid(tmp_path, views, pattern=pattern, first=first))
+    assert_array_equal(loaded.views, unit(views))
+
+
+def test_folder_with_one_container_stands_for_it(tmp_path):
+    write_mat(tmp_path / "Bikes.mat", random_views())
+    (tmp_path / "readme.txt").write_text("")
+    loaded = load_light_field(tmp_path)
+    assert loaded.name == "Bikes"
+    assert_array_equal(loaded.views, unit(random_views()))
+
+
+def test_missing_views_are_told_and_not_invented(tmp_path):
+    for layout in ("hci", "stanford", "grid"):
+        folder = write(layout, tmp_path / layout, random_views())
+        sorted(folder.glob("*.png"))[2].unlink()
+        loaded = load_light_field(folder)
+        assert_array_equal(loaded.available, [[True, True, False], [True] * 3, [True] * 3])
+        assert not loaded.views[0, 2].any()
+
+
+@pytest.mark.parametrize("side", [3, 5, 9])
+def test_crosshair_alone_tells_the_grid(tmp_path, side):
+    views = random_views((side, side, 4, 5, 3))
+    write_hci(tmp_path, views, settings=False)
+    middle = side // 2
+    for number in range(side**2):
+        if middle not in divmod(number, side):
+            (tmp_path / f"input_Cam{number:03d}.png").unlink()
+    loaded = load_light_field(tmp_path)
+    assert loaded.views.shape[:2] == (side, side)
+    assert int(loaded.available.sum()) == 2 * side - 1
+    assert_array_equal(loaded.horizontal_arm, unit(views[middle]))
+    assert_array_equal(loaded.vertical_arm, unit(views[:, middle]))
+
+
+def test_everything_that_the_benchmark_knows(scene):
+    ids = np.arange(48, dtype=np.uint16).reshape(6, 8) + 300
+    save_image(scene / "objectids_lowres.png", ids)
+    loaded = load_light_field(scene)
+    truth, camera = known(loaded.truth), known(loaded.camera)
+    assert loaded.name == "toy"
+    assert_allclose(known(loaded.disparity_range), [-1.5, 1.25])
+    assert truth.valid.all()
+    assert_array_equal(truth.disparity, DISPARITY)
+    assert_array_equal(truth.object_ids, ids)
+    assert truth.view_disparity is None
+    # focal length of the longer side, 8 px on 35 mm
+    assert float(camera.focal_px) == pytest.approx(100 * 8 / 35)
+    assert float(camera.baseline) == pytest.approx(0.025)
+    expected = 1 / (DISPARITY / (100 * 8 / 35 * 0.025) + 1 / 4.25)
+    seen = expected > 0
+    assert_allclose(camera.depth(truth.disparity)[seen], expected[seen], rtol=1e-5)
+    (scene / "parameters.cfg").write_text("[meta]\nscene = toy\n")
+    partial = load_light_field(scene)
+    assert partial.camera is None
+    assert partial.disparity_range is None
+
+
+def test_ground_truth_of_every_view(scene):
+    every = np.random.default_rng(0).normal(size=(3, 3, 6, 8)).astype(np.float32)
+    for number in range(9):
+        write_pfm(scene / f"gt_disp_lowres_Cam{number:03d}.pfm", every[divmod(number, 3)])
+        save_image(scene / f"objectids_lowres_Cam{number:03d}.png", np.full((6, 8), number, "u1"))
+    write_pfm(scene / "gt_disp_lowres.pfm", every[1, 1])
+    truth = known(load_light_field(scene, flip_v=True).truth)
+    assert_array_equal(truth.view_disparity, every[::-1])
+    assert_array_equal(known(truth.view_ids)[:, 0, 2, 3], [6, 3, 0])
+    assert_array_equal(truth.object_ids, 4)
+    turned = known(load_light_field(scene, swap_axes=True).truth)
+    assert_array_equal(turned.disparity, truth.disparity)
+    assert_array_equal(turned.view_disparity, every.swapaxes(0, 1))
+    assert_array_equal(known(turned.view_ids)[:, 0, 2, 3], [0, 1, 2])
+    (scene / "gt_disp_lowres.pfm").unlink()
+    small = known(load_light_field(scene, scale=0.5).truth)
+    expected = every[1, 1].reshape(3, 2, 4, 2).mean((1, 3)) / 2
+    assert_allclose(small.disparity, expected, atol=1e-6)
+    assert_allclose(known(small.view_disparity)[1, 1], expected, atol=1e-6)
+    write_pfm(scene / "gt_disp_lowres_Cam007.pfm", every[0, 0, :5])
+    with pytest.raises(ValueError, match=r"gt_disp_lowres_Cam007\.pfm has the size \(5, 8\)"):
+        load_light_field(scene)
 
 
 def test_scale_averages_areas_and_shrinks_what_is_in_pixels(tmp_path):
@@ -125,93 +224,17 @@ def test_scale_averages_areas_and_shrinks_what_is_in_pixels(tmp_path):
     disparity = np.full((7, 10), 0.5, np.float32)
     disparity[:, :2] = 1.0
     path = write_hci(tmp_path / "scene", views, disparity=disparity)
-    loaded = load_light_field(path, scale=0.5)
+    loaded, whole = load_light_field(path, scale=0.5), load_light_field(path)
     areas = views[:, :, :6].astype(np.float64).reshape(3, 3, 3, 2, 5, 2, 3).mean((3, 5)) / 255
-    np.testing.assert_allclose(np.asarray(loaded.views), areas, atol=1e-6)
-    np.testing.assert_allclose(np.asarray(loaded.disparity_range), [-0.75, 0.625])
-    whole = load_light_field(path)
-    np.testing.assert_allclose(np.asarray(known(loaded.truth).disparity[:, 1:]), 0.25)
-    np.testing.assert_allclose(np.asarray(known(loaded.truth).disparity[:, 0]), 0.5)
-    near = jnp.asarray(0.25, jnp.float32)
+    assert_allclose(loaded.views, areas, atol=1e-6)
+    assert_allclose(known(loaded.disparity_range), [-0.75, 0.625])
+    small = known(loaded.truth).disparity
+    assert_allclose(small, np.broadcast_to([0.5, *[0.25] * 4], (3, 5)))
     # The same thing is as far away in either light field.
-    assert float(known(loaded.camera).depth(near)) == pytest.approx(
-        float(known(whole.camera).depth(2 * near))
-    )
+    near, far = (known(of.camera).depth(jnp.float32(d)) for of, d in ((loaded, 0.25), (whole, 0.5)))
+    assert float(near) == pytest.approx(float(far))
     same = whole.downsample(2)
-    np.testing.assert_allclose(np.asarray(same.views), np.asarray(loaded.views), atol=1e-6)
-    np.testing.assert_allclose(
-        np.asarray(known(same.truth).disparity),
-        np.asarray(known(loaded.truth).disparity),
-        atol=1e-6,
-    )
-
-
-@pytest.mark.parametrize("scale", [0.0, -1.0, 1.5])
-def test_bad_scale(tmp_path, scale):
-    with pytest.raises(ValueError, match=r"`scale` must be in \(0, 1\]"):
-        load_light_field(tmp_path, scale=scale)
-
-
-@pytest.mark.parametrize("scale", [1e-320, 1e-30, 0.12])
-def test_a_scale_that_leaves_no_pixel(tmp_path, scale):
-    path = write_grid(tmp_path, random_views((3, 3, 8, 8, 3)))
-    with pytest.raises(
-        ValueError, match=r"leaves no pixel of .*02_02\.png, 8x8 px .* at least 0\.1"
-    ):
-        load_light_field(path, scale=scale)
-
-
-def test_a_range_that_is_given_wins(tmp_path):
-    path = write_hci(tmp_path / "scene", random_views())
-    loaded = load_light_field(path, disparity_range=(-2.0, 3.0), scale=0.5)
-    np.testing.assert_allclose(np.asarray(loaded.disparity_range), [-1.0, 1.5])
-
-
-def test_folder_with_one_container_stands_for_it(tmp_path):
-    views = random_views()
-    write_mat(tmp_path / "Bikes.mat", views)
-    (tmp_path / "readme.txt").write_text("")
-    loaded = load_light_field(tmp_path)
-    assert loaded.name == "Bikes"
-    np.testing.assert_array_equal(np.asarray(loaded.views), views.astype(np.float32) / 255)
-
-
-def test_nothing_to_load(tmp_path):
-    with pytest.raises(FileNotFoundError, match="an empty folder; expected input_CamNNN.png"):
-        load_light_field(tmp_path)
-    (tmp_path / "notes.txt").write_text("")
-    with pytest.raises(FileNotFoundError, match=r"1 files, such as notes\.txt"):
-        load_light_field(tmp_path)
-    with pytest.raises(ValueError, match=r"notes\.txt is not a light field"):
-        load_light_field(tmp_path / "notes.txt")
-    with pytest.raises(FileNotFoundError, match="nowhere is not there"):
-        load_light_field(tmp_path / "nowhere")
-    (tmp_path / "empty").mkdir()
-    write_grid(tmp_path / "one", random_views())
-    itself = "holds no light field itself, but "
-    with pytest.raises(FileNotFoundError, match=itself + "one in it is one: name that"):
-        load_light_field(tmp_path)
-    (tmp_path / "two").mkdir()
-    write_mat(tmp_path / "two" / "a.mat", random_views())
-    with pytest.raises(FileNotFoundError, match=itself + "2 in it: one, two; name one of them"):
-        load_light_field(tmp_path)
-    for name in ("a.mat", "b.mat", "c.mat"):
-        write_mat(tmp_path / name, random_views())
-    with pytest.raises(FileNotFoundError, match=r"3 in it: a\.mat, b\.mat, c\.mat; name one"):
-        load_light_field(tmp_path)
-    save_image(tmp_path / "photo_2020_1.png", random_views()[0, 0])
-    with pytest.raises(ValueError, match="grid of 1x1 views"):
-        load_light_field(tmp_path)
-
-
-@pytest.mark.skipif(jax.default_backend() != "cpu", reason="an accelerator has its own memory")
-def test_views_are_adopted_without_a_copy(tmp_path, monkeypatch):
-    from mvedge_jax.datasets import _read
-
-    made = []
-    original = _read._aligned_zeros
-    monkeypatch.setattr(
-        _read, "_aligned_zeros", lambda shape: made.append(original(shape)) or made[-1]
-    )
-    loaded = load_light_field(write_grid(tmp_path, random_views((3, 3, 32, 32, 3))))
-    assert loaded.views.unsafe_buffer_pointer() == made[0].ctypes.data
+    assert_allclose(same.views, loaded.views, atol=1e-6)
+    assert_allclose(known(same.truth).disparity, small, atol=1e-6)
+    given = load_light_field(path, disparity_range=(-2.0, 3.0), scale=0.5)
+    assert_allclose(known(given.disparity_range), [-1.0, 1.5])

@@ -52,11 +52,12 @@ class _OfTheUser(eqx.Module):
         return right[:, :-1], down[:-1]
 
 
-@pytest.mark.parametrize(
-    "part",
-    [ColorAndDepth(), ThesisSmoothness(), ImageGradient(), _OfTheUser(jax.random.key(0))],
-    ids=lambda part: type(part).__name__,
-)
+def each(*parts):
+    """A case for every part."""
+    return pytest.mark.parametrize("part", parts, ids=lambda part: type(part).__name__)
+
+
+@each(ColorAndDepth(), ThesisSmoothness(), ImageGradient(), _OfTheUser(jax.random.key(0)))
 def test_smoothness(part):
     assert isinstance(part, Smoothness)
     tx, ty = check_part(part, lambda p, of: p(of.guide, of.disparity, of.depth_edge))
@@ -72,21 +73,14 @@ def test_a_smoothness_is_whole_where_nothing_changes():
     for part in (ColorAndDepth(), ThesisSmoothness(), ImageGradient()):
         for t in part(*flat):
             np.testing.assert_allclose(t, 1, atol=1e-5)
-
-
-def test_the_smoothness_of_the_thesis_is_one_half_at_its_confidence():
-    part = ThesisSmoothness()
-    edge = jnp.zeros((5, 6)).at[:, 3].set(part.depth_edge)
-    tx, _ = part(jnp.zeros((3, 5, 6)), jnp.zeros((5, 6)), edge)
+    # That of the thesis is one half at its confidence.
+    thesis = ThesisSmoothness()
+    tx, _ = thesis(*flat[:2], flat[2].at[:, 3].set(thesis.depth_edge))
     np.testing.assert_allclose(tx[:, 0], 1)
     np.testing.assert_allclose(tx[:, 2:4], 0.5)
 
 
-@pytest.mark.parametrize(
-    "part",
-    [SharedLabels(), NearestLabels(), SplattedLabels()],
-    ids=lambda part: type(part).__name__,
-)
+@each(SharedLabels(), NearestLabels(), SplattedLabels())
 def test_labels(part):
     assert isinstance(part, PointLabels)
     found = check_part(part, lambda p, of: p(of.points, of.sides, of.evidence, of.precision))
@@ -107,16 +101,12 @@ def _precise():
     return DirectionalDiffusion(solver=AutoSolver(tolerance=jnp.asarray(1e-10)))
 
 
-@pytest.mark.parametrize(
-    "part",
-    [
-        BidirectionalSides(diffusion=_precise()),
-        MapSides(),
-        ThesisSides(diffusion=_precise()),
-        ReprojectionSides(radius=2, diffusion=_precise()),
-        NoSides(),
-    ],
-    ids=lambda part: type(part).__name__,
+@each(
+    BidirectionalSides(diffusion=_precise()),
+    MapSides(),
+    ThesisSides(diffusion=_precise()),
+    ReprojectionSides(radius=2, diffusion=_precise()),
+    NoSides(),
 )
 def test_sides(part):
     assert isinstance(part, SideChoice)
@@ -130,11 +120,17 @@ def test_sides(part):
     np.testing.assert_allclose(length, 0 if isinstance(part, NoSides) else 1, atol=1e-9)
 
 
-def test_weights_of_the_thesis_are_exponential():
+@each(StepWeight(), PointWeight())
+def test_weights_grow_with_the_confidence_up_to_the_limit(part):
     points = given().points
+    points = eqx.tree_at(lambda p: p.error, points, jnp.full_like(points.error, 0.005))
     confidence = jnp.zeros_like(points.error).at[1].set(1.0).at[3].set(50.0)
-    found = StepWeight()(confidence, points, jnp.asarray(0.005))
-    np.testing.assert_allclose(np.asarray(found)[[0, 1, 3]], np.exp([-4.0, -1.0, 0.0]))
+    found = part(confidence, points, jnp.asarray(0.005))
+    expected = np.exp([-4.0, -1.0, 0.0])
+    if isinstance(part, PointWeight):
+        # The points' standard error is the one at which a label counts half.
+        expected = 0.25 * (1 + expected)
+    np.testing.assert_allclose(np.asarray(found)[[0, 1, 3]], expected)
     assert float(found[2]) == 0
 
 
@@ -152,14 +148,3 @@ def test_confidences_are_those_of_the_profiles_as_they_are_where_the_thesis_says
     np.testing.assert_allclose(confidence(False, half), 0.5 * printed, atol=1e-7)
     # Stretched profiles do not know the height of a step.
     np.testing.assert_allclose(confidence(True, half), confidence(True, points), atol=1e-3)
-
-
-def test_weights_grow_with_the_confidence_up_to_the_limit():
-    points = given().points
-    points = eqx.tree_at(lambda p: p.error, points, jnp.full_like(points.error, 0.005))
-    confidence = jnp.zeros_like(points.error).at[1].set(1.0).at[3].set(50.0)
-    found = PointWeight()(confidence, points, jnp.asarray(0.005))
-    # The points' standard error is the one at which a label counts half.
-    expected = 0.25 * (1 + np.exp([-4.0, -1.0, 0.0]))
-    np.testing.assert_allclose(np.asarray(found)[[0, 1, 3]], expected)
-    assert float(found[2]) == 0

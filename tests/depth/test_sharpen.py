@@ -7,20 +7,23 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from helpers import check_gradient, check_modes, count_traces
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy import ndimage
 
 from mvedge_jax.depth import Sharpen
 from mvedge_jax.depth._median import _box_sum, weighted_median
 from mvedge_jax.smoothness import ColorAndDepth, edge_smoothness
 
+GUIDE = jnp.asarray(np.random.default_rng(0).uniform(size=(3, 24, 30)))
+
 
 def test_smoothness_needs_both_steps_to_cut():
     lab = jnp.zeros((3, 1, 5)).at[0, 0, 2:].set(40.0)
     depth = jnp.array([[0.0, 0.0, 1.0, 1.0, 1.0]])
-    params = ColorAndDepth()
-    both, _ = edge_smoothness(lab, depth, params)
-    color, _ = edge_smoothness(lab, jnp.zeros_like(depth), params)
-    step, _ = edge_smoothness(jnp.zeros_like(lab), depth, params)
+    both, color, step = (
+        edge_smoothness(*planes, ColorAndDepth())[0]
+        for planes in ((lab, depth), (lab, 0 * depth), (0 * lab, depth))
+    )
     assert float(both[0, 1]) < 1e-4
     assert float(color.min()) > 0.99
     assert float(step.min()) > 0.99
@@ -30,19 +33,17 @@ def test_smoothness_needs_both_steps_to_cut():
 
 
 def test_smoothness_gradient_matches_differences_and_is_finite_when_flat():
-    key = jax.random.key(0)
-    lab = 10 * jax.random.normal(key, (3, 5, 6))
-    depth = 0.1 * jax.random.normal(jax.random.key(1), (5, 6))
+    keys = jax.random.split(jax.random.key(0))
+    lab, depth = 10 * jax.random.normal(keys[0], (3, 5, 6)), jax.random.normal(keys[1], (5, 6))
 
     def loss(tree):
         lab, depth, logs = tree
-        params = jax.tree.map(jnp.exp, logs)
-        tx, ty = edge_smoothness(lab, depth, params)
+        tx, ty = edge_smoothness(lab, depth, jax.tree.map(jnp.exp, logs))
         return jnp.sum(jnp.sqrt(tx)) + jnp.sum(jnp.sqrt(ty))
 
     logs = jax.tree.map(jnp.log, ColorAndDepth())
-    check_gradient(loss, (lab, depth, logs), rtol=1e-5, step=1e-6, key=key)
-    flat = jax.grad(loss)((jnp.zeros((3, 4, 4)), jnp.zeros((4, 4)), logs))
+    check_gradient(loss, (lab, 0.1 * depth, logs), rtol=1e-5, step=1e-6, key=keys[0])
+    flat = jax.grad(loss)((0 * lab, 0 * depth, logs))
     assert all(bool(jnp.isfinite(leaf).all()) for leaf in jax.tree.leaves(flat))
 
 
@@ -51,7 +52,7 @@ def test_box_sums_agree_with_scipy(radius):
     image = np.random.default_rng(radius).uniform(size=(11, 17))
     width = 2 * radius + 1
     expected = ndimage.uniform_filter(image, width, mode="constant") * width**2
-    np.testing.assert_allclose(_box_sum(jnp.asarray(image), radius), expected, atol=1e-12)
+    assert_allclose(_box_sum(jnp.asarray(image), radius), expected, atol=1e-12)
 
 
 def blurred_step():
@@ -68,41 +69,39 @@ def test_sharpening_moves_a_blurred_step_onto_the_color_step():
     for mode in ("clip", "median", "quantised"):
         sharp = Sharpen(radius=6, mode=mode)(blurred, guide)
         assert np.abs(np.asarray(sharp) - step).mean() < 0.4 * before
-    same = Sharpen(mode="none")(blurred, guide)
-    np.testing.assert_array_equal(same, blurred)
+    assert_array_equal(Sharpen(mode="none")(blurred, guide), blurred)
+    wrong: Any = "bilateral"
+    with pytest.raises((ValueError, TypeError), match="bilateral"):
+        Sharpen(mode=wrong)
 
 
 def test_clip_keeps_precision_where_there_is_nothing_to_sharpen():
     y, x = np.mgrid[0:24, 0:30]
     slope = jnp.asarray(0.003 * x + 0.001 * y)
-    guide = jnp.asarray(np.random.default_rng(0).uniform(size=(3, 24, 30)))
-    np.testing.assert_allclose(Sharpen(radius=5)(slope, guide), slope, atol=5e-3)
-    gradient = jax.grad(lambda d: Sharpen(radius=3)(d, guide).sum())(slope)
+    assert_allclose(Sharpen(radius=5)(slope, GUIDE), slope, atol=5e-3)
+    gradient = jax.grad(lambda d: Sharpen(radius=3)(d, GUIDE).sum())(slope)
     assert bool(jnp.isfinite(gradient).all())
     assert float(gradient.mean()) > 0.5
 
 
-def test_median_of_a_constant_is_the_constant():
-    guide = jnp.asarray(np.random.default_rng(0).uniform(size=(3, 9, 7)))
-    for quantised in (False, True):
-        found = weighted_median(
-            jnp.full((9, 7), 0.3), guide, jnp.array(1e-6), radius=2, levels=8, quantised=quantised
-        )
-        np.testing.assert_allclose(found, 0.3, atol=1e-9)
+@pytest.mark.parametrize("quantised", [False, True])
+def test_median_of_a_constant_is_the_constant(quantised):
+    image, guide = jnp.full((9, 7), 0.3), GUIDE[:, :9, :7]
+    found = weighted_median(image, guide, jnp.array(1e-6), radius=2, levels=8, quantised=quantised)
+    assert_allclose(found, 0.3, atol=1e-9)
 
 
 def test_median_with_a_flat_guide_is_the_plain_median():
-    rng = np.random.default_rng(2)
-    values = np.where(rng.uniform(size=(30, 30)) < 0.2, 1.0, 0.0)
+    values = np.where(np.random.default_rng(2).uniform(size=(30, 30)) < 0.2, 1.0, 0.0)
     guide = jnp.full((3, 30, 30), 0.5)
     found = weighted_median(jnp.asarray(values), guide, jnp.array(1e-4), radius=3, levels=16)
     # The guided filter averages twice, so its window is the triangle of two boxes.
-    weight = ndimage.uniform_filter(ndimage.uniform_filter(values, 7), 7)
-    sure = np.abs(weight - 0.5)[8:-8, 8:-8] > 0.1
-    expected = (weight > 0.5)[8:-8, 8:-8]
-    assert ((np.asarray(found)[8:-8, 8:-8] > 0.5) == expected)[sure].all()
+    weight = ndimage.uniform_filter(ndimage.uniform_filter(values, 7), 7)[8:-8, 8:-8]
+    same = (np.asarray(found)[8:-8, 8:-8] > 0.5) == (weight > 0.5)
+    assert same[np.abs(weight - 0.5) > 0.1].all()
 
 
+@pytest.mark.slow
 def test_median_has_both_modes_and_a_second_derivative():
     rng = np.random.default_rng(4)
     guide = jnp.asarray(rng.uniform(size=(3, 14, 17)))
@@ -110,22 +109,14 @@ def test_median_has_both_modes_and_a_second_derivative():
     weight = jnp.asarray(rng.normal(size=values.shape))
 
     def total(tree):
-        found = weighted_median(*tree, radius=3, levels=9)
-        return jnp.sum(weight * found**2)
+        return jnp.sum(weight * weighted_median(*tree, radius=3, levels=9) ** 2)
 
     check_modes(total, (values, guide, jnp.asarray(1e-2)), rtol=1e-5, key=jax.random.key(6))
-
-
-def test_unknown_modes_are_named():
-    wrong: Any = "bilateral"
-    with pytest.raises((ValueError, TypeError), match="bilateral"):
-        Sharpen(mode=wrong)
 
 
 def test_one_trace_serves_every_parameter():
     blurred, guide, _ = blurred_step()
     run, traces = count_traces(lambda part: part(blurred, guide))
-    wide = run(Sharpen(radius=3, levels=8, slack=jnp.asarray(0.2)))
-    tight = run(Sharpen(radius=3, levels=8, slack=jnp.asarray(0.01)))
+    wide, tight = (run(Sharpen(radius=3, levels=8, slack=jnp.asarray(s))) for s in (0.2, 0.01))
     assert traces() == 1
     assert float(jnp.abs(wide - tight).max()) > 0

@@ -4,9 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from mvedge_jax._paths import value_at
 from mvedge_jax.depth import EdgeDepth
-from mvedge_jax.edges.thesis import ThesisEdges
 from mvedge_jax.lightfield import LightField
 
 SIZE, RANGE = 96, (-5.0, 5.0)
@@ -40,6 +38,7 @@ def _cloth(contrast=0.02):
     return LightField(jnp.asarray(views), disparity_range=RANGE), _disparity(columns, rows)
 
 
+@pytest.mark.slow
 def test_smooth_cloth_over_a_wide_range_has_no_terraces():
     light_field, truth = _cloth()
     result = EdgeDepth.for_light_field(light_field)(light_field)
@@ -50,24 +49,3 @@ def test_smooth_cloth_over_a_wide_range_has_no_terraces():
     assert (off > 0.07).mean() < 0.01
     assert float(result.stats.noise.alpha) < 0.1
     assert bool(result.stats.converged)
-
-
-def test_numbers_in_px_per_view_step_grow_where_views_are_few():
-    def model(views, **options):
-        flat = LightField(jnp.full((views, views, 8, 8, 3), 0.5), disparity_range=(-1.0, 1.0))
-        return EdgeDepth.for_light_field(flat, **options)
-
-    many, few = model(9), model(3)
-    assert float(many.refine.precision) == pytest.approx(0.005)
-    for path in ("refine.precision", "smoothness.depth", "edges.error_limit", "dense.agreement"):
-        assert float(value_at(few, path)) == pytest.approx(4 * float(value_at(many, path)))
-    same = "measurement.same_surface"
-    assert float(value_at(few, same)) == pytest.approx(2 * float(value_at(many, same)))
-    # What is chosen stays as chosen; distances in the image are none of disparities.
-    flat = LightField(jnp.full((3, 3, 8, 8, 3), 0.5), disparity_range=(-1.0, 1.0))
-    chosen = EdgeDepth.for_light_field(flat, choices={"refine.precision": 0.007})
-    assert float(chosen.refine.precision) == pytest.approx(0.007)
-    assert few.refine.error.forgotten == many.refine.error.forgotten
-    assert model(11).refine.precision == many.refine.precision
-    assert isinstance(model(3, preset="thesis").edges, ThesisEdges)
-    assert model(3, preset="thesis").refine.precision == many.refine.precision

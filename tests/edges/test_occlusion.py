@@ -6,36 +6,37 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from helpers import check_gradient, count_traces
+from numpy.testing import assert_allclose, assert_array_equal
 
 from mvedge_jax.diffusion import AutoSolver
 from mvedge_jax.edges import EdgePoints, rasterise
 from mvedge_jax.edges.sides import (
     DirectionalDiffusion,
     SideVote,
+    ThesisSides,
     bidirectional,
     depth_edge_confidence,
     step_response,
     surface_vectors,
+    thesis_response,
 )
-from mvedge_jax.edges.sides._evidence import map_evidence, neighbor_evidence
 from mvedge_jax.edges.sides._profile import profiles
 from mvedge_jax.edges.sides._surface import along_edge, choose
 from mvedge_jax.photometry.measuring import visible_view_range
 
 SHAPE = (24, 32)
 EDGE = 16  # first column of the near surface in `square_wave`
+TRUTH = np.broadcast_to(np.where(np.arange(SHAPE[1]) < EDGE, 0.0, 1.0), SHAPE)
 
 
 def make_points(xy, disparity, normal, valid=None):
     count = len(disparity)
-    xy = jnp.asarray(xy, float).reshape(count, 2)
-    normal = jnp.asarray(normal, float).reshape(count, 2)
     return EdgePoints(
-        xy=xy,
+        xy=jnp.asarray(xy, float).reshape(count, 2),
         disparity=jnp.asarray(disparity, float),
         confidence=jnp.full(count, 0.5),
         error=jnp.full(count, 0.005),
-        normal=normal,
+        normal=jnp.asarray(normal, float).reshape(count, 2),
         visible=jnp.ones((count, 6), bool),
         valid=jnp.ones(count, bool) if valid is None else jnp.asarray(valid),
     )
@@ -47,37 +48,33 @@ def square_wave():
     The edge's own points carry the near disparity, their normals alternate in sign; texture lines
     at other columns carry the disparity of their own surface.
     """
-    rows = np.arange(2, 22)
-    xy, disparity, normal = [], [], []
-    for column, d in ((4, 0.0), (9, 0.0), (EDGE - 0.4, 1.0), (22, 1.0), (28, 1.0)):
-        for row in rows:
-            xy.append((column, row))
-            disparity.append(d)
-            normal.append((1.0 if row % 2 else -1.0, 0.0))
+    columns = ((4, 0.0), (9, 0.0), (EDGE - 0.4, 1.0), (22, 1.0), (28, 1.0))
+    xy = [(column, row) for column, _ in columns for row in range(2, 22)]
+    disparity = [d for _, d in columns for _ in range(2, 22)]
+    normal = [(1.0 if row % 2 else -1.0, 0.0) for _, row in xy]
     gray = np.full(SHAPE, 0.3)
     gray[:, EDGE:] = 0.7
     for column in (4, 9, 22, 28):
         gray[:, column:] += 0.05
-    truth = np.where(np.arange(SHAPE[1]) < EDGE, 0.0, 1.0)
-    return make_points(xy, disparity, normal), jnp.asarray(gray), truth
+    return make_points(xy, disparity, normal), jnp.asarray(gray)
 
 
-def at_the_edge(points):
-    return np.abs(np.asarray(points.xy[:, 0]) - (EDGE - 0.4)) < 0.05
+POINTS, GRAY = square_wave()
+AT_EDGE = np.abs(np.asarray(POINTS.xy[:, 0]) - (EDGE - 0.4)) < 0.05
+
+
+@pytest.fixture(scope="module")
+def passes():
+    return bidirectional(POINTS, GRAY, DirectionalDiffusion())
 
 
 def test_rasterise_keeps_the_nearest_surface_and_drops_what_is_outside():
-    points = make_points(
-        [(1.2, 2.4), (0.8, 1.6), (5.0, 1.0), (-3.0, 0.0), (2.0, 0.0)],
-        [0.5, 0.9, -1.0, 3.0, 7.0],
-        [(1, 0)] * 5,
-        [True, True, True, True, False],
-    )
+    xy = [(1.2, 2.4), (0.8, 1.6), (5.0, 1.0), (-3.0, 0.0), (2.0, 0.0)]
+    points = make_points(xy, [0.5, 0.9, -1.0, 3.0, 7.0], [(1, 0)] * 5, [True] * 4 + [False])
     raster = rasterise(points.xy, points.disparity, points.valid, (4, 6))
-    label = np.asarray(raster.values(points.disparity))
     expected = np.zeros((4, 6))
     expected[2, 1], expected[1, 5] = 0.9, -1.0
-    np.testing.assert_array_equal(label, expected)
+    assert_array_equal(raster.values(points.disparity), expected)
     assert int(raster.hit.sum()) == 2
 
 
@@ -87,7 +84,7 @@ def test_masked_points_change_neither_labels_nor_gradients():
         return jnp.sum(raster.values(disparity) ** 2)
 
     gradient = jax.grad(total)(jnp.array([2.0, jnp.inf]), jnp.array([True, False]))
-    np.testing.assert_allclose(gradient, [4.0, 0.0])
+    assert_allclose(gradient, [4.0, 0.0])
 
 
 @pytest.mark.parametrize("taps", [(-1.0, -1.5, -2.0, 2.0, 1.5, 1.0), (-1.0, -1.0, 1.0, 1.0)])
@@ -97,127 +94,104 @@ def test_step_response_is_twice_the_step_and_zero_when_flat(taps):
     flat = jnp.full((7, 1), 0.4)
     for profile, height in ((before, 0.6), (after, 0.6), (flat, 0.0)):
         assert float(step_response(profile, taps=taps)[0]) == pytest.approx(height, abs=1e-12)
+    # Profiles are stretched before the thesis' filter answers.
+    found = thesis_response(jnp.concatenate([0.01 * before, -2 * before, flat], 1))
+    assert_allclose(found, [4.0, 4.0, 0.0], atol=1e-9)
 
 
 def test_profiles_of_a_plane_are_linear_along_the_normal():
     y, x = jnp.mgrid[0:20, 0:30].astype(float)
-    image = 0.1 * x - 0.2 * y
-    normal = jnp.array([[0.6, 0.8]])
-    found = profiles(image, jnp.array([[12.3, 9.1]]), normal)[:, 0]
+    place, normal = jnp.array([[12.3, 9.1]]), jnp.array([[0.6, 0.8]])
+    found = profiles(0.1 * x - 0.2 * y, place, normal)[:, 0]
     middle = 0.1 * 12.3 - 0.2 * 9.1
-    expected = middle + np.arange(-3, 4) * (0.06 - 0.16)
-    np.testing.assert_allclose(found, expected, atol=1e-12)
+    assert_allclose(found, middle + np.arange(-3, 4) * (0.06 - 0.16), atol=1e-12)
 
 
-def test_bidirectional_diffusion_finds_the_near_side_of_an_occlusion_edge():
-    points, gray, truth = square_wave()
-    passes = bidirectional(points, gray, DirectionalDiffusion())
-    edge = at_the_edge(points)
-    signs = np.sign(np.asarray(passes.response)) * np.asarray(points.normal[:, 0])
+def test_bidirectional_diffusion_finds_the_near_side_of_an_occlusion_edge(passes):
+    signs = np.sign(np.asarray(passes.response)) * np.asarray(POINTS.normal[:, 0])
     # The near surface is on the right; the ends of the edge see it only from one side.
-    assert (signs[edge] > 0).mean() >= 0.9
+    assert (signs[AT_EDGE] > 0).mean() >= 0.9
     # Both passes agree on the texture inside of a surface: little confidence there.
     confidence = np.asarray(passes.confidence)
-    assert np.median(confidence[edge]) > 10 * np.median(confidence[~edge])
+    assert np.median(confidence[AT_EDGE]) > 10 * np.median(confidence[~AT_EDGE])
     profile = np.asarray(passes.edge)[8]
     assert abs(int(profile.argmax()) - (EDGE - 0.4)) <= 3
     assert profile.max() > 5 * np.median(profile)
 
 
-def test_surface_vectors_move_labels_onto_their_surface():
-    points, gray, truth = square_wave()
-    passes = bidirectional(points, gray, DirectionalDiffusion())
-    for response, dense in ((passes.response, None), (None, None), (None, truth)):
-        dense = None if dense is None else jnp.broadcast_to(jnp.asarray(dense), SHAPE)
-        surface = surface_vectors(points, response, dense, SideVote(), shape=SHAPE)
-        edge = at_the_edge(points)
-        np.testing.assert_allclose(np.asarray(surface.offset)[edge], [[1.0, 0.0]] * edge.sum())
+def test_surface_vectors_move_labels_onto_their_surface(passes):
+    for response, dense in ((passes.response, None), (None, None), (None, jnp.asarray(TRUTH))):
+        surface = surface_vectors(POINTS, response, dense, SideVote(), shape=SHAPE)
+        assert_allclose(surface.offset[AT_EDGE], [[1.0, 0.0]] * AT_EDGE.sum())
 
 
 def test_probabilities_approach_a_choice_and_have_a_gradient():
-    points, _, _ = square_wave()
-    score = jnp.linspace(-0.3, 0.3, points.disparity.shape[0])
+    score = jnp.linspace(-0.3, 0.3, POINTS.disparity.shape[0])
     cold, warm = (SideVote(temperature=jnp.asarray(t)) for t in (1e-4, 0.1))
-    np.testing.assert_allclose(choose(points, score, cold).forward, score > 0, atol=1e-6)
-    gradient = jax.grad(lambda s: choose(points, s, warm).forward.sum())(score)
+    assert_allclose(choose(POINTS, score, cold).forward, score > 0, atol=1e-6)
+    gradient = jax.grad(lambda s: choose(POINTS, s, warm).forward.sum())(score)
     assert float(jnp.abs(gradient).min()) > 0
 
 
 def test_along_edge_outvotes_a_lone_dissenter():
-    points, _, _ = square_wave()
-    sign = points.normal[:, 0]
+    sign = POINTS.normal[:, 0]
     score = sign.at[50].multiply(-1.0)
-    assert at_the_edge(points)[50]
-    smoothed = along_edge(points, score, shape=SHAPE, reach=6)
-    assert (np.sign(np.asarray(smoothed)) == np.asarray(sign)).all()
-    np.testing.assert_array_equal(along_edge(points, score, shape=SHAPE, reach=0), score)
+    assert AT_EDGE[50]
+    smoothed = along_edge(POINTS, score, shape=SHAPE, reach=6)
+    assert_array_equal(jnp.sign(smoothed), sign)
+    assert_array_equal(along_edge(POINTS, score, shape=SHAPE, reach=0), score)
 
 
-def test_invalid_slots_take_no_part():
-    points, gray, _ = square_wave()
-    junk = make_points(
-        [(14.0, 5.0), (15.0, 9.0)], [9.0, -9.0], [(0.0, 1.0), (1.0, 0.0)], [False, False]
-    )
-    both = jax.tree.map(lambda a, b: jnp.concatenate([a, b]), points, junk)
-    alone, more = (bidirectional(p, gray, DirectionalDiffusion()) for p in (points, both))
-    np.testing.assert_array_equal(alone.forward, more.forward)
-    np.testing.assert_array_equal(more.response[-2:], 0)
+def test_invalid_slots_take_no_part(passes):
+    normals = [(0.0, 1.0), (1.0, 0.0)]
+    junk = make_points([(14.0, 5.0), (15.0, 9.0)], [9.0, -9.0], normals, [False, False])
+    both = jax.tree.map(lambda a, b: jnp.concatenate([a, b]), POINTS, junk)
+    more = bidirectional(both, GRAY, DirectionalDiffusion())
+    assert_array_equal(passes.forward, more.forward)
+    assert_array_equal(more.response[-2:], 0)
     one, two = (
         surface_vectors(p, b.response, None, SideVote(), shape=SHAPE)
-        for p, b in ((points, alone), (both, more))
+        for p, b in ((POINTS, passes), (both, more))
     )
-    np.testing.assert_array_equal(one.offset, two.offset[:-2])
-    np.testing.assert_array_equal(two.offset[-2:], 0)
+    assert_array_equal(one.offset, two.offset[:-2])
+    assert_array_equal(two.offset[-2:], 0)
 
 
 def test_no_points_at_all_is_a_flat_map():
-    points = make_points([(0, 0)], [1.0], [(1, 0)], [False])
-    passes = bidirectional(points, jnp.full((8, 9), 0.5), DirectionalDiffusion())
-    for image in (passes.forward, passes.backward, passes.edge, passes.response):
-        np.testing.assert_array_equal(image, 0)
+    nothing = eqx.tree_at(lambda p: p.valid, POINTS, jnp.zeros_like(POINTS.valid))
+    found = bidirectional(nothing, jnp.full(SHAPE, 0.5), DirectionalDiffusion())
+    for image in (found.forward, found.backward, found.edge, found.response):
+        assert_array_equal(image, 0)
 
 
 def test_gradient_of_the_passes_matches_differences():
-    points, gray, _ = square_wave()
     solver = AutoSolver(tolerance=jnp.asarray(1e-9))
 
     def loss(tree):
         disparity, logs = tree
         params = eqx.tree_at(lambda p: p.solver, jax.tree.map(jnp.exp, logs), solver)
-        moved = make_points(points.xy, disparity, points.normal)
-        passes = bidirectional(moved, gray, params)
+        moved = make_points(POINTS.xy, disparity, POINTS.normal)
+        passes = bidirectional(moved, GRAY, params)
         return jnp.sum(passes.confidence**2) + jnp.sum(passes.edge**2)
 
-    spread = points.disparity + 0.01 * jnp.sin(jnp.arange(points.disparity.shape[0]))
+    spread = POINTS.disparity + 0.01 * jnp.sin(jnp.arange(POINTS.disparity.shape[0]))
     tree = (spread, jax.tree.map(jnp.log, DirectionalDiffusion()))
     check_gradient(loss, tree, rtol=1e-3, step=1e-6, key=jax.random.key(0))
 
 
 def test_one_trace_serves_every_parameter():
-    points, gray, _ = square_wave()
-    run, traces = count_traces(lambda p: bidirectional(points, gray, p).response)
+    run, traces = count_traces(lambda p: bidirectional(POINTS, GRAY, p).response)
     first = run(DirectionalDiffusion())
     second = run(DirectionalDiffusion(data=jnp.asarray(3.0), gradient=jnp.asarray(1e-2)))
     assert traces() == 1
     assert float(jnp.abs(first - second).max()) > 0
 
 
-def test_evidence_is_positive_towards_the_own_surface():
-    points, _, truth = square_wave()
-    raster = rasterise(points.xy, points.disparity, points.valid, SHAPE)
-    edge = at_the_edge(points)
-    towards = np.asarray(points.normal[:, 0])
-    neighbours = neighbor_evidence(points, raster, radius=jnp.array(6.0), cap=jnp.array(0.3))
-    dense = jnp.broadcast_to(jnp.asarray(truth), SHAPE)
-    for evidence in (neighbours, map_evidence(points, dense, cap=jnp.array(0.3))):
-        assert ((np.asarray(evidence) * towards)[edge] > 0.2).all()
-
-
 def test_reach_agrees_with_brute_force():
     rng = np.random.default_rng(1)
     disparity = np.repeat(rng.uniform(-1, 1, (6, 8)), 4, axis=1)
     radius, least = 9, 0.05
-    negative, positive = visible_view_range(jnp.asarray(disparity), radius=radius, step=least)
+    found = visible_view_range(jnp.asarray(disparity), radius=radius, step=least)
     expected = np.full((2, *disparity.shape), np.inf)
     for y, x in np.ndindex(disparity.shape):
         for j in range(1, radius + 1):
@@ -226,14 +200,51 @@ def test_reach_agrees_with_brute_force():
                     rise = disparity[y, other] - disparity[y, x]
                     if rise > least:
                         expected[side, y, x] = min(expected[side, y, x], (j - 0.5) / rise)
-    np.testing.assert_allclose(negative, expected[0])
-    np.testing.assert_allclose(positive, expected[1])
+    for negative_and_positive in zip(found, expected, strict=True):
+        assert_allclose(*negative_and_positive)
 
 
 def test_depth_edge_confidence_of_a_ramp_is_its_slope():
     ramp = jnp.broadcast_to(0.25 * jnp.arange(9.0), (5, 9))
-    np.testing.assert_allclose(depth_edge_confidence(ramp, ramp)[:, 1:-1], 0.25)
-    flat = depth_edge_confidence(ramp, -ramp)
-    np.testing.assert_array_equal(flat, 0)
+    assert_allclose(depth_edge_confidence(ramp, ramp)[:, 1:-1], 0.25)
+    assert_array_equal(depth_edge_confidence(ramp, -ramp), 0)
     gradient = jax.grad(lambda d: depth_edge_confidence(d, d).sum())(jnp.zeros((4, 4)))
     assert bool(jnp.isfinite(gradient).all())
+
+
+def _minimum(weight, label, smoothness):
+    """The map of least energy: every edge of the grid once, with the lesser of its two weights."""
+    pixels = np.arange(weight.size).reshape(weight.shape)
+    matrix = np.diag(weight.ravel())
+    for one, other in ((pixels[:, :-1], pixels[:, 1:]), (pixels[:-1], pixels[1:])):
+        for a, b in zip(one.ravel(), other.ravel(), strict=True):
+            edge = np.zeros(weight.size)
+            edge[[a, b]] = 1, -1
+            matrix += min(smoothness.flat[a], smoothness.flat[b]) * np.outer(edge, edge)
+    return np.linalg.solve(matrix, (weight * label).ravel()).reshape(weight.shape)
+
+
+def test_both_passes_minimise_the_printed_energy():
+    """Eq. 4.8 to 4.11 as printed (norms squared), against a dense system in loops."""
+    rng, shape, count = np.random.default_rng(3), (9, 11), 14
+    gray = np.where(np.arange(shape[1]) < 5, 0.2, 0.8) + 0.02 * rng.random(shape)
+    xy = rng.uniform(-0.4, np.array(shape[::-1]) - 0.6, (count, 2))
+    disparity, angle = rng.normal(size=count), rng.uniform(0, 2 * np.pi, count)
+    normal = np.stack([np.cos(angle), np.sin(angle)], -1)
+    diffusion = ThesisSides.printed().diffusion
+    diffusion = eqx.tree_at(lambda d: d.solver, diffusion, AutoSolver(tolerance=1e-9))
+    assert diffusion.form == "inverse"
+    found = bidirectional(make_points(xy, disparity, normal), jnp.asarray(gray), diffusion)
+    # Central differences, borders repeated.
+    wide = np.pad(gray, 1, mode="edge")
+    across, down = wide[1:-1, 2:] - wide[1:-1, :-2], wide[2:, 1:-1] - wide[:-2, 1:-1]
+    smoothness = 1 / (np.hypot(across, down) / 2 + 1e-4)
+    for sign, passed in ((1, found.forward), (-1, found.backward)):
+        weight, label = np.zeros(shape), np.full(shape, -np.inf)
+        for place, value in zip(xy + sign * normal, disparity, strict=True):
+            x, y = np.floor(place + 0.5).astype(int)
+            if 0 <= x < shape[1] and 0 <= y < shape[0]:
+                # Of several labels on one pixel, the nearest surface stays.
+                weight[y, x], label[y, x] = 1e6, max(label[y, x], value)
+        expected = _minimum(weight, np.where(weight > 0, label, 0), smoothness)
+        assert_allclose(passed, expected, atol=1e-6)

@@ -53,9 +53,6 @@ def test_sizes_within_jit_are_refused_in_a_sentence(known):
     closed = jax.jit(lambda x: x + value_at(EdgeDepth.for_light_field(field), "measurement.radius"))
     if known is not None:
         assert int(closed(1)) > 1
-
-
-def test_other_sizes_within_jit_are_refused_in_a_sentence():
     flat = jnp.ones((3, 3, 8, 8))
     depths = ViewDepths(flat, flat, flat.astype(jnp.int8), jnp.asarray(0))
     with pytest.raises(TypeError, match="`depths` is traced"):

@@ -1,23 +1,27 @@
 """Edge points by the thesis' own steps, and its rival of bidirectional diffusion."""
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from depth.derivatives import noisy_scene
 from edges.scenes import plane
+from edges.test_occlusion import make_points
+from helpers import dot, random_like
 
 from mvedge_jax._crosshair import crosshair
 from mvedge_jax.depth import EdgeDepth, multiview_edges
-from mvedge_jax.edges import EdgePoints
-from mvedge_jax.edges.sides import thesis_response
 from mvedge_jax.edges.sides._reprojection import reprojection_score
 from mvedge_jax.edges.thesis import LineSearch, ThesisEdges
 from mvedge_jax.epi import FilterBank
 from mvedge_jax.lightfield import LightField
 
+KEY = jax.random.key(0)
 
-def _model(light_field, **fields):
+
+def _model(light_field, **fields) -> Any:
     """The preset of the thesis with other edges."""
     model = EdgeDepth.for_light_field(light_field, preset="thesis")
     edges = ThesisEdges(**{"reach": 0.75, "capacity": 512, "filters": 16} | fields)
@@ -28,7 +32,7 @@ def _model(light_field, **fields):
 def test_points_of_a_plane():
     light_field = plane(0.37, views=9, size=(16, 40))
     model = _model(light_field, lines=LineSearch(capacity=16))
-    edges = multiview_edges(light_field, model, key=jax.random.key(0))
+    edges = multiview_edges(light_field, model, key=KEY)
     keep = np.asarray(edges.points.valid)
     error = np.abs(np.asarray(edges.points.disparity)[keep] - 0.37)
     assert keep.sum() > 50
@@ -39,90 +43,65 @@ def test_points_of_a_plane():
     assert not np.asarray(edges.points.disparity)[~keep].any()
 
 
+@pytest.mark.slow
 def test_taps_reach_the_disparities_of_points_between_filters():
     blind = noisy_scene("edges", 40)
     choices = {"edges.lines.interpolate": True, "edges.lines.capacity": 32}
-    model = EdgeDepth.for_light_field(blind, preset="thesis", choices=choices)
-    assert isinstance(model.edges, ThesisEdges)
+    model: Any = EdgeDepth.for_light_field(blind, preset="thesis", choices=choices)
     banks = model.edges.prewitt(blind.views.shape, blind.views.dtype)
+    taps = [bank.taps for bank in banks]
 
-    def loss(banks):
-        learned = model.replace({"edges.banks": banks})
+    @jax.jit
+    def loss(taps):
+        own = tuple(FilterBank(b.disparity, t) for b, t in zip(banks, taps, strict=True))
+        learned = model.replace({"edges.banks": own})
         points = multiview_edges(blind, learned, key=jax.random.key(3)).points
         return jnp.where(points.valid, jnp.sin(3 * points.disparity + points.xy[:, 0]), 0).sum()
 
-    taps = [bank.taps for bank in banks]
-    zero = [jnp.zeros_like(bank.disparity) for bank in banks]
-    directions = [
-        jnp.asarray(np.random.default_rng(k).normal(size=t.shape)) for k, t in enumerate(taps)
-    ]
-    tangent = tuple(FilterBank(*pair) for pair in zip(zero, directions, strict=True))
-
-    def along(step):
-        return jax.tree.map(lambda leaf, change: leaf + step * change, banks, tangent)
-
-    slopes = jax.grad(loss)(banks)
-    slope = sum(
-        jnp.vdot(s.taps, direction) for s, direction in zip(slopes, directions, strict=True)
+    direction = random_like(taps, key=KEY)
+    slope = dot(jax.grad(loss)(taps), direction)
+    above, below = (
+        loss(jax.tree.map(lambda t, d, h=h: t + h * d, taps, direction)) for h in (1e-8, -1e-8)
     )
-    numeric = (loss(along(1e-8)) - loss(along(-1e-8))) / 2e-8
-    assert abs(float(slope)) > 1
-    np.testing.assert_allclose(slope, numeric, rtol=1e-3)
+    assert abs(slope) > 1
+    np.testing.assert_allclose(slope, (above - below) / 2e-8, rtol=1e-3)
 
 
-def test_a_bank_for_other_views_is_refused():
-    light_field = plane(0.37, views=9, size=(16, 16))
+def _for_other_views(light_field):
     model = _model(light_field, capacity=64)
-    assert isinstance(model.edges, ThesisEdges)
-    model = model.replace({"edges.banks": model.edges.prewitt((5, 5))})
-    with pytest.raises(ValueError, match="`bank` is for 5 views, `arm` has 9"):
-        multiview_edges(light_field, model, key=jax.random.key(0))
-
-
-def test_a_missing_key_is_named():
-    light_field = plane(0.37, size=(16, 16))
-    with pytest.raises(ValueError, match=r"`key` must be given for the entropy search"):
-        multiview_edges(light_field, _model(light_field))
+    return model.replace({"edges.banks": model.edges.prewitt((5, 5))})
 
 
 @pytest.mark.parametrize(
-    ("choices", "message"),
+    ("make", "key", "match"),
     [
-        ({"edges.lines.capacity": 0}, "`capacity` must be at least 1, got 0"),
-        ({"edges.lines.levels": 3}, r"`levels` must be one of \(1, 2\), got 3"),
-        ({"edges.filters": 3}, "`filters` must be at least 4, got 3"),
-        ({"edges.reach": 0.0}, "`reach` must be positive, got 0.0"),
+        (_for_other_views, KEY, "`bank` is for 5 views, `arm` has 9"),
+        (_model, None, r"`key` must be given for the entropy search"),
+        *(
+            (lambda field, change=change: _model(field).replace(change), KEY, match)
+            for change, match in (
+                ({"edges.lines.capacity": 0}, "`capacity` must be at least 1, got 0"),
+                ({"edges.lines.levels": 3}, r"`levels` must be one of \(1, 2\), got 3"),
+                ({"edges.filters": 3}, "`filters` must be at least 4, got 3"),
+                ({"edges.reach": 0.0}, "`reach` must be positive, got 0.0"),
+            )
+        ),
     ],
 )
-def test_static_fields_that_cannot_be_are_refused(choices, message):
-    with pytest.raises(ValueError, match=message):
-        _model(plane(0.37, size=(16, 16))).replace(choices)
-
-
-def test_profiles_are_stretched_before_the_thesis_filter_answers():
-    before = jnp.array([0.0, 0, 0, 1, 1, 1, 1])[:, None]
-    flat = jnp.full((7, 1), 0.4)
-    found = thesis_response(jnp.concatenate([0.003 * before, -0.6 * before, flat], 1))
-    np.testing.assert_allclose(found, [4.0, 4.0, 0.0], atol=1e-9)
+def test_what_cannot_be_is_refused(make, key, match):
+    light_field = plane(0.37, views=9, size=(16, 16))
+    with pytest.raises(ValueError, match=match):
+        multiview_edges(light_field, make(light_field), key=key)
 
 
 def test_reprojection_prefers_the_map_that_explains_the_views():
-    rng = np.random.default_rng(0)
-    texture = rng.uniform(size=(20, 30))
+    texture = np.random.default_rng(0).uniform(size=(20, 30))
     views = np.zeros((3, 3, 20, 24, 3))
     for v, u in np.ndindex(3, 3):
         # Disparity 1: a point at x is at x + (1 - u).
         views[v, u] = np.roll(texture, (1 - v, 1 - u), (0, 1))[:, 3:27, None]
-    horizontal, vertical = crosshair(LightField(jnp.asarray(views)))
-    points = EdgePoints(
-        xy=jnp.asarray([[10.0, 9.0], [14.0, 6.0]]),
-        disparity=jnp.ones(2),
-        confidence=jnp.full(2, 0.5),
-        error=jnp.full(2, 0.005),
-        normal=jnp.asarray([[1.0, 0.0], [0.0, 1.0]]),
-        visible=jnp.ones((2, 6), bool),
-        valid=jnp.ones(2, bool),
-    )
+    points = make_points([[10.0, 9.0], [14.0, 6.0]], [1.0, 1.0], np.eye(2))
     right, wrong = jnp.ones((20, 24)), jnp.zeros((20, 24))
-    score = reprojection_score(points, right, wrong, horizontal, vertical, radius=2)
+    arms = crosshair(LightField(jnp.asarray(views)))
+    score = reprojection_score(points, right, wrong, *arms, radius=2)
     assert (np.asarray(score) > 0.05).all()

@@ -34,9 +34,8 @@ def test_alignment_tells_true_slopes_from_false_ones():
 def test_runs_and_counts_are_those_of_plain_loops():
     rng = np.random.default_rng(3)
     cosine = rng.choice([0.1, 0.99], size=(20, VIEWS))
-    for row, run, count in zip(
-        cosine, longest_run(jnp.asarray(cosine)), aligned_count(jnp.asarray(cosine)), strict=True
-    ):
+    runs, counts = (of(jnp.asarray(cosine)) for of in (longest_run, aligned_count))
+    for row, run, count in zip(cosine, runs, counts, strict=True):
         text = "".join("x" if value > 0.9 else " " for value in row)
         assert int(run) == max((len(part) for part in text.split()), default=0)
         assert int(count) == text.count("x")
@@ -47,9 +46,8 @@ def test_k_and_both_angles_are_numbers_of_the_search():
     epi = 40 * step(20.0, 0.9) + 50 * step(24.0, -0.4)
     noise = np.random.default_rng(0).normal(size=(VIEWS, 2, WIDTH))
     lab = jnp.asarray(np.stack([epi, epi], 1) + noise)[..., None]
-    bank = prewitt_bank(
-        jnp.asarray(exponential_disparities(12, 1.2)), VIEWS, bank_radius(1.2, VIEWS)
-    )
+    tried = jnp.asarray(exponential_disparities(12, 1.2))
+    bank = prewitt_bank(tried, VIEWS, bank_radius(1.2, VIEWS))
     run = jax.jit(lambda search: arm_lines(lab, bank, search, key=None))
 
     def found(**numbers):
@@ -120,15 +118,10 @@ def test_the_spatial_vote_is_that_of_plain_loops():
     shape = (64, 96)
     disparity = rng.choice([0.0, 0.1, 0.5], size=shape)
     confidence, present = rng.uniform(size=shape), rng.uniform(size=shape) < 0.4
-    found = spatial_vote(
-        jnp.asarray(disparity), jnp.asarray(confidence), jnp.asarray(present), jnp.asarray(0.125)
-    )
+    found = spatial_vote(*map(jnp.asarray, (disparity, confidence, present, 0.125)))
     half_y, half_x = 64 // 30, 96 // 30
     for y, x in [(0, 0), (30, 40), (63, 95), (10, 50)]:
-        window = (
-            slice(max(y - half_y, 0), y + half_y + 1),
-            slice(max(x - half_x, 0), x + half_x + 1),
-        )
+        window = np.s_[max(y - half_y, 0) : y + half_y + 1, max(x - half_x, 0) : x + half_x + 1]
         same = present[window] & (np.abs(disparity[window] - disparity[y, x]) < 0.125)
         area = (2 * half_y + 1) * (2 * half_x + 1)
         expected = confidence[y, x] / confidence[present].max() * same.sum() / area
@@ -143,14 +136,9 @@ def test_the_joint_filter_is_that_of_plain_loops():
     sigma = (2.0, 0.1, 0.5)
     y, x = np.indices(shape).reshape(2, -1)
     # One point per pixel, not in its middle, in some slots.
-    found = joint_filter(
-        jnp.asarray(np.stack([x, y], 1) + rng.uniform(-0.4, 0.4, (x.size, 2))),
-        jnp.asarray(d.reshape(-1)),
-        jnp.asarray(present.reshape(-1)),
-        jnp.asarray(color),
-        *map(jnp.asarray, sigma),
-        radius=3,
-    ).reshape(shape)
+    xy = np.stack([x, y], 1) + rng.uniform(-0.4, 0.4, (x.size, 2))
+    given = map(jnp.asarray, (xy, d.reshape(-1), present.reshape(-1), color, *sigma))
+    found = joint_filter(*given, radius=3).reshape(shape)
     for y, x in np.ndindex(shape):
         total = weight = 0.0
         for j, i in np.ndindex(shape):

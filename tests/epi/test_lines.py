@@ -15,6 +15,8 @@ from mvedge_jax.epi import (
 )
 from mvedge_jax.epi._lines import _vertex
 
+BANK = prewitt_bank(jnp.asarray(np.arange(-6, 7) * 0.2), VIEWS, bank_radius(1.2, VIEWS))
+
 
 def test_a_flat_epi_has_no_lines_and_a_step_has_one():
     bank = prewitt_bank(jnp.asarray(np.arange(-10, 11) * 0.1), VIEWS, bank_radius(1.0, VIEWS))
@@ -35,30 +37,27 @@ def test_a_flat_epi_has_no_lines_and_a_step_has_one():
 
 def test_the_vertex_of_a_parabola_is_found_between_filters_of_any_spacing():
     disparity = np.array([-2.0, -1.0, -0.5, 0.0, 0.25, 1.0])
+
+    def vertex(response, best):
+        response = jnp.asarray(response, float)[None]
+        return float(_vertex(response, jnp.asarray([best]), jnp.asarray(disparity))[0])
+
     for place in (1.0, 1.2, 2.49, 3.0, 3.7):
         response = 5 - 0.3 * (np.arange(6) - place) ** 2
-        found = _vertex(
-            jnp.asarray(response)[None],
-            jnp.argmax(jnp.asarray(response))[None],
-            jnp.asarray(disparity),
-        )
+        found = vertex(response, np.argmax(response))
         np.testing.assert_allclose(found, np.interp(place, np.arange(6), disparity), rtol=1e-12)
     # No parabola: at the ends of the bank, and where all filters answer alike.
     for response, best in (([9, 5, 4, 3, 2, 1], 0), ([1, 2, 3, 4, 5, 9], 5), ([7] * 6, 2)):
-        found = _vertex(
-            jnp.asarray(response, float)[None], jnp.asarray([best]), jnp.asarray(disparity)
-        )
-        assert float(found[0]) == disparity[best]
+        assert vertex(response, best) == disparity[best]
 
 
 def test_interpolated_disparities_are_closer_than_the_filters():
-    bank = prewitt_bank(jnp.asarray(np.arange(-6, 7) * 0.2), VIEWS, bank_radius(1.2, VIEWS))
     rng = np.random.default_rng(1)
     truth, errors = rng.uniform(-0.9, 0.9, 40), []
+    maps = jax.jit(lambda epi: [epi_edge_map(epi, BANK, interpolate=i) for i in (False, True)])
     for disparity in truth:
         epi = jnp.asarray(smooth((50 * step(rng.uniform(25, 38), disparity))[..., None]))
-        confidence, coarse = epi_edge_map(epi, bank)
-        again, fine = epi_edge_map(epi, bank, interpolate=True)
+        (confidence, coarse), (again, fine) = maps(epi)
         np.testing.assert_array_equal(again, confidence)
         at = VIEWS // 2, int(jnp.argmax(confidence[VIEWS // 2]))
         errors.append([abs(float(a[at]) - disparity) for a in (coarse, fine)])
@@ -67,21 +66,20 @@ def test_interpolated_disparities_are_closer_than_the_filters():
 
 
 def test_interpolated_disparities_have_the_derivative_of_differences_in_the_taps():
-    bank = prewitt_bank(jnp.asarray(np.arange(-6, 7) * 0.2), VIEWS, bank_radius(1.2, VIEWS))
     epi = jnp.asarray(smooth((50 * step(31.3, 0.28))[..., None]))
-    confidence, _ = epi_edge_map(epi, bank)
+    confidence, _ = epi_edge_map(epi, BANK)
     at = np.unravel_index(int(jnp.argmax(confidence)), confidence.shape)
 
     def disparity(taps, interpolate=True):
-        changed = FilterBank(bank.disparity, taps)
+        changed = FilterBank(BANK.disparity, taps)
         return epi_edge_map(epi, changed, interpolate=interpolate)[1][at]
 
-    direction = jnp.asarray(np.random.default_rng(3).normal(size=bank.taps.shape))
-    slope = jnp.vdot(jax.grad(disparity)(bank.taps), direction)
-    before, after = (disparity(bank.taps + h * direction) for h in (-1e-7, 1e-7))
+    direction = jnp.asarray(np.random.default_rng(3).normal(size=BANK.taps.shape))
+    slope = jnp.vdot(jax.grad(disparity)(BANK.taps), direction)
+    before, after = (disparity(BANK.taps + h * direction) for h in (-1e-7, 1e-7))
     assert abs(float(slope)) > 1e-3
     np.testing.assert_allclose(slope, (after - before) / 2e-7, rtol=1e-5)
-    assert not jax.grad(lambda taps: disparity(taps, interpolate=False))(bank.taps).any()
+    assert not jax.grad(lambda taps: disparity(taps, interpolate=False))(BANK.taps).any()
 
 
 def test_slots_that_run_out_are_counted():

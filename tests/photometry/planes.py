@@ -1,6 +1,7 @@
 """Light fields of one plane, whose disparity is known."""
 
 from dataclasses import replace
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -8,10 +9,18 @@ from scipy import ndimage
 
 from mvedge_jax._crosshair import crosshair
 from mvedge_jax.lightfield import LightField
-from mvedge_jax.photometry.measuring import CrosshairSplines, labels
+from mvedge_jax.photometry.measuring import (
+    AdaptedMeasurement,
+    CrosshairSplines,
+    ViewSplines,
+    labels,
+)
+from mvedge_jax.photometry.views import views_of
+
+INNER = (slice(4, -4), slice(4, -4))
 
 
-def plane_views(disparity, *, views=(5, 5), size=(20, 28), noise=0.0, seed=0):
+def plane_views(disparity, *, views=(5, 5), size=(20, 28), noise=0.0, seed=0, span=None):
     """A fronto-parallel plane with a smooth random texture, sampled from a spline."""
     rng = np.random.default_rng(seed)
     pad = 10
@@ -24,7 +33,7 @@ def plane_views(disparity, *, views=(5, 5), size=(20, 28), noise=0.0, seed=0):
         for c in range(3):
             grid[v, u, ..., c] = ndimage.map_coordinates(texture[..., c], place, order=3)
     grid += noise * rng.standard_normal(grid.shape)
-    return LightField(jnp.asarray(np.clip(grid, 0, 1)))
+    return LightField(jnp.asarray(np.clip(grid, 0, 1)), disparity_range=span)
 
 
 def plane_arms(disparity, **choices):
@@ -32,17 +41,26 @@ def plane_arms(disparity, **choices):
     return crosshair(plane_views(disparity, **choices))
 
 
-def plane_splines(disparity, **choices):
-    """The arms of `plane_views`, ready for being looked at."""
-    return CrosshairSplines.of(plane_arms(disparity, **choices))
+def splines_of(field, kind="crosshair") -> Any:
+    """The views of the crosshair, or all, ready for being looked at."""
+    if kind == "crosshair":
+        return CrosshairSplines.of(crosshair(field))
+    return ViewSplines.of(views_of(field))
 
 
-def accumulate(across, down, disparity, params, *, radius):
-    """What two arms show around a map."""
-    return CrosshairSplines(across, down).accumulate(disparity, replace(params, radius=radius))
+def look(views, disparity, params=None, *, radius=2):
+    """What views show around a map."""
+    return views.accumulate(disparity, replace(params or AdaptedMeasurement(), radius=radius))
 
 
-def photometric_labels(across, down, lab, disparity, params, *, radius, passes):
-    """Labels measured in two arms."""
-    found = accumulate(across, down, disparity, params, radius=radius)
+def measured(views, disparity, params=None, *, lab=None, radius=2, passes=2):
+    """Labels around a map; of one colour by default, so that no neighbour is left out for its."""
+    params = params or AdaptedMeasurement()
+    lab = jnp.zeros((3, *disparity.shape), disparity.dtype) if lab is None else lab
+    found = look(views, disparity, params, radius=radius)
     return labels(found, lab, disparity, params, passes=passes)
+
+
+def error(found, truth, inner=INNER):
+    """Root of the mean squared error of a map, away from the border."""
+    return float(jnp.sqrt(jnp.mean((found.disparity - truth)[inner] ** 2)))

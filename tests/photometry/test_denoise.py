@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers import check_gradient
+from helpers import check_gradient, dot, lean
 from photometry.scenes import changed, textured
 from scipy import interpolate, ndimage
 
@@ -92,28 +92,31 @@ def test_pooling_stays_on_a_surface_and_away_from_outlines():
 
 def test_gradients_in_both_modes_jit_and_vmap():
     field = changed(textured(size=(14, 17), dtype=np.float64), noise=0.03, bits=False)
-    image = jnp.moveaxis(field.centre_view, -1, 0)
-    cost = jax.random.uniform(jax.random.key(0), (3, 14, 17), jnp.float64)
-    weights = jax.random.normal(jax.random.key(1), (3, 14, 17), jnp.float64)
+    image, planes = jnp.moveaxis(field.centre_view, -1, 0), crosshair(field).horizontal.planes
+    keys = jax.random.split(jax.random.key(0))
+    cost, weights = (jax.random.uniform(key, (3, 14, 17), jnp.float64) - 0.5 for key in keys)
 
     def loss(tree):
         image, cost, deviation, length = tree
         noise = Noise.of(deviation)
         guide = denoised(image, noise)
-        soft = soften(crosshair(field).horizontal.planes, noise, 10 * deviation)
+        soft = soften(planes, noise, 10 * deviation)
         kept, grain = passed(noise, 10 * deviation)
         total = jnp.sum(weights * pooled(cost, 100 * guide, noise, Pooling(length=length)))
         return total + jnp.sum(guide[0] * weights[0]) + kept * grain * jnp.sum(soft[1] ** 3)
 
     tree = (image, cost, jnp.asarray(0.03), jnp.asarray(6.0))
     check_gradient(loss, tree, rtol=1e-4, step=1e-7, key=jax.random.key(2))
-    gradient = jax.grad(loss)(tree)
-    _, tangent = jax.jvp(loss, (tree,), (tree,))
-    both = sum(jnp.vdot(g, t) for g, t in zip(gradient, tree, strict=True))
-    np.testing.assert_allclose(tangent, both, rtol=1e-8)
-    np.testing.assert_allclose(jax.jit(loss)(tree), loss(tree), rtol=1e-10)
+
+    def of(deviation):
+        return loss((image, cost, deviation, tree[3]))
+
+    compiled = lean(of)
+    np.testing.assert_allclose(compiled(tree[2]), loss(tree), rtol=1e-10)
     deviations = jnp.asarray([0.0, 0.03])
-    several = jax.vmap(lambda s: loss((image, cost, s, tree[3])))(deviations)
     np.testing.assert_allclose(
-        several, [loss((image, cost, s, tree[3])) for s in deviations], rtol=1e-9
+        lean(jax.vmap(of))(deviations), [compiled(s) for s in deviations], rtol=1e-9
     )
+    forward = lean(lambda t: (jax.jvp(loss, (t,), (t,))[1], jax.grad(loss)(t)))
+    tangent, gradient = forward(tree)
+    np.testing.assert_allclose(tangent, dot(gradient, tree), rtol=1e-8)

@@ -15,22 +15,31 @@ from mvedge_jax.photometry.matching._unexplained import between_views_variance
 TRIED = jnp.linspace(-1, 1, 17)
 
 
-def _measured(light_field, scale=1.0):
-    views = light_field.views * np.float32(scale)
-    arms = crosshair(light_field).mapped(lambda planes: planes * np.float32(scale))
-    centre = jnp.moveaxis(views[2, 2], -1, 0)
-    tried = TRIED.astype(views.dtype)
-    between = between_views_variance(arms, tried)
-    return measure_noise(centre, jnp.asarray(scale, views.dtype), between=between)
+def _measured(light_field, scale=1.0, *, arms=None, tried=TRIED):
+    scale = jnp.asarray(scale, light_field.views.dtype)
+    arms = crosshair(light_field) if arms is None else arms
+    between = between_views_variance(
+        arms.mapped(lambda planes: planes * scale), tried.astype(scale.dtype)
+    )
+    centre = jnp.moveaxis(light_field.centre_view * scale, -1, 0)
+    return measure_noise(centre, scale, between=between)
+
+
+def _single(image, scale=1.0):
+    """Of one view by itself, `[c, y, x]`."""
+    return measure_noise(image, jnp.asarray(scale, image.dtype))
+
+
+@pytest.fixture(scope="module")
+def noisy():
+    return changed(textured(), noise=0.02)
 
 
 @pytest.mark.parametrize("sigma", [0.01, 0.02, 0.05])
 def test_known_noise_is_recovered(sigma):
-    found = _measured(changed(textured(), noise=sigma))
-    assert abs(float(found.deviation) / sigma - 1) < 0.1
-    single = measure_noise(
-        jnp.moveaxis(changed(textured(), noise=sigma).centre_view, -1, 0), jnp.float32(1)
-    )
+    field = changed(textured(), noise=sigma)
+    assert abs(float(_measured(field).deviation) / sigma - 1) < 0.1
+    single = _single(jnp.moveaxis(field.centre_view, -1, 0))
     assert abs(float(single.deviation) / sigma - 1) < 0.12
 
 
@@ -43,17 +52,24 @@ def test_clean_views_have_the_noise_of_their_bits_and_no_alpha():
     assert float(dark.alpha) > 0.8
 
 
-def test_clipped_pixels_have_no_say():
-    noisy = changed(textured(low=0.3), noise=0.02)
-    views = noisy.views.at[..., :60, :].set(1.0).at[..., :40, :, :].set(0.0)
-    found = measure_noise(jnp.moveaxis(views[2, 2], -1, 0), jnp.float32(1))
-    assert abs(float(found.deviation) / 0.02 - 1) < 0.15
+def test_clipped_pixels_and_missing_views_have_no_say(noisy):
+    views = changed(textured(low=0.3), noise=0.02).views
+    views = views.at[..., :60, :].set(1.0).at[..., :40, :, :].set(0.0)
+    found = [_single(jnp.moveaxis(views[2, 2], -1, 0))]
+    own = crosshair(noisy)[0]
+    for value in (0.0, 0.7):
+        planes, there = own.planes.at[0].set(value), own.available.at[0].set(False)
+        arm = own._replace(planes=planes, available=there)
+        found.append(_measured(noisy, arms=Crosshair(arm, arm)))
+    assert float(found[1].deviation) == float(found[2].deviation)
+    for each in found:
+        assert abs(float(each.deviation) / 0.02 - 1) < 0.15
 
 
 @pytest.mark.parametrize("shape", [(3, 8, 40), (3, 9, 9), (3, 12, 17)])
 def test_small_and_odd_images_give_at_least_the_quantisation(shape):
-    image = jnp.full(shape, 128 / 255, jnp.float32)
-    assert float(measure_noise(image, jnp.float32(1)).deviation) == pytest.approx(1 / 255 / 12**0.5)
+    found = _single(jnp.full(shape, 128 / 255, jnp.float32))
+    assert float(found.deviation) == pytest.approx(1 / 255 / 12**0.5)
 
 
 @pytest.mark.parametrize("exposure", [1.0, 3.7])
@@ -64,24 +80,8 @@ def test_the_step_of_the_views_is_found_in_them(levels, expected, exposure):
     image = jax.random.uniform(jax.random.key(0), (3, 24, 24), jnp.float32)
     if levels is not None:
         image = jnp.round(levels * image) / levels
-    found = measure_noise(image * exposure, jnp.float32(exposure))
-    assert float(found.rounding) == pytest.approx(1 / expected / 12**0.5, rel=1e-6)
-
-
-def test_a_missing_view_is_not_seen():
-    noisy = changed(textured(), noise=0.02)
-    arms = crosshair(noisy)
-    centre = jnp.moveaxis(noisy.centre_view, -1, 0)
-    found = []
-    for value in (0.0, 0.7):
-        arm = arms[0]._replace(
-            planes=arms[0].planes.at[0].set(value), available=arms[0].available.at[0].set(False)
-        )
-        between = between_views_variance(Crosshair(arm, arm), TRIED.astype(jnp.float32))
-        noise = measure_noise(centre, jnp.float32(1), between=between)
-        found.append(float(noise.deviation))
-    assert found[0] == found[1]
-    assert abs(found[0] / 0.02 - 1) < 0.15
+    rounding = float(_single(image * exposure, exposure).rounding)
+    assert rounding == pytest.approx(1 / expected / 12**0.5, rel=1e-6)
 
 
 def test_alpha_rises_with_the_noise():
@@ -92,17 +92,14 @@ def test_alpha_rises_with_the_noise():
 
 
 def test_gradient_and_jit():
-    field = textured(size=(32, 40), dtype=np.float64)
-    views = changed(field, noise=0.02, bits=False).views
+    field = changed(textured(size=(32, 40), dtype=np.float64), noise=0.02, bits=False)
 
     def deviation(views):
-        arms = crosshair(type(field)(views))
-        centre = jnp.moveaxis(views[2, 2], -1, 0)
-        between = between_views_variance(arms, TRIED[::4].astype(views.dtype))
-        return measure_noise(centre, jnp.ones(()), between=between).deviation
+        return _measured(type(field)(views), tried=TRIED[::4]).deviation
 
-    check_gradient(deviation, views, rtol=1e-4, step=1e-7, key=jax.random.key(0))
-    np.testing.assert_allclose(deviation(views), jax.jit(deviation)(views), rtol=1e-10)
+    check_gradient(deviation, field.views, rtol=1e-4, step=1e-7, key=jax.random.key(0))
+    found = deviation(field.views), jax.jit(deviation)(field.views)
+    np.testing.assert_allclose(*found, rtol=1e-10)
 
 
 def test_texture_as_fine_as_pixels_is_no_noise():
@@ -119,12 +116,10 @@ def test_texture_as_fine_as_pixels_is_no_noise():
         rows.append(np.round(255 * (0.5 + 0.12 * picture.clip(-3, 3))) / 255)
     planes = jnp.asarray(np.stack(rows)[:, None].repeat(3, 1), jnp.float32)
     arm = Arm(planes, jnp.float32([1.0, 0.0, -1.0]), jnp.ones(views, bool))
-    tried = jnp.linspace(-2, 2, 9, dtype=jnp.float32)
+    tried, arms = jnp.linspace(-2, 2, 9, dtype=jnp.float32), Crosshair(arm, arm)
     found, coarse = (
         measure_noise(
-            planes[1],
-            jnp.float32(1),
-            between=between_views_variance(Crosshair(arm, arm), tried, finer=finer),
+            planes[1], jnp.float32(1), between=between_views_variance(arms, tried, finer=finer)
         )
         for finer in (4, 1)
     )
