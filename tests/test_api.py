@@ -181,7 +181,7 @@ def _imports(file: str) -> Iterator[tuple[str, ...]]:
             found = [(*module, name.name) for name in node.names] if whole else [module]
         else:
             continue
-        yield from (("", *parts[1:]) if parts[0] == _PACKAGE.name else parts for parts in found)
+        yield from (("", *parts[1:]) if parts[:1] == (_PACKAGE.name,) else parts for parts in found)
 
 
 def _wrong_in_file(file: str) -> Iterator[str]:

@@ -69,8 +69,19 @@ class StandardError(eqx.Module):
         bent = params.bent * bend / (1 + bend / params.step)
         square = labels**2 + bent**2 + (params.misplaced * bend) ** 2
         if around is not None:
-            square = square + jnp.maximum(safe_sqrt(around) - params.rival, 0) ** 2
+            square = square + params.rivals(around)
         return jnp.where(known, jnp.sqrt(square), jnp.inf)
+
+    def rivals(self, around: Float[Array, "y x"]) -> Float[Array, "y x"]:
+        """Variance by rival hypotheses, px².
+
+        Args:
+            around: second moment of the posterior over hypotheses around a map, px².
+
+        Returns:
+            px²; 0 where the posterior is as narrow as one hypothesis. Differentiable.
+        """
+        return jnp.maximum(safe_sqrt(around) - self.rival, 0) ** 2
 
     def spread(self, disparity: Array, weight: Array, span: Array) -> Array:
         """Standard error of a surface without labels: spread of the map, or width of the range.

@@ -9,7 +9,7 @@ from jaxtyping import Array, Float
 from mvedge_jax._checkpoint import checkpoint
 
 from ._diffused import diffused
-from ._labels import Labels as Labels
+from ._labels import Labels as Labels, precision_weight as precision_weight
 from ._measured_map import measured_map
 from ._refine import Given as Given, Map as Map, Parts as Parts, cut_edges, labeled_share
 

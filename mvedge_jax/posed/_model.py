@@ -69,7 +69,7 @@ class StereoDepth(Replaceable):
         coarse: lower bound of `refine.precision` in these steps, because a window on a steep
             surface averages over so much.
         hypothesis: weight of the first map as labels, see `PhotographLabels`; less where a window
-            has no more texture than noise.
+            has no more texture than noise, and where rival hypotheses are as likely.
         measurement: measurement of every pixel; occluders at any distance are found, `radius` is
             not read.
         dense: weights of the measured labels.
@@ -85,7 +85,7 @@ class StereoDepth(Replaceable):
     tilt: Float[Array, ""] = number(0.1, "of a cost of at most 2")
     surface: Float[Array, ""] = number(2.0, "steps at 45 degrees")
     coarse: Float[Array, ""] = number(0.5, "steps at 45 degrees")
-    hypothesis: Float[Array, ""] = number(0.03, "perfect labels")
+    hypothesis: Float[Array, ""] = number(0.01, "perfect labels")
     measurement: Measurement = eqx.field(default_factory=_measurement)
     dense: DenseLabels = eqx.field(default_factory=PhotographLabels)
     smoothness: Smoothness = eqx.field(default_factory=ColorAndDepth)

@@ -12,11 +12,12 @@ from mvedge_jax._cpu import checkpoint_stage, plane_sum
 from mvedge_jax._params import cast, readable
 from mvedge_jax.color import srgb_to_lab
 from mvedge_jax.depth import map_problems
-from mvedge_jax.depth.solves import Given, Labels, Parts, refine_disparity
-from mvedge_jax.image import box_mean
+from mvedge_jax.depth.solves import Given, Labels, Parts, precision_weight, refine_disparity
+from mvedge_jax.image import box_mean, highest
 from mvedge_jax.photometry import CalibratedViews, Noise, prepare, prepare_views
 from mvedge_jax.photometry.brightness import PosedViews
 from mvedge_jax.photometry.matching import best_match
+from mvedge_jax.photometry.views import ViewSet
 
 from ._model import StereoDepth
 from ._photographs import Photographs
@@ -146,11 +147,12 @@ def _stereo(
         brightness=model.brightness,
     )
     prepared = checkpoint_stage(prepare_views)(scene, model.measurement)
-    first, lit = scene.first, scene.lit
-    assert first is not None
+    tested, lit = scene.hypotheses, scene.lit
+    assert tested is not None
+    first = tested.disparity
     nothing = jnp.zeros_like(first)
     span = tried[-1] - tried[0]
-    hypotheses = Labels(model.hypothesis * _textured(scene, model.window), first)
+    hypotheses = Labels(_hypothesis_weight(scene, model), first)
     given = Given(hypotheses, prepared, scene.lab, scene.guide, span, nothing, lit)
     parts = Parts(model.dense, model.smoothness, model.solver, model.refine)
     found = refine_disparity(given, first, parts)
@@ -163,10 +165,24 @@ def _stereo(
         jnp.stack([tried[0], tried[-1]]),
         found.labeled if lit is None else found.labeled / jnp.mean(lit.astype(found.error.dtype)),
     )
-    disparity_error = model.refine.error(found.error, found.disparity)
+    around = tested.variance_around(found.disparity)
+    disparity_error = model.refine.error(found.error, found.disparity, around)
     maps = _in_depth(found.disparity, disparity_error, photographs, reference)
     mask = None if photographs.mask is None else photographs.mask[reference.index]
     return StereoResult(*maps, first, stats, mask)
+
+
+def _hypothesis_weight(scene: CalibratedViews, model: StereoDepth) -> Float[Array, "y x"]:
+    """Data weight of the first map, whose own variance and that of rival hypotheses add up."""
+    tested = scene.hypotheses
+    assert tested is not None
+    rivals = model.refine.error.rivals(tested.variance_around(tested.disparity))
+    alone = model.hypothesis * _textured(scene, model.window)
+    views = scene.views
+    if isinstance(views, ViewSet) and views.shown is not None:
+        # Colors of transparent pixels say nothing about texture.
+        alone = alone * (1 - highest(1 - views.shown[0], 2 * model.window))
+    return alone * precision_weight(alone * rivals, model.refine.precision)
 
 
 def _textured(scene: CalibratedViews, reach: int) -> Float[Array, "y x"]:
@@ -216,6 +232,7 @@ def _adapted(
             "matching.slant": model.tilt * (tried[1] - tried[0]) / step,
             "measurement.same_surface": jnp.maximum(same, model.surface * step),
             "refine.precision": jnp.maximum(precision, model.coarse * step),
+            "refine.error.rival": tried[1] - tried[0],
         }
     )
 

@@ -23,11 +23,13 @@ class Case(NamedTuple):
         name: says what is hostile about it; unique.
         run: does it in an empty folder, and raises `AssertionError` where the outcome is wrong.
         fast: whether the ordinary tests run it, too.
+        place: file and line that define it.
     """
 
     name: str
     run: Callable[[Path], None]
     fast: bool = True
+    place: tuple[str, int] = ("", 0)
 
 
 CASES: dict[str, Case] = {}
@@ -44,10 +46,13 @@ def hostile(name: str, values: Iterable[Any] = ((),), *, fast: bool = True) -> C
     named = values.items() if isinstance(values, dict) else [(value, value) for value in values]
 
     def register(function: Callable) -> Callable:
+        place = function.__code__.co_filename, function.__code__.co_firstlineno
         for label, value in named:
             labels, arguments = (x if isinstance(x, tuple) else (x,) for x in (label, value))
-            case = Case(name.format(*labels), lambda f, a=arguments: function(f, *a), fast)
-            assert case.name not in CASES, f"twice: {case.name}"
+            case = Case(name.format(*labels), lambda f, a=arguments: function(f, *a), fast, place)
+            # The search for doctests imports a file under a name of its own.
+            known = CASES.get(case.name, case)
+            assert known.place == place, f"twice: {case.name}"
             CASES[case.name] = case
         return function
 

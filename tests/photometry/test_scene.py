@@ -37,7 +37,7 @@ def test_a_scene_without_a_first_map_or_arms_is_told():
         scene = prepare(GridViews(light_field), tried, cast(Matching(), tried.dtype), window=2)
         seen = prepare_views(scene, cast(Measurement(radius=3), tried.dtype))
         with pytest.raises(ValueError, match="`scene` has no first map; `prepare` finds one"):
-            first_labels(scene._replace(first=None), seen)
+            first_labels(scene._replace(hypotheses=None), seen)
         with pytest.raises(ValueError, match="`prepared` must be views of a crosshair, got photo"):
             first_labels(scene, seen._replace(splines=ViewSplines.of(views)))
         with pytest.raises(TypeError, match="`views` must be a crosshair to have arms, got photo"):
