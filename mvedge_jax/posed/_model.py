@@ -85,7 +85,7 @@ class StereoDepth(Replaceable):
     tilt: Float[Array, ""] = number(0.1, "of a cost of at most 2")
     surface: Float[Array, ""] = number(2.0, "steps at 45 degrees")
     coarse: Float[Array, ""] = number(0.5, "steps at 45 degrees")
-    hypothesis: Float[Array, ""] = number(0.01, "perfect labels")
+    hypothesis: Float[Array, ""] = number(0.015, "perfect labels")
     measurement: Measurement = eqx.field(default_factory=_measurement)
     dense: DenseLabels = eqx.field(default_factory=PhotographLabels)
     smoothness: Smoothness = eqx.field(default_factory=ColorAndDepth)

@@ -72,6 +72,9 @@ def stack_costs(
             differs = jnp.where(there, truncated(change - drift[None], limits.truncation), 1)
             if agreement is None or window is None:
                 return differs
+            if view.shown is not None:
+                # The colors of transparent pixels have no say in the windows of others.
+                seen = jnp.where(there[None], seen, window.mean)
             unlike = jnp.where(there, window.unlike(seen), 1)
             differs = weighted_sum(differs[None], support)[0]
             return differs + agreement.correlation * (unlike - differs)
