@@ -86,6 +86,8 @@ def learn(
     """
     if not (np.isfinite(rate) and rate > 0):
         raise ValueError(f"--rate must be positive, got {rate}.")
+    if steps < 1:
+        raise ValueError(f"--steps must be at least 1, got {steps}.")
     if validation < 0:
         raise ValueError(f"--validation must not be negative, got {validation}.")
     chosen(options.check(), what)

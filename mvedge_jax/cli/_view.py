@@ -212,6 +212,10 @@ def _labels(folder: Path, light_field: LightField) -> np.ndarray:
     try:
         with open(path, "rb") as raw:
             labels = np.load(raw)
+    except FileNotFoundError:
+        raise FileNotFoundError(
+            f"{path} is not there; expected the result of `mvedge superpixels`."
+        ) from None
     except (ValueError, EOFError, zipfile.BadZipFile) as reason:
         raise ValueError(f"{path} could not be read: {reason}.") from None
     if not isinstance(labels, np.ndarray):

@@ -144,7 +144,12 @@ def _study(
     if journal is not None:
         journal = Path(journal)
         journal.parent.mkdir(parents=True, exist_ok=True)
-        storage = JournalStorage(JournalFileBackend(str(journal)))
+        try:
+            storage = JournalStorage(JournalFileBackend(str(journal)))
+        except (IsADirectoryError, ValueError) as reason:
+            raise ValueError(
+                f"`journal` {journal} must be a journal of Optuna or a new file: {reason}."
+            ) from None
     return optuna.create_study(
         study_name=name,
         storage=storage,

@@ -110,7 +110,7 @@ learn OUT --size 0 | `shape` must be positive integers (view rows, view columns,
 learn OUT --range 1 0 | `disparity_range` must be (low, high), finite with low < high, got
 learn OUT --random 0 | `count` must be at least 1, got 0
 learn OUT --validation -1 | --validation must not be negative, got -1
-learn OUT --size 8 --views 3 --steps 0 |
+learn OUT --size 8 --views 3 --steps 0 | --steps must be at least 1, got 0
 learn OUT --size 8 --views 3 --prior nan | `prior` must be finite and not negative, got nan
 learn OUT --size 8 --views 3 --limit nan | `limit` must be positive, got nan
 learn SCENE OUT --validation 1 | --validation 1 leaves none of 1 scenes to learn from
@@ -165,7 +165,7 @@ view SCENE --html NEW --other nowhere | /disparity.pfm is not there
 view SCENE --html NEW --other SCENE | /disparity.pfm is not there
 view SCENE --html NEW --other LARGE | the map of large must have the size of the views, 8x6 px
 view SCENE --html NEW --superpixels SCENE | --superpixels needs a RESULT
-view MAP --scene SCENE --html NEW --superpixels nowhere |
+view MAP --scene SCENE --html NEW --superpixels nowhere | is not there; expected the result of
 view MAP --scene SCENE --html NEW --superpixels LABELS | /labels.npy must hold whole numbers of
 view SCENE --html NEW --hidden SCENE | --hidden needs a RESULT, with whose map it is shown
 view MAP --scene SCENE --html NEW --hidden nowhere | views.h5 does not exist; `mvedge views` writes
@@ -224,8 +224,8 @@ sweep SCENE OUT --vary dense.trust=1:2 --trials 0 | `trials` must be at least 1,
 sweep SCENE OUT --vary dense.trust=1:2 --batch 0 | `batch` must be at least 1, got 0
 sweep SCENE OUT --vary dense.trust=1:2 --wave 0 | `wave` must be at least 1, got 0
 sweep SCENE OUT --vary dense.trust=1:2 --objective best | `objective` must be one of ('mse'
-sweep SCENE OUT --vary dense.trust=1:2 --journal SCENE |
-sweep SCENE OUT --vary dense.trust=1:2 --journal MAP |
+sweep SCENE OUT --vary dense.trust=1:2 --journal SCENE | must be a journal of Optuna or a new file
+sweep SCENE OUT --vary dense.trust=1:2 --journal MAP | must be a journal of Optuna or a new file
 sweep SCENE OUT --vary dense.trust=1:2 --workers -1 | --workers must not be negative
 sweep SCENE OUT --vary dense.trust=1:2 --scheduler nonsense | nonsense
 stereo nowhere OUT | does not exist
