@@ -177,9 +177,10 @@ def test_uneven_rows_and_oblong_cells_are_as_good_as_regular_ones(tmp_path, name
     even, one, side = np.arange(-8.0, 9), np.zeros(1), np.arange(-2.0, 3)
     second = np.arange(17) % 2 == 1
     moved = even + np.where(second, np.random.default_rng(0).uniform(-0.4, 0.4, 17), 0)
+    pitch = float(np.median(np.diff(moved)))
     sparse, cells = grid(one, even[~second]), grid(1.5 * side, side)
     regular, other, told, bar = {
-        "row": ((grid(one, even), 1.0), (grid(one, moved), np.median(np.diff(moved))), False, 1.1),
+        "row": ((grid(one, even), 1.0), (grid(one, moved), pitch), False, 1.1),
         "sparse row": ((sparse, 2.0), (sparse, 1.0), True, 1.1),
         "cells": ((grid(side, side), 1.0), (cells, 1.0), False, 1.05),
     }[name]

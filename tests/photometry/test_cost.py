@@ -196,6 +196,16 @@ def test_known_noise_is_recovered_from_any_set_of_views(sigma):
     assert abs(float(found.deviation) / sigma - 1) < 0.1
 
 
+def test_noise_is_that_of_the_longer_arm_whatever_the_shape_of_its_views():
+    tall = changed(textured(), noise=0.02).views[:, 1:-1]
+    tried = jnp.linspace(-0.5, 1, 7, dtype=tall.dtype)
+    found = [
+        between_views_variance(crosshair(LightField(views)), tried, finer=2)
+        for views in (tall, jnp.transpose(tall, (1, 0, 3, 2, 4)))
+    ]
+    assert float(found[0]) == pytest.approx(float(found[1]), rel=1e-6)
+
+
 @pytest.mark.parametrize("params", [Matching(), Matching(agreement=Agreement())])
 def test_derivatives_of_the_costs_match_differences(params):
     field = plane_views(0.3, views=(3, 3), size=(12, 14))

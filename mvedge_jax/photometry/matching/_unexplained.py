@@ -38,12 +38,13 @@ def between_views_variance(
         The 20 % quantile over the windows; 0 if the reference shows nothing. Differentiable.
     """
     if isinstance(views, ViewSet):
-        unexplained = _of_stack(views)
+        unexplained, centre = _of_stack(views), views.centre
     else:
-        unexplained = _of_arm(max(views, key=lambda arm: arm.planes.shape[0]))
+        arm = max(views, key=lambda arm: arm.planes.shape[0])
+        unexplained, centre = _of_arm(arm), arm.planes[arm.centre]
         count = finer * (disparities.shape[0] - 1) + 1
         disparities = jnp.linspace(disparities[0], disparities[-1], count)
-    rows = views.centre[0, ::_ROWS]
+    rows = centre[0, ::_ROWS]
 
     def consider(best: Array, disparity: Array) -> tuple[Array, None]:
         return jnp.minimum(best, unexplained(disparity)), None
