@@ -10,6 +10,7 @@ from jaxtyping import Array, Bool, Float, Int
 from mvedge_jax._compiler import lean_jit
 from mvedge_jax._cpu import checkpoint_stage, plane_sum
 from mvedge_jax._params import cast, readable
+from mvedge_jax._root import LEAST_DIVISOR
 from mvedge_jax.color import srgb_to_lab
 from mvedge_jax.depth import map_problems
 from mvedge_jax.depth.solves import Given, Labels, Parts, precision_weight, refine_disparity
@@ -190,7 +191,7 @@ def _textured(scene: CalibratedViews, reach: int) -> Float[Array, "y x"]:
     mean, noise = box_mean(scene.guide, reach), scene.noise.deviation**2 * scene.guide.shape[0]
     variance = plane_sum(box_mean(scene.guide**2, reach) - mean**2)
     own = jnp.maximum(variance - noise, 0)
-    return own / (own + noise)
+    return own / jnp.maximum(own + noise, LEAST_DIVISOR)
 
 
 def _in_depth(
