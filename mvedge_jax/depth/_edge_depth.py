@@ -313,8 +313,7 @@ def _outlined(
         disparity, error = (jnp.ravel(a)[shown] for a in (disparity, error))
     # `where` hides NaN parameters, so NaN is propagated explicitly.
     unknown = jnp.asarray(jnp.nan, disparity.dtype)
-    tried = views.hypotheses
-    error = refine.error(
-        error, disparity, None if tried is None else tried.variance_around(disparity)
-    )
+    hypotheses = views.hypotheses
+    around = None if hypotheses is None else hypotheses.variance_around(disparity)
+    error = refine.error(error, disparity, around)
     return jnp.where(fine, disparity, unknown), jnp.where(fine, error, unknown)

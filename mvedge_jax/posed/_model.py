@@ -75,7 +75,8 @@ class StereoDepth(Replaceable):
         dense: weights of the measured labels.
         smoothness: weights of the edges between neighboring pixels.
         solver: solver of the diffusions.
-        refine: schedule of diffusion and sharpening; `outline` is not read.
+        refine: schedule of diffusion and sharpening; `outline` is not read, nor is `error.rival`,
+            which is the distance between hypotheses.
     """
 
     hypotheses: int = eqx.field(static=True)

@@ -148,13 +148,20 @@ def _stereo(
         brightness=model.brightness,
     )
     prepared = checkpoint_stage(prepare_views)(scene, model.measurement)
-    tested, lit = scene.hypotheses, scene.lit
-    assert tested is not None
-    first = tested.disparity
+    hypotheses, lit = scene.hypotheses, scene.lit
+    assert hypotheses is not None
+    first = hypotheses.disparity
     nothing = jnp.zeros_like(first)
     span = tried[-1] - tried[0]
-    hypotheses = Labels(_hypothesis_weight(scene, model), first)
-    given = Given(hypotheses, prepared, scene.lab, scene.guide, span, nothing, lit)
+    given = Given(
+        Labels(_hypothesis_weight(scene, model), first),
+        prepared,
+        scene.lab,
+        scene.guide,
+        span,
+        nothing,
+        lit,
+    )
     parts = Parts(model.dense, model.smoothness, model.solver, model.refine)
     found = refine_disparity(given, first, parts)
     gain = scene.exposure.gain
@@ -166,7 +173,7 @@ def _stereo(
         jnp.stack([tried[0], tried[-1]]),
         found.labeled if lit is None else found.labeled / jnp.mean(lit.astype(found.error.dtype)),
     )
-    around = tested.variance_around(found.disparity)
+    around = hypotheses.variance_around(found.disparity)
     disparity_error = model.refine.error(found.error, found.disparity, around)
     maps = _in_depth(found.disparity, disparity_error, photographs, reference)
     mask = None if photographs.mask is None else photographs.mask[reference.index]
@@ -175,9 +182,9 @@ def _stereo(
 
 def _hypothesis_weight(scene: CalibratedViews, model: StereoDepth) -> Float[Array, "y x"]:
     """Data weight of the first map, whose own variance and that of rival hypotheses add up."""
-    tested = scene.hypotheses
-    assert tested is not None
-    rivals = model.refine.error.rivals(tested.variance_around(tested.disparity))
+    hypotheses = scene.hypotheses
+    assert hypotheses is not None
+    rivals = model.refine.error.rivals(hypotheses.variance_around(hypotheses.disparity))
     alone = model.hypothesis * _textured(scene, model.window)
     views = scene.views
     if isinstance(views, ViewSet) and views.shown is not None:
