@@ -66,8 +66,11 @@ def connected(workers: int, scheduler: str | None) -> Iterator[Any]:
             address = stack.enter_context(cluster)
         try:
             client = stack.enter_context(Client(address))
-        except OSError as reason:
-            raise ValueError(f"no Dask scheduler answers at {address}: {reason}") from reason
+        except (OSError, ValueError) as reason:
+            raise ValueError(
+                f"no Dask scheduler answers at {address} (--scheduler; expected an address such as "
+                f"tcp://host:8786): {reason}"
+            ) from reason
         client.register_worker_callbacks(compilation_cache)
         if not client.scheduler_info()["workers"]:
             warn(f"the scheduler at {address} has no workers yet; waiting for the first")

@@ -14,7 +14,7 @@ from mvedge_jax.datasets import synthetic
 from mvedge_jax.lightfield import LightField
 
 # The smallest one comes last: one-sided differences tell a kink there.
-LADDER = (1e-5, 1e-6, 3e-5, 1e-7, 1e-4, 1e-3, 1e-8)
+LADDER = (1e-5, 1e-6, 3e-5, 1e-7, 1e-4, 1e-3, 3e-8, 1e-8)
 # Relative difference of two steps of the ladder that makes a plateau.
 AGREE = 3e-4
 

@@ -35,7 +35,6 @@ def open_trajectory(
     `(fx, fy, cx, cy)` are px, centers of pixels at integers; None reads them from a camera file.
     """
     folder = path.parent if images is None else images
-    lens = Lens(None, _intrinsics(path.parent, intrinsics))
     lines = path.read_text(encoding="utf-8-sig", errors="replace").splitlines()
     rows = [(i, line.split()) for i, line in enumerate(lines, 1) if line.strip()]
     rows = [(i, words) for i, words in rows if not words[0].startswith("#")]
@@ -43,6 +42,7 @@ def open_trajectory(
         pairs, layout = _timed(path, folder, rows), "TUM trajectory"
     else:
         pairs, layout = _listed(path, folder, rows), "Redwood trajectory"
+    lens = Lens(None, _intrinsics(path.parent, intrinsics))
     frames = []
     for image, pose in pairs:
         depth = image.with_name(f"depth_{image.stem}.png")
