@@ -110,7 +110,7 @@ ITEMS = (
         "--scenes edges --size 64 --steps 3 --only edges.lines.aligned edges.color_sigma",
         "--scenes edges demo --size 96",
         "Figure 6.10: error against the thesis' hyperparameters",
-        130,
+        70,
     ),
     Item(
         "figure_6_10_full",
@@ -118,7 +118,7 @@ ITEMS = (
         None,
         "--scenes edges demo --size 96 --preset full",
         "Error against hyperparameters of preset full",
-        120,
+        90,
     ),
     Item(
         "every_view",
@@ -156,7 +156,7 @@ ITEMS = (
         "table_7_1",
         "table_7_1.py",
         "--scenes edges --size 64 --methods sweep linear diffusion",
-        "--scenes livingroom5 edges --references 1 --size 192",
+        "--scenes livingroom5 edges --references 1 --scale 0.5 --size 192",
         "Table 7.1: depth from five posed photographs",
         300,
     ),
@@ -164,9 +164,9 @@ ITEMS = (
         "table_7_1_dense",
         "table_7_1.py",
         "--scenes edges --size 64 --methods sweep from_sweep",
-        "--scenes edges --size 192 --methods sweep optimised from_sweep",
+        "--scenes edges --size 192 --methods sweep from_sweep",
         "Table 7.1: labels of a dense map, optimised, as Ours-C",
-        150,
+        120,
     ),
     Item(
         "table_7_2",
@@ -174,7 +174,7 @@ ITEMS = (
         None,
         "--scenes hci/cotton hci/backgammon",
         "Table 7.2: self-supervised optimisation",
-        180,
+        250,
     ),
     Item(
         "chapter_7",
@@ -342,7 +342,7 @@ ITEMS = (
         None,
         "--size 48 --iterations 80 --steps 8",
         "Gauss-Newton against Adam",
-        250,
+        300,
     ),
     Item(
         "hidden_points",
