@@ -198,7 +198,7 @@ ITEMS = (
         None,
         "--scenes hci/cotton demo edges --size 512 --points 0.002 0.01 0.05",
         "Depth maps as points: rate and distortion",
-        200,
+        400,
     ),
     Item(
         "irregular_views",
