@@ -124,7 +124,7 @@ ITEMS = (
         "every_view",
         "every_view.py",
         "edges --size 96 --views 5 --methods ours naive --repeats 1",
-        "{data}/traced/room edges crossing --size 256 --repeats 1",
+        "{data}/traced/room edges --size 256 --repeats 1",
         "Figures 6.5, 6.6: depth of every view, and its consistency",
         420,
     ),
