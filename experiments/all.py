@@ -4,7 +4,8 @@
     python experiments/all.py --tier full --only table_6_1 robustness
     python experiments/all.py --tier full --jobs 2
 
-Each script runs in a process of its own; one that fails, or runs out of time, stops no other.
+Each script runs in a process of its own, long ones first; one that fails, or runs out of time
+(`--limit`, 25 minutes in the full tier), stops no other.
 What finished at this commit with the same arguments is not run again. The page, `index.html`,
 shows what each script wrote: its tables, its pictures, its seconds, or why there is nothing.
 `quick` uses small rendered scenes; `full` the published sizes and, where it is there, the
@@ -18,9 +19,11 @@ machine. What the pages of the documentation show is renewed by
 """
 
 import argparse
+import contextlib
 import html
 import json
 import os
+import signal
 import subprocess
 import sys
 import time
@@ -36,7 +39,7 @@ from experiments._report import commit as commit_now, environment, print_table, 
 
 HERE = Path(__file__).resolve().parent
 # Seconds after which a script is stopped.
-LIMITS = {"quick": 600, "full": 5400}
+LIMITS = {"quick": 600, "full": 1500}
 
 
 def main() -> int:
@@ -53,6 +56,7 @@ def main() -> int:
     limit = arguments.limit or LIMITS[arguments.tier]
     begun = time.perf_counter()
     asked = [item for item in ITEMS if not arguments.only or item.name in arguments.only]
+    asked.sort(key=lambda item: -item.seconds)
     rows = {
         item.name: _earlier(item, arguments.out / item.name, commit)
         for item in ITEMS
@@ -121,18 +125,24 @@ def _run(
     out.mkdir(parents=True, exist_ok=True)
     start = time.perf_counter()
     with (out / "log.txt").open("w", encoding="utf-8") as log:
+        process = subprocess.Popen(
+            command,
+            cwd=HERE.parent,
+            env=_environment(item, out.parent / "programs"),
+            stdout=log,
+            stderr=subprocess.STDOUT,
+            start_new_session=True,
+        )
         try:
-            code = subprocess.run(
-                command,
-                cwd=HERE.parent,
-                env=_environment(item, out.parent / "programs"),
-                stdout=log,
-                stderr=subprocess.STDOUT,
-                timeout=limit,
-            ).returncode
+            code = process.wait(limit)
             why = "" if code == 0 else f"exit code {code}"
         except subprocess.TimeoutExpired:
             why = f"stopped after {limit:.0f} s"
+        finally:
+            # Whatever it has started, such as workers, ends with it.
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(process.pid, signal.SIGKILL)
+            process.wait()
     row.update(
         state="failed" if why else "done",
         why=why,

@@ -123,16 +123,16 @@ def main() -> None:
         truth = find_scene(name, arguments.data, size=arguments.size).truth
         if truth is None:
             raise ValueError(f"{name} has no ground truth.")
-        rows += measured(name, np.asarray(truth.disparity, np.float64), arguments.points)
+        known = np.asarray(truth.disparity, np.float64)
+        rows += measured(Path(name).name, known, arguments.points)
     compared = beside(rows)
     print_table(rows, title="error against bytes")
     print_table(compared, title="bytes at our errors")
     write_csv(arguments.out / "codec.csv", rows)
     write_json(arguments.out / "codec.json", {"rates": rows, "at equal error": compared})
     figure = Figure(figsize=(4.5 * len(arguments.scenes), 3.8), layout="constrained")
-    for axes, name in zip(
-        figure.subplots(1, len(arguments.scenes), squeeze=False)[0], arguments.scenes, strict=True
-    ):
+    names = list(dict.fromkeys(row["scene"] for row in rows))
+    for axes, name in zip(figure.subplots(1, len(names), squeeze=False)[0], names, strict=True):
         for code in (OURS, PNG, JPEG):
             mine = [row for row in rows if row["scene"] == name and row["code"] == code]
             across = [row["bits per pixel"] for row in mine]

@@ -4,6 +4,7 @@
     python experiments/figure_6_10.py --preset full
 
 Preset `thesis` has the thesis' own eight. Each is multiplied by 1/4 to 4, t by what it leaves of 1.
+Scenes are searched over the widest of their ranges, so that they share a program.
 """
 
 import argparse
@@ -14,10 +15,13 @@ import jax
 import jax.numpy as jnp
 from _report import print_table, shared_data, write_csv, write_json
 from _scenes import scenes
+from jax import Array
 from matplotlib.figure import Figure
 
 from mvedge_jax import describe, lean_jit
 from mvedge_jax.depth import EdgeDepth
+from mvedge_jax.learn import of_one_range
+from mvedge_jax.lightfield import GroundTruth, LightField
 from mvedge_jax.metrics.depth import mse, q25
 
 # Numbers by path, and what the thesis calls them.
@@ -44,6 +48,18 @@ SWEEPS = {
 }
 
 
+@lean_jit
+def _errors(settings: EdgeDepth, blind: LightField, truth: GroundTruth) -> tuple[Array, Array]:
+    """MSE and Q25 of every setting. All numbers are batched: one program serves every sweep."""
+
+    def one(model: EdgeDepth) -> tuple[Array, Array]:
+        found = model(blind, key=jax.random.key(0)).disparity
+        maps = found, truth.disparity
+        return mse(*maps, mask=truth.valid), q25(*maps, mask=truth.valid)
+
+    return jax.vmap(one)(settings)
+
+
 def main() -> None:
     """Sweeps one parameter at a time around its default."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -59,22 +75,13 @@ def main() -> None:
     arguments = parser.parse_args()
     factors = jnp.geomspace(0.25, 4.0, arguments.steps)
     rows = []
-    for name, light_field in scenes(arguments.data, arguments.scenes, size=arguments.size):
-        truth, blind = light_field.truth, light_field.without_truth()
+    found_scenes = dict(scenes(arguments.data, arguments.scenes, size=arguments.size))
+    ranged = of_one_range(list(found_scenes.values()))
+    base = EdgeDepth.for_light_field(ranged[0].without_truth(), preset=arguments.preset)
+    known = {row.path: row.value for row in describe(base)}
+    for name, light_field in zip(found_scenes, ranged, strict=True):
+        truth, blind = light_field.truth, light_field.bare()
         assert truth is not None
-        base = EdgeDepth.for_light_field(blind, preset=arguments.preset)
-        known = {row.path: row.value for row in describe(base)}
-        maps = (truth.disparity, truth.valid)
-
-        # All parameters that a sweep touches are batched, so that one program serves every sweep.
-        @lean_jit
-        def errors(settings: EdgeDepth, blind=blind, maps=maps):
-            def one(model: EdgeDepth):
-                found = model(blind, key=jax.random.key(0)).disparity
-                return mse(found, maps[0], mask=maps[1]), q25(found, maps[0], mask=maps[1])
-
-            return jax.vmap(one)(settings)
-
         for label, title in SWEEPS[arguments.preset].items():
             if arguments.only and label not in arguments.only:
                 continue
@@ -83,7 +90,7 @@ def main() -> None:
             settings = jax.tree.map(lambda a: jnp.stack([a] * arguments.steps), base)
             settings = settings.replace({label: values})
             start = time.perf_counter()
-            found = jax.block_until_ready(errors(settings))
+            found = jax.block_until_ready(_errors(settings, blind, truth))
             seconds = time.perf_counter() - start
             for value, m, q in zip(values, *found, strict=True):
                 row = {"value": float(value), "MSE*100": float(m), "Q25*100": float(q)}

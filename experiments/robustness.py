@@ -1,5 +1,7 @@
 """Depth from views that are noisy, dark, or of different brightness; ours and the plane sweep.
 
+Both search the range that is measured in the changed views, out to whole and half pixels.
+
 python experiments/robustness.py ../shared/data/hci/cotton --out results/robustness
 """
 
@@ -11,7 +13,6 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 import cv2
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -96,18 +97,15 @@ def measured(
     start = time.perf_counter()
     low, high = scene_range(views)
     searching = time.perf_counter() - start
-    views = eqx.tree_at(
-        lambda f: f.disparity_range,
-        views,
-        jnp.asarray((low, high)),
-        is_leaf=lambda leaf: leaf is None,
-    )
+    # Out to half pixels: most changes of a scene share a program.
+    searched = float(np.floor(2 * low) / 2), float(np.ceil(2 * high) / 2)
+    views = views.with_range(*searched)
     model = EdgeDepth.for_light_field(views, views=which)
     jax.block_until_ready(model(views))
     start = time.perf_counter()
     found = jax.block_until_ready(model(views))
     seconds = time.perf_counter() - start
-    sweep = plane_sweep(views, disparity_range=(low, high)).disparity
+    sweep = plane_sweep(views, disparity_range=searched).disparity
     ranges[label] = low, high
     clean = ranges.get("clean", (low, high))
     figures: dict[str, Any] = {"change": label}

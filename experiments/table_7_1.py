@@ -192,12 +192,13 @@ DEFAULT = [name for name in METHODS if name != "from_sweep"]
 
 
 def scenes(
-    data: Path | None, size: int, names: list[str]
+    data: Path | None, size: int, names: list[str], scale: float
 ) -> Iterator[tuple[str, Photographs, list[int]]]:
     """Scenes, and the photographs of each that are the reference."""
     folder = None if data is None else data / "mvs" / "livingroom5"
     if folder is not None and folder.is_dir() and (not names or "livingroom5" in names):
-        yield "livingroom5", load_photographs(folder, intrinsics=LIVING_ROOM), list(range(5))
+        photographs = load_photographs(folder, intrinsics=LIVING_ROOM, scale=scale)
+        yield "livingroom5", photographs, list(range(5))
     for name in ("edges", "demo"):
         if names and name not in names:
             continue
@@ -251,6 +252,7 @@ def main() -> None:
     parser.add_argument("--data", type=Path, default=shared_data())
     parser.add_argument("--scenes", nargs="*", default=[])
     parser.add_argument("--size", type=int, default=512, help="side of the rendered scenes, px")
+    parser.add_argument("--scale", type=float, default=1.0, help="of the sides of photographs")
     parser.add_argument("--methods", nargs="+", choices=list(METHODS), default=DEFAULT)
     parser.add_argument("--references", type=int, help="so many photographs are the reference")
     parser.add_argument("--colmap", type=Path, help="folder of COLMAP's depth maps")
@@ -258,7 +260,8 @@ def main() -> None:
     colmap = partial(from_colmap, maps=arguments.colmap)
     methods = [*(METHODS[name] for name in arguments.methods), colmap]
     rows: list[dict] = []
-    for scene, photographs, indices in scenes(arguments.data, arguments.size, arguments.scenes):
+    found = scenes(arguments.data, arguments.size, arguments.scenes, arguments.scale)
+    for scene, photographs, indices in found:
         for index in indices[: arguments.references]:
             rows += scored(scene, photographs, index, methods)
             write_csv(arguments.out / "table_7_1.csv", rows)

@@ -2,6 +2,7 @@
 
 import json
 import sys
+import time
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -34,8 +35,29 @@ def test_results_tell_commit_and_command_without_folders_of_this_machine(tmp_pat
 def test_every_item_has_a_name_of_its_own_and_a_script_that_leaves_its_rows_as_json():
     folder = Path(_items.__file__).parent
     assert len({item.name for item in _items.ITEMS}) == len(_items.ITEMS)
+    # Long ones start first; two cores have 100 minutes for all of them.
+    assert sum(item.seconds for item in _items.ITEMS) < 100 * 60 * 2
     texts = {item.script: (folder / item.script).read_text("utf-8") for item in _items.ITEMS}
     assert [script for script, text in texts.items() if "write_json(" not in text] == []
+
+
+def test_a_script_that_runs_out_of_time_ends_with_all_that_it_has_started(tmp_path, monkeypatch):
+    script = """
+import subprocess, sys, time
+child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(600)"])
+print(child.pid, flush=True)
+time.sleep(600)
+"""
+    (tmp_path / "hangs.py").write_text(script)
+    monkeypatch.setattr(page, "HERE", tmp_path)
+    item = _items.Item("hangs", "hangs.py", "", "", "nothing", 1)
+    row = page._run(item, "quick", tmp_path / "out", "a commit", 1.5, again=True)
+    assert (row["state"], row["why"]) == ("failed", "stopped after 2 s")
+    status = Path(f"/proc/{int((tmp_path / 'out' / 'log.txt').read_text())}/status")
+    deadline = time.monotonic() + 10
+    while status.exists() and "(zombie)" not in status.read_text() and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert not status.exists() or "(zombie)" in status.read_text()
 
 
 def test_the_table_of_edges_ends_with_the_mean_and_the_worst_scene():
