@@ -380,9 +380,9 @@ ITEMS = (
         "benchmark_batch_machines",
         "benchmarks/batch_machines.py",
         None,
-        "--count 100",
+        "",
         "Many light fields on two workers, one of which is killed",
-        120,
+        230,
     ),
     Item(
         "benchmark_sweep",
