@@ -417,6 +417,14 @@ ITEMS = (
         100,
     ),
     Item(
+        "benchmark_table",
+        "benchmarks/table.py",
+        None,
+        "",
+        "Seconds and memory by size, beside peers",
+        420,
+    ),
+    Item(
         "benchmark_calls",
         "benchmarks/depth.py",
         None,

@@ -189,6 +189,36 @@ def times(results: Results) -> str:
     return _table(("", "first call", "later calls"), lines)
 
 
+def sizes(results: Results) -> str:
+    """README: seconds and memory by size, beside peers in the same run."""
+
+    def cell(row: Row, name: str, digits: int) -> str:
+        return "" if row.get(name) is None else _rounded(row[name], digits)
+
+    columns = {
+        "first call, s": ("first s", 0),
+        "from the cache": ("from cache s", 1),
+        "later calls": ("warm s", 2),
+        "GiB": ("peak GiB", 1),
+        "value and gradient, s": ("gradient warm s", 1),
+        "GiB ": ("gradient peak GiB", 1),
+        "settings a second": ("settings per s", 1),
+        "plane sweep, s": ("sweep s", 2),
+        "SGBM, s": ("SGBM s", 2),
+        "one diffusion, s": ("diffusion s", 2),
+        "PyAMG, s": ("PyAMG s", 2),
+    }
+    errors = {name: f"{name} BP(.07)" for name in ("sweep", "SGBM")}
+    lines = []
+    for row in results.rows("sizes"):
+        cells = {head: cell(row, *what) for head, what in columns.items()}
+        cells["later calls"] += f" ({_rounded(row['BP(.07)'], 1)} %)"
+        cells["plane sweep, s"] += f" ({_rounded(row[errors['sweep']], 0)} %)"
+        cells["SGBM, s"] += f" ({_rounded(row[errors['SGBM']], 0)} %)"
+        lines.append((f"{row['px']:.0f}", *cells.values()))
+    return _table(("px", *(head.strip() for head in columns)), lines)
+
+
 def gradient(results: Results) -> str:
     """README, in a sentence: seconds and memory of value and gradient."""
     row = results.row("times", stage="gradient")
@@ -322,7 +352,7 @@ def origins(results: Results) -> str:
 TABLES: dict[str, Callable[..., str]] = {
     make.__name__: make
     for make in (
-        accuracy, edges, parts, views, times, gradient, scores, step, program, calibrated,
+        accuracy, edges, parts, views, times, sizes, gradient, scores, step, program, calibrated,
         calibration, codec, beside, origins,
     )
 }  # fmt: skip

@@ -32,7 +32,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 from experiments._report import peak_memory, print_table, timed, write_json
 from experiments.benchmarks.diffusion import generate, pyamg_cg
 from experiments.benchmarks.large import render_stored
-from mvedge_jax import EdgeDepth, batched, describe, lean_jit
+from mvedge_jax import EdgeDepth, batched, compilation_cache, describe, lean_jit
 from mvedge_jax.datasets import synthetic
 from mvedge_jax.depth import estimate_depth
 from mvedge_jax.diffusion import Multigrid, diffuse
@@ -58,6 +58,7 @@ def main() -> None:
     arguments = parser.parse_args()
     if arguments.child is not None:
         what, file = arguments.child
+        compilation_cache()
         print(json.dumps(CHILDREN[what](*_opened(Path(file)), arguments.repeats)))
         return
     rows = []
@@ -75,7 +76,7 @@ def main() -> None:
             row |= _child("peers", file, arguments.repeats)
         rows.append(row)
         print_table([{"": key, "value": value} for key, value in row.items()], title=f"{size} px")
-    write_json(arguments.out / "table.json", rows)
+    write_json(arguments.out / "sizes.json", rows)
 
 
 def _child(what: str, file: Path, repeats: int, cache: Path | None = None) -> dict[str, Any]:
@@ -189,14 +190,13 @@ def _semi_global(light_field: LightField) -> np.ndarray:
     assert light_field.disparity_range is not None
     low, high = (steps * float(end) for end in light_field.disparity_range)
     first, count = int(np.floor(low)) - 1, 16 * int(np.ceil((high - low + 3) / 16))
-    side = 5
+    side = 3
     matcher = cv2.StereoSGBM.create(
         minDisparity=first,
         numDisparities=count,
         blockSize=side,
-        P1=8 * 3 * side**2,
-        P2=32 * 3 * side**2,
-        uniquenessRatio=5,
+        P1=8 * side**2,
+        P2=32 * side**2,
         mode=cv2.STEREO_SGBM_MODE_HH,
     )
     found = matcher.compute(left, right).astype(np.float32) / 16
