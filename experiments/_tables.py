@@ -191,32 +191,46 @@ def times(results: Results) -> str:
 
 def sizes(results: Results) -> str:
     """README: seconds and memory by size, beside peers in the same run."""
+    found = results.rows("sizes")
 
-    def cell(row: Row, name: str, digits: int) -> str:
-        return "" if row.get(name) is None else _rounded(row[name], digits)
+    def line(title: str, *cells: tuple[str, str, int]) -> tuple[str, ...]:
+        """Of every size; each cell has a form, the column of the result and its digits."""
 
-    columns = {
-        "first call, s": ("first s", 0),
-        "from the cache": ("from cache s", 1),
-        "later calls": ("warm s", 2),
-        "GiB": ("peak GiB", 1),
-        "value and gradient, s": ("gradient warm s", 1),
-        "GiB ": ("gradient peak GiB", 1),
-        "settings a second": ("settings per s", 1),
-        "plane sweep, s": ("sweep s", 2),
-        "SGBM, s": ("SGBM s", 2),
-        "one diffusion, s": ("diffusion s", 2),
-        "PyAMG, s": ("PyAMG s", 2),
-    }
-    errors = {name: f"{name} BP(.07)" for name in ("sweep", "SGBM")}
-    lines = []
-    for row in results.rows("sizes"):
-        cells = {head: cell(row, *what) for head, what in columns.items()}
-        cells["later calls"] += f" ({_rounded(row['BP(.07)'], 1)} %)"
-        cells["plane sweep, s"] += f" ({_rounded(row[errors['sweep']], 0)} %)"
-        cells["SGBM, s"] += f" ({_rounded(row[errors['SGBM']], 0)} %)"
-        lines.append((f"{row['px']:.0f}", *cells.values()))
-    return _table(("px", *(head.strip() for head in columns)), lines)
+        def of(row: Row) -> str:
+            texts = [
+                form.format(_rounded(row[column], digits))
+                for form, column, digits in cells
+                if row.get(column) is not None
+            ]
+            return "".join(texts)
+
+        return title, *map(of, found)
+
+    return _table(
+        ("", *(f"{row['px']:.0f} px" for row in found)),
+        [
+            line(
+                "first call, s (from the cache)", ("{}", "first s", 0), (" ({})", "from cache s", 1)
+            ),
+            line("later calls, s", ("{}", "warm s", 2)),
+            line("memory, GiB", ("{}", "peak GiB", 1)),
+            line("pixels above 0.07 px", ("{} %", "BP(.07)", 1)),
+            line("value and gradient, later calls, s", ("{}", "gradient warm s", 1)),
+            line("memory, GiB", ("{}", "gradient peak GiB", 1)),
+            line("settings a second, in one call", ("{}", "settings per s", 1)),
+            line(
+                "plane sweep, s (pixels above 0.07 px)",
+                ("{}", "sweep s", 2),
+                (" ({} %)", "sweep BP(.07)", 0),
+            ),
+            line(
+                "OpenCV's SGBM, two views, s (the same)",
+                ("{}", "SGBM s", 3),
+                (" ({} %)", "SGBM BP(.07)", 0),
+            ),
+            line("one diffusion, s (PyAMG)", ("{}", "diffusion s", 3), (" ({})", "PyAMG s", 2)),
+        ],
+    )
 
 
 def gradient(results: Results) -> str:
@@ -261,7 +275,8 @@ def parts(results: Results) -> str:
 
 def scores(results: Results, name: str, scene: str, method: str, *columns: str) -> str:
     """In a sentence: scores of a row, by the names of their columns."""
-    return ", ".join(_cells(results.row(name, scene=scene, method=method), columns))
+    part = "summary" if scene in ("mean", "worst") else "rows"
+    return ", ".join(_cells(results.row(name, part, scene=scene, method=method), columns))
 
 
 def step(results: Results, method: str) -> str:
