@@ -8,10 +8,7 @@ from helpers import random_like
 
 from mvedge_jax._linear_map import linear_map
 
-FIXED = {
-    "matrix": jax.random.normal(jax.random.key(0), (3, 4)),
-    "order": jnp.array([2, 0, 1]),
-}
+FIXED = {"matrix": jax.random.normal(jax.random.key(0), (3, 4)), "order": jnp.array([2, 0, 1])}
 MOVING = {"x": jax.random.normal(jax.random.key(1), (4,)), "y": jnp.asarray(0.7)}
 
 

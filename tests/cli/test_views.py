@@ -91,10 +91,7 @@ def test_what_speaks_against_the_depth_is_said(command, tmp_path, capsys):
     scene = write_hci(tmp_path / "black", np.zeros((3, 3, 32, 40, 3), np.uint8))
     mask, out = tmp_path / "mask.png", tmp_path / "out"
     cv2.imwrite(str(mask), np.full((32, 40), 255, np.uint8))
-    more = {
-        "edit": ["--mask", str(mask), "--colour", "1", "0", "0"],
-        "batch": [*RANGE],
-    }
+    more = {"edit": ["--mask", str(mask), "--colour", "1", "0", "0"], "batch": [*RANGE]}
     assert _main.main([command, str(scene), str(out), *more.get(command, [])]) == 0
     said = capsys.readouterr().err
     folder = out / "black" if command == "batch" else out

@@ -89,10 +89,8 @@ def test_the_page_is_small_asks_nobody_and_its_scripts_parse():
 def test_nothing_at_all_is_known():
     flat = np.full((48, 64), np.nan)
     data = _data(page(square_field(known=False), result()._replace(disparity=flat, error=flat)))
-    assert data["truth"] is None
-    assert data["camera"] is None
+    assert (data["truth"], data["camera"], data["results"][0]["scores"]) == (None, None, [])
     assert data["range"][0] < data["range"][1]
-    assert data["results"][0]["scores"] == []
 
 
 @pytest.mark.parametrize(
@@ -115,21 +113,15 @@ def test_a_result_is_read_from_its_folder(tmp_path):
     assert given.xy is not None
     write_pfm(tmp_path / "disparity.pfm", disparity())
     alone = read_result(tmp_path / "disparity.pfm")
-    assert alone.name == "disparity"
-    assert alone.error is None
+    assert (alone.name, alone.error) == ("disparity", None)
     write_pfm(tmp_path / "standard_error.pfm", given.error)
     write_pfm(tmp_path / "before.pfm", 0 * disparity())
     np.savez(tmp_path / "points.npz", xy=given.xy, disparity=[1.0, 1.0, 0.9], error=[0.1] * 3)
     found = read_result(tmp_path, name="all")
     np.testing.assert_array_equal(found.disparity, disparity())
-    assert found.states is not None
-    assert found.states.shape == (2, 48, 64)
-    assert found.points is not None
-    assert found.points.shape == (3, 2)
+    assert np.shape(found.states) == (2, 48, 64)
+    assert np.shape(found.points) == (3, 2)
     assert found.normals is None
-    np.savez(tmp_path / "points.npz", xy=given.xy, disparity=[1.0, 1.0])
-    with pytest.raises(ValueError, match="could not be read as points"):
-        read_result(tmp_path)
     (tmp_path / "points.npz").write_bytes(b"PK damaged")
     with pytest.raises(ValueError, match="could not be read as points"):
         read_result(tmp_path)
@@ -188,18 +180,6 @@ def test_a_port_in_use_is_passed_over(running):
     taken = running.server_address[1]
     with serve("other", port=taken) as second:
         assert taken < second.server_address[1] <= taken + 20
-
-
-@pytest.mark.parametrize(
-    ("options", "error", "message"),
-    [
-        ({"host": "192.0.2.1", "port": 0}, OSError, r"cannot be served at 192\.0\.2\.1"),
-        ({"port": 70000}, ValueError, "between 0 and 65535, got 70000"),
-    ],
-)
-def test_an_address_that_is_not_ours_is_refused(options, error, message):
-    with pytest.raises(error, match=message):
-        serve("", **options)
 
 
 def test_hidden_surfaces_are_the_most_certain_points_of_other_views():
