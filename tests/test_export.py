@@ -55,21 +55,17 @@ def test_a_depth_result_goes_to_a_file_and_back():
         program.call(light_field.renamed("another"), ColorAndDepth())
 
 
-def test_solvers_keep_their_static_fields():
-    solver = mv.diffusion.Multigrid(max_iterations=7)
-    data = export.export(jax.jit(lambda s: s))(solver).serialize()
-    found: Any = export.deserialize(data).call(solver)
-    assert found.max_iterations == 7
-    assert jax.tree.structure(found) == jax.tree.structure(solver)
-
-
-def test_static_choices_are_kept():
-    raster = SplatRaster(scale=2, capacity=7)
-    labels = SplattedLabels(splat=SplatLabels(raster=raster))
-    data = export.export(jax.jit(lambda part: part))(labels).serialize()
-    found: Any = export.deserialize(data).call(labels)
-    assert found.splat.raster == raster
-    assert jax.tree.structure(found) == jax.tree.structure(labels)
+@pytest.mark.parametrize(
+    "part",
+    [
+        SplattedLabels(splat=SplatLabels(raster=SplatRaster(scale=2, capacity=7))),
+        mv.diffusion.Multigrid(max_iterations=7),
+    ],
+    ids=["labels", "solver"],
+)
+def test_static_choices_are_kept(part):
+    data = export.export(jax.jit(lambda part: part))(part).serialize()
+    assert jax.tree.structure(export.deserialize(data).call(part)) == jax.tree.structure(part)
 
 
 def test_every_public_type_is_registered():
