@@ -11,7 +11,7 @@ import pytest
 from helpers import check_modes
 from jax import lax
 
-from mvedge_jax import batched
+from mvedge_jax import _batched, batched
 
 SHARED = jnp.linspace(0.0, 1.0, 7)
 
@@ -84,6 +84,18 @@ def test_derivatives_in_rows_and_in_what_they_share():
     check_modes(loss, (jnp.asarray([0.3, 0.8, 1.7]), SHARED), rtol=1e-6, key=jax.random.key(0))
 
 
+def test_large_arrays_go_alone_on_the_cpu_and_by_the_eight_elsewhere(monkeypatch):
+    def groups(size):
+        traced = jax.make_jaxpr(lambda rows: batched(lambda r: jnp.ones(size) * r)(rows))
+        return str(traced(jnp.zeros(64))).split("length=")[1].split()[0]
+
+    assert groups(_batched._NUMBERS) == "64"
+    assert groups(_batched._NUMBERS // 4) == "16"
+    assert groups(1) == "8"
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    assert groups(_batched._NUMBERS) == "8"
+
+
 def test_no_rows_give_none():
     assert batched(lambda row: row[:2])(jnp.zeros((0, 3))).shape == (0, 2)
 
@@ -111,7 +123,7 @@ import jax
 import jax.numpy as jnp
 
 jax.config.update("jax_num_cpu_devices", 2)
-from mvedge_jax import batched
+from mvedge_jax import _batched, batched
 
 
 def grown(row, shared, name):
