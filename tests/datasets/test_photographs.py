@@ -27,7 +27,7 @@ from scipy.spatial.transform import Rotation
 from mvedge_jax.datasets.exchange import read_ply, write_colmap, write_nerfstudio, write_ply
 from mvedge_jax.datasets.photographs import load_photographs
 from mvedge_jax.datasets.photographs._photographs import nearby, open_photographs
-from mvedge_jax.datasets.photographs._sift import _features, triangulated
+from mvedge_jax.datasets.photographs._sift import triangulated
 from mvedge_jax.posed import Photographs
 
 
@@ -230,15 +230,6 @@ def test_points_that_nobody_is_known_to_see_are_kept(tmp_path):
     assert given(load_photographs(tmp_path, around="d.png", most=2).points).shape == (4, 3)
     (tmp_path / "sparse" / "0" / "points3D.txt").write_text("# none\n")
     assert load_photographs(tmp_path, points=False).points is None
-
-
-def test_features_lie_where_they_are():
-    y, x = np.mgrid[:120, :140].astype(float)
-    wanted = np.asarray([[60.0, 60.0], [100.5, 30.25], [30.3, 90.7]])
-    image = sum(np.exp(-((x - a) ** 2 + (y - b) ** 2) / 32) for a, b in wanted)
-    found, _ = _features(np.repeat(np.clip(image, 0, 1)[..., None], 3, axis=2).astype(np.float32))
-    for place in wanted:
-        assert np.linalg.norm(found - place, axis=1).min() < 0.05
 
 
 def test_features_are_triangulated_where_they_are():

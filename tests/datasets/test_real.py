@@ -57,12 +57,6 @@ def test_cotton():
     assert set(np.unique(np.asarray(known(light_field.truth).object_ids))) == {1, 4}
 
 
-def test_lytro():
-    light_field = load_light_field(shared_data("lytro", "2067"), views=7)
-    assert light_field.views.shape == (7, 7, 383, 552, 3)
-    assert light_field.truth is None
-
-
 def test_cotton_within_time_and_memory():
     """81 views of 512x512 in under 4 s and 600 MB, the interpreter with JAX included.
 
