@@ -5,7 +5,6 @@ import signal
 import subprocess
 import sys
 import time
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import jax
@@ -142,13 +141,6 @@ def test_choices_are_grouped(bowl):
     assert all(count <= 4 for _, count, _ in bowl)
     # One wave of 16 in two groups: no more calls than full batches and one rest each.
     assert len(bowl) <= 2 * (4 + 2)
-
-
-def test_a_pool_gives_the_same_result(bowl):
-    alone = sweep(["a", "bc"], SPACE, trials=24)
-    with ThreadPoolExecutor(2) as pool:
-        shared = sweep(["a", "bc"], SPACE, trials=24, submit=pool.submit)
-    assert alone.rows == shared.rows
 
 
 def test_threads_run_side_by_side_but_what_may_compile_runs_alone(scored):
