@@ -39,7 +39,9 @@ def result(light_field, rule):
 def test_a_depth_result_goes_to_a_file_and_back():
     views = jnp.asarray(np.random.default_rng(0).random((3, 3, 6, 8, 3)))
     truth = mv.GroundTruth(views[0, 0, :, :, 0], views[0, 0, :, :, 0] > 0.5)
-    light_field = mv.LightField(views, disparity_range=(-1.0, 1.0), truth=truth, name="a scene")
+    places = np.stack(np.meshgrid([-1, 0, 1.4], [-1, 0, 1]), axis=-1)
+    known = {"disparity_range": (-1.0, 1.0), "truth": truth, "positions": places}
+    light_field = mv.LightField(views, name="a scene", **known)
     data = export.export(jax.jit(result))(light_field, ColorAndDepth()).serialize(vjp_order=1)
     program = export.deserialize(data)
     found = program.call(light_field, ColorAndDepth())

@@ -4,7 +4,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from jax import export
 
 from mvedge_jax import Camera, GroundTruth, LightField
 from mvedge_jax._crosshair import crosshair
@@ -153,6 +152,8 @@ def test_positions_move_points_as_far_as_they_are_away():
     np.testing.assert_allclose(down.steps, [1.5, 0, -1.5], rtol=1e-6)
     assert (field.farthest, _random().farthest) == (2, 2)
     assert _random(positions=_places(rows=(-2.2, 0, 1.5))).farthest == 3
+    with pytest.raises(TypeError, match="`light_field.positions` is traced"):
+        jax.jit(lambda s: jnp.asarray(s.farthest))(field)
 
 
 def test_positions_survive_what_is_done_to_a_light_field():
@@ -184,14 +185,3 @@ _BENT = _places() + 0.3 * (np.arange(5) == 4)[None, :, None] * [0, 1]
 def test_positions_are_those_of_rows_and_columns(positions, message):
     with pytest.raises(ValueError, match=message):
         _random(positions=positions)
-
-
-def test_positions_are_written_with_a_program_and_no_size_is_chosen_from_traced_ones():
-    field = _random(positions=_places())
-    with pytest.raises(TypeError, match="`light_field.positions` is traced"):
-        jax.jit(lambda s: jnp.asarray(s.farthest))(field)
-    pytest.importorskip("flatbuffers", reason="jax.export writes files by it")
-    data = export.export(jax.jit(lambda s: (s, s.steps)))(field).serialize()
-    same, steps = export.deserialize(data).call(field)
-    np.testing.assert_array_equal(same.positions, field.positions)
-    np.testing.assert_array_equal(steps, field.steps)

@@ -214,9 +214,9 @@ def test_named_scenes_keep_their_promises(name):
 def test_truth_is_the_same_at_any_resolution_and_number_of_samples():
     scene, seen = synthetic.scene("demo"), []
     # An even number of samples has none in the pixel's centre: the truth takes one more ray.
-    small = render(scene, (1, 1, 20, 18), samples=2)
-    large = render(scene, (1, 1, *SMALL[2:]), progress=lambda *counts: seen.append(counts))
-    assert seen == [(1, 1)]
+    shape, large = (1, 3, 20, 18), render(scene, (1, 1, *SMALL[2:]))
+    small = render(scene, shape, samples=2, progress=lambda *counts: seen.append(counts))
+    assert seen == [(1, 3), (2, 3), (3, 3)]
     assert_array_equal(small.truth.object_ids, large.truth.object_ids[1::3, 1::3])
     assert_allclose(small.truth.disparity, large.truth.disparity[1::3, 1::3], atol=1e-4)
 

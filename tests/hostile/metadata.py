@@ -4,7 +4,7 @@ import itertools
 from pathlib import Path
 
 import numpy as np
-from datasets.layouts import CONFIGURATION, random_views, write_hci
+from datasets.layouts import CONFIGURATION, random_views, write_hci, write_stanford
 from hostile.case import hostile, refuses, survives
 from hostile.folders import occupy
 from hostile.scenes import TRUTH, hci
@@ -99,6 +99,13 @@ def _filed(folder: Path, bad: bytes) -> None:
     scene = write_hci(folder / "scene", random_views())
     (folder / "positions.txt").write_bytes(bad)
     refuses(lambda: load_light_field(scene, positions=folder / "positions.txt"))
+
+
+@hostile("a camera named {}", ["1e999_0", "0_1e999", "5_5"])
+def _rig(folder: Path, place: str) -> None:
+    scene = write_stanford(folder / "scene", random_views())
+    next(scene.glob("out_01_02_*")).rename(scene / f"out_01_02_{place}.png")
+    refuses(lambda: load_light_field(scene), "scene")
 
 
 _HEADERS = [

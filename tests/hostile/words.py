@@ -34,7 +34,7 @@ eval MAP [bold]x[/red] | [bold]x[/red] is not there
 eval MAP SCENE --crop 1 --out SCENE --overwrite | depth SCENE SCENE | export BIG BIG --to colmap |
     is the input
 eval MAP SCENE --crop 1 --out SCENE/inside --overwrite | depth SCENE SCENE/inside --overwrite |
-    batch SCENE SCENE | lies in the input
+    batch SCENE SCENE | optimize SCENE SCENE/inside --overwrite | lies in the input
 eval MAP SCENE --crop 1 --out PARENT --overwrite | edges SCENE PARENT --overwrite |
     holds the input
 eval MAP SCENE --crop 1 --out SCENE/.. --overwrite | holds

@@ -197,6 +197,7 @@ def test_parts_and_functions_leave_out_what_has_no_derivative(model):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
+        ({"steps": 0}, "`steps` must be at least 1, got 0"),
         ({"batch": 6}, "`batch` must be at most the number of scenes, 5, got 6"),
         ({"prior": -1.0}, "`prior` must be finite and not negative"),
         ({"validation": []}, "`validation` must have one scene at least, got none"),
