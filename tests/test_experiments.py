@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from experiments import _items, _photographs, _report, all as page, peer_maps, table_edges
+from experiments import _items, _photographs, _report, all as page, peer_maps
 from mvedge_jax.datasets import write_pfm
 from mvedge_jax.lightfield import GroundTruth
 
@@ -32,20 +32,6 @@ def test_every_item_has_a_name_of_its_own_and_a_script_that_leaves_its_rows_as_j
     assert len({item.name for item in _items.ITEMS}) == len(_items.ITEMS)
     texts = {item.script: (folder / item.script).read_text("utf-8") for item in _items.ITEMS}
     assert [script for script, text in texts.items() if "write_json(" not in text] == []
-
-
-def test_the_table_of_edges_ends_with_the_mean_and_the_worst_scene():
-    columns = table_edges.COLUMNS
-    rows = [
-        {"scene": scene, "method": method, **dict.fromkeys(columns, value)}
-        for scene, value in (("edges", 1.0), ("demo", 3.0))
-        for method in ("edges", "full")
-    ]
-    found = table_edges.summary(rows)
-    assert [(row["scene"], row["method"]) for row in found] == [
-        (what, method) for what in ("mean", "worst") for method in ("edges", "full")
-    ]
-    assert [row["MSE*100"] for row in found] == [2.0, 2.0, 3.0, 3.0]
 
 
 def test_a_published_map_is_scored_on_the_pixels_that_it_has(tmp_path):

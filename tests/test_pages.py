@@ -1,6 +1,5 @@
 """Figures of the pages are those of the results; results know the code that they depend on."""
 
-import json
 import shutil
 import warnings
 
@@ -74,28 +73,6 @@ def test_every_table_is_on_a_page_and_every_result_is_small():
     assert {name for name in TABLES if f"<!-- results: {name} " not in text} == set()
     folder = _report.ROOT / "experiments" / "results"
     assert {path.name for path in folder.glob("*.json") if path.stat().st_size > 2**16} == set()
-
-
-def test_a_result_is_stale_when_code_changes_but_not_when_a_comment_does(copy, capsys):
-    folder = copy / "experiments" / "results"
-    shutil.rmtree(folder)
-    folder.mkdir()
-    origin = {"commit": "", "date": "", "command": ""}
-    depends = _report.digests(["mvedge_jax/epi/*.py", "mvedge_jax/metrics/*.py"], copy)
-    found = {**origin, "depends": depends, "content": []}
-    (folder / "found.json").write_text(json.dumps(found))
-    for page in pages.pages(copy):
-        page.unlink()
-    (copy / "README.md").write_text("no figures")
-    module = copy / "mvedge_jax" / "metrics" / "depth.py"
-    text = module.read_text(encoding="utf-8")
-    module.write_text("# Another comment.\n\n" + text, encoding="utf-8")
-    assert pages.stale(copy) == []
-    module.write_text(text + "\n_ANOTHER = 1\n", encoding="utf-8")
-    assert pages.stale(copy) == ["found.json: mvedge_jax/metrics/*.py"]
-    assert pages.main(["--check"], copy) == 0
-    assert "stale: found.json: mvedge_jax/metrics/*.py" in capsys.readouterr().out
-    assert pages.main(["--check", "--strict"], copy) == 1
 
 
 def test_published_tables_are_those_that_the_thesis_prints():

@@ -55,10 +55,13 @@ def test_views_are_where_their_labels_say():
 @pytest.mark.parametrize("along", ["row", "column"])
 def test_epi_lines_have_the_slope_of_the_convention(along):
     scene = _scene()
-    lines = {"positions": [4.0, 9.0, 2.0], "disparities": [1.0, -0.5, 0.0], "valid": [1, 1, 0]}
-    lines = {name: jnp.asarray(values) for name, values in lines.items()}
-    lines["valid"] = lines["valid"] > 0
-    figure = plotting.plot_epi(scene, **{along: 6}, **lines)
+    options: Any = {
+        along: 6,
+        "positions": jnp.array([4.0, 9.0, 2.0]),
+        "disparities": jnp.array([1.0, -0.5, 0.0]),
+        "valid": jnp.array([True, True, False]),
+    }
+    figure = plotting.plot_epi(scene, **options)
     lower = figure.axes[1]
     epi = _array(lower.images[0])
     expected = scene.views[1, :, 6] if along == "row" else scene.views[:, 2, :, 6]

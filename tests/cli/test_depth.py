@@ -6,7 +6,7 @@ import pytest
 from cli.scenes import RANGE, textured_plane
 from datasets.layouts import write_hci
 
-from mvedge_jax.cli import _depth
+from mvedge_jax.cli import _common, _depth, _tiles
 from mvedge_jax.datasets import read_pfm
 from mvedge_jax.tiles import Window
 
@@ -67,6 +67,15 @@ def test_a_preset_and_settings_are_estimated_with_and_reported(scene, tmp_path, 
     assert len(report["diffusion iterations"]) == 3
     found = read_pfm(tmp_path / "out" / "disparity.pfm")
     assert np.median(np.abs(found - 0.4)) < 0.01
+
+
+def test_nothing_is_left_behind_when_interrupted(scene, tmp_path, mvedge, monkeypatch):
+    def interrupt(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(_common, "compiled", lambda *_, **__: interrupt)
+    mvedge("depth", scene, tmp_path / "out", "--range", 0, 1, code=130)
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_black_view_is_named_and_costs_little(tmp_path, mvedge):

@@ -104,3 +104,11 @@ def test_exchanged_axes_are_warned_of(tmp_path, told, cards):
 def test_command_line(tmp_path, mvedge):
     folder = write_grid(tmp_path / "toy", random_views((5, 5, 6, 8, 3)))
     assert "3x3 of 8x6 px" in mvedge("info", folder, "--views", 3, "--quick").out
+
+
+def test_a_view_that_shows_nothing_is_named(tmp_path, told, cards):
+    views = cards.copy()
+    views[2, 4] = 0
+    lines, said = told(write_grid(tmp_path / "toy", views, pattern="v_{}_{}.png"), quick=True)
+    assert "1 of 25 missing: (v, u) = (2, 4)" in lines["views"]
+    assert "v_3_5.png is black." in said

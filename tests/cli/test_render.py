@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mvedge_jax.datasets import _write_hci, load_light_field
+from mvedge_jax.datasets import _write_hci, load_light_field, synthetic
 
 SIZE = (60, 54)  # the size of tests/datasets/test_synthetic.py, compiled already
 
@@ -65,4 +65,13 @@ def test_leaves_nothing_half_written(monkeypatch, tmp_path, render, error, code)
     monkeypatch.setattr(_write_hci, "write_pfm", fail)
     render("crossing", tmp_path / "out", "--no-occlusions", code=code)
     assert "input_Cam001.png" in seen[-1]
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_interrupting_the_renderer_leaves_nothing(monkeypatch, tmp_path, render):
+    def interrupt(*args, **kwargs):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(synthetic, "visibility", interrupt)
+    render("crossing", tmp_path / "out", code=130)
     assert list(tmp_path.iterdir()) == []

@@ -98,6 +98,12 @@ def test_points_are_optimised_and_exported_without_errors(tmp_path, mvedge, monk
     assert read_ply(tmp_path / "cloud" / "1.ply").shape == (depth.size, 3)
 
 
+def test_a_reference_that_is_not_there_is_told(model, tmp_path, mvedge):
+    said = mvedge("stereo", model, tmp_path / "out", "--reference", "nosuch", code=2)
+    assert "has no photograph called 'nosuch'; there are 0.png" in said.err
+    assert not (tmp_path / "out").exists()
+
+
 @pytest.fixture(scope="module")
 def light_field():
     return synthetic.render(
@@ -123,7 +129,7 @@ def test_a_light_field_in_colmap(result, tmp_path, mvedge):
     """Cameras, sensor shift and points: read by pycolmap, seen where the disparity says."""
     pycolmap = pytest.importorskip("pycolmap")
     out = tmp_path / "colmap"
-    said = mvedge("export", result, out, "--to", "colmap").err
+    said = mvedge("export", result, out, "--to", "colmap").out
     assert "9 views with their cameras, 20 points" in said
     model = pycolmap.Reconstruction(str(out / "sparse" / "0"))
     assert len(model.images) == 9
@@ -141,7 +147,7 @@ def test_a_light_field_in_colmap(result, tmp_path, mvedge):
 
 def test_a_light_field_in_nerfstudio(result, light_field, tmp_path, mvedge):
     out = tmp_path / "nerf"
-    said = mvedge("export", result, out, "--to", "nerfstudio").err
+    said = mvedge("export", result, out, "--to", "nerfstudio").out
     assert "9 views with their cameras, 20 points, depth of 1" in said
     found, wanted = load_photographs(out), photographs_of(light_field)
     for name, error in (("poses", 1e-6), ("intrinsics", 1e-4), ("images", 0.51 / 255)):
@@ -156,7 +162,7 @@ def test_points_land_where_the_disparity_map_says(result, light_field, tmp_path,
     """Within .05 px of it in every view."""
     for kind, name in (("dense", "input_Cam004.ply"), ("edges", "edges.ply")):
         out = tmp_path / kind
-        said = mvedge("export", result, out, "--to", "ply", "--points", kind).err
+        said = mvedge("export", result, out, "--to", "ply", "--points", kind).out
         points = read_ply(out / name)
         assert f"1 point cloud ({name}), {len(points)} points" in said
         if kind == "dense":
@@ -209,4 +215,4 @@ def test_points_of_a_colmap_model_are_no_edge_points(model, tmp_path, mvedge):
     words = ("export", folder, tmp_path / "out", "--to", "ply")
     said = mvedge(*words, "--points", "edges", code=2)
     assert "has no edge points; run mvedge depth" in said.err
-    assert f"4 point clouds (0.ply, 1.ply, 2.ply, ...), {DEPTHS.size} points" in mvedge(*words).err
+    assert f"4 point clouds (0.ply, 1.ply, 2.ply, ...), {DEPTHS.size} points" in mvedge(*words).out

@@ -11,6 +11,7 @@ import subprocess
 import sys
 import tempfile
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -32,8 +33,8 @@ def compute(file: Path, size: int) -> None:
     found = model(field)
     gradient = eqx.filter_grad(lambda m: m(field).disparity.mean())(model)
     leaves = np.concatenate([np.ravel(leaf) for leaf in jax.tree.leaves(gradient)])
-    maps = {"disparity": found.disparity, "error": found.error}
-    np.savez(file, views=field.views, **maps, gradient=leaves)
+    arrays: dict[str, Any] = {"views": field.views, "gradient": leaves}
+    np.savez(file, disparity=found.disparity, error=found.error, **arrays)
 
 
 def ran(cores: set[int], size: int) -> dict[str, np.ndarray]:

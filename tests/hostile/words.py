@@ -32,7 +32,7 @@ eval LARGE SCENE | 10x8 px (width x height), larger than the ground truth
 eval MAP BARE | has no ground truth; expected gt_disp_lowres.pfm
 eval MAP [bold]x[/red] | [bold]x[/red] is not there
 eval MAP SCENE --crop 1 --out SCENE --overwrite | depth SCENE SCENE | export BIG BIG --to colmap |
-    is the input
+    edit SCENE SCENE --mask MASK | is the input
 eval MAP SCENE --crop 1 --out SCENE/inside --overwrite | depth SCENE SCENE/inside --overwrite |
     batch SCENE SCENE | optimize SCENE SCENE/inside --overwrite | lies in the input
 eval MAP SCENE --crop 1 --out PARENT --overwrite | edges SCENE PARENT --overwrite |

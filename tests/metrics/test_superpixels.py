@@ -134,8 +134,8 @@ def test_tables_are_those_of_loops(seed):
 
 
 def test_missing_views_do_not_count():
-    labels, objects, disparity = (jnp.asarray(a) for a in _random(3, (1, 3, 9, 11)))
-    available = jnp.asarray([[False, True, True]])
+    labels, objects, disparity = (jnp.asarray(a) for a in _random(3))
+    available = jnp.ones((3, 3), bool).at[0, 0].set(False)
     part = superpixel_scores(labels, objects, disparity, available=available)
     other = labels.at[0, 0].set(1), objects.at[0, 0].set(0), disparity.at[0, 0].set(0.5)
     again = superpixel_scores(*other, available=available)

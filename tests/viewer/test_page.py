@@ -119,8 +119,10 @@ def test_a_result_is_read_from_its_folder(tmp_path):
     np.savez(tmp_path / "points.npz", xy=given.xy, disparity=[1.0, 1.0, 0.9], error=[0.1] * 3)
     found = read_result(tmp_path, name="all")
     np.testing.assert_array_equal(found.disparity, disparity())
-    assert np.shape(found.states) == (2, 48, 64)
-    assert np.shape(found.points) == (3, 2)
+    assert found.states is not None
+    assert found.states.shape == (2, 48, 64)
+    assert found.points is not None
+    assert found.points.shape == (3, 2)
     assert found.normals is None
     (tmp_path / "points.npz").write_bytes(b"PK damaged")
     with pytest.raises(ValueError, match="could not be read as points"):
