@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import pytest
 from jaxtyping import Array, Float
 
-from mvedge_jax import _checks, _compiler
+from mvedge_jax import _checks
 from mvedge_jax._checks import checked_jit, expect, sound, with_numbers
 from mvedge_jax._params import number
 
@@ -53,25 +53,6 @@ def test_a_program_made_ahead_looks_at_its_arguments():
     bad = eqx.tree_at(lambda p: p.inner.sigma, _Outer(), -3.0)
     with pytest.raises(ValueError, match="sigma"):
         program(bad, jnp.asarray(2.0))
-
-
-def test_memory_of_the_compiler_is_given_back_once_a_program(monkeypatch):
-    order = []
-    for module in (_checks, _compiler):
-        monkeypatch.setattr(module, "release_memory", lambda: order.append("released"))
-
-    @checked_jit(_look)
-    def watched(params: _Outer, scale: Array) -> Array:
-        return params.inner.sigma * scale
-
-    for value in (1.0, 2.0):
-        jax.block_until_ready(watched(_Outer(), jnp.asarray(value)))
-    assert order
-    assert watched.traces == 1
-    jax.clear_caches()
-    order.clear()
-    jax.block_until_ready(watched(_Outer(), jnp.asarray(3.0)))
-    assert (order, watched.traces) == (["released"], 2)
 
 
 def test_a_call_that_compiles_for_long_says_so_once(monkeypatch, caplog):

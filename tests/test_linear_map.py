@@ -64,7 +64,6 @@ def _scanned(function, moving):
 
 
 COMPOSITIONS = {
-    "value": lambda f: _loss(f, MATRIX, MOVING),
     "grad": lambda f: jax.grad(_loss, 2)(f, MATRIX, MOVING),
     "jvp, both": lambda f: jax.jvp(
         lambda a, m: f(_fixed(a), m), (MATRIX, MOVING), (D_MATRIX, D_MOVING)

@@ -130,7 +130,7 @@ def test_a_light_field_in_colmap(result, tmp_path, mvedge):
     pycolmap = pytest.importorskip("pycolmap")
     out = tmp_path / "colmap"
     said = mvedge("export", result, out, "--to", "colmap").out
-    assert "9 views with their cameras, 20 points" in said
+    assert "9 views with their cameras, 16 points" in said
     model = pycolmap.Reconstruction(str(out / "sparse" / "0"))
     assert len(model.images) == 9
     with np.load(result / "points.npz") as stored:
@@ -148,7 +148,7 @@ def test_a_light_field_in_colmap(result, tmp_path, mvedge):
 def test_a_light_field_in_nerfstudio(result, light_field, tmp_path, mvedge):
     out = tmp_path / "nerf"
     said = mvedge("export", result, out, "--to", "nerfstudio").out
-    assert "9 views with their cameras, 20 points, depth of 1" in said
+    assert "9 views with their cameras, 16 points, depth of 1" in said
     found, wanted = load_photographs(out), photographs_of(light_field)
     for name, error in (("poses", 1e-6), ("intrinsics", 1e-4), ("images", 0.51 / 255)):
         np.testing.assert_allclose(getattr(found, name), getattr(wanted, name), atol=error)

@@ -144,12 +144,18 @@ def save_all(folder, name):
     return names
 
 
+LENS = (40.0, 40.0, 23.5, 17.5)
+
+
+def write_log(folder, poses):
+    rows = (f"{i} {i} {i + 1}\n{m}\n" for i, m in enumerate(matrices(poses)))
+    (folder / "trajectory.log").write_text("".join(rows))
+
+
 def test_lists_of_poses(tmp_path):
     names = save_all(tmp_path, "0{}.png")
-    rows = (f"{i} {i} {i + 1}\n{m}\n" for i, m in enumerate(matrices(POSES)))
-    (tmp_path / "trajectory.log").write_text("".join(rows))
-    lens = (40.0, 40.0, 23.5, 17.5)
-    found = load_photographs(tmp_path, intrinsics=lens, points=False)
+    write_log(tmp_path, POSES)
+    found = load_photographs(tmp_path, intrinsics=LENS, points=False)
     assert_same(found, photographs(names=names))
     with pytest.raises(ValueError, match="does not say its camera's intrinsics; give"):
         load_photographs(tmp_path)
@@ -166,11 +172,10 @@ def test_lists_of_poses(tmp_path):
 def test_poses_belong_to_images_by_number(tmp_path):
     poses = np.tile(np.eye(4), (11, 1, 1))
     poses[:, 0, 3] = range(11)
+    write_log(tmp_path, poses)
     for i in range(11):
         cv2.imwrite(str(tmp_path / f"{i}.png"), BYTES[i % 4])
-    rows = (f"{i} {i} {i + 1}\n{m}\n" for i, m in enumerate(matrices(poses)))
-    (tmp_path / "trajectory.log").write_text("".join(rows))
-    source = open_photographs(tmp_path, intrinsics=(40.0, 40.0, 23.5, 17.5))
+    source = open_photographs(tmp_path, intrinsics=LENS)
     assert {f.name: f.pose[0, 3] for f in source.frames} == {f"{i}.png": i for i in range(11)}
 
 
