@@ -11,7 +11,7 @@ import pytest
 from jaxtyping import Array
 
 from mvedge_jax._params import number
-from mvedge_jax.learn import RobustLoss, chosen, learn, of_one_range, plot_learning, robust_loss
+from mvedge_jax.learn import RobustLoss, chosen, learn, of_one_range, robust_loss
 from mvedge_jax.lightfield import GroundTruth, LightField
 
 KEY = jax.random.key(3)
@@ -235,9 +235,3 @@ def test_the_robust_loss_ignores_what_is_not_known(scenes):
     assert float(both) == pytest.approx((np.log(2) + np.log(1.25)) / 2)
     with pytest.raises(ValueError, match="`scales` must be positive, one at least"):
         RobustLoss(())
-
-
-def test_curves_are_drawn(model, scenes, tmp_path):
-    found = run(model, ["level", "inner"], scenes, validation=scenes, steps=6, check_every=2)
-    plot_learning(found).savefig(tmp_path / "curves.png")
-    assert (tmp_path / "curves.png").stat().st_size > 10_000
