@@ -42,7 +42,7 @@ def limits():
                 os._exit(1)
 
     threading.Thread(target=watch, daemon=True).start()
-    faulthandler.dump_traceback_later(SECONDS, exit=True)
+    faulthandler.dump_traceback_later(SECONDS, exit=True, file=2)
     yield
     faulthandler.cancel_dump_traceback_later()
     done.set()
