@@ -35,6 +35,7 @@ def pytest_configure(config):
         # Compiling is nearly all of the fast tier's time, and unoptimised programs compile faster;
         # so they do by the emitters of fusions that the package's own programs are made with.
         jax.config.update("jax_disable_most_optimizations", True)
+        os.environ["JAX_DISABLE_MOST_OPTIMIZATIONS"] = "1"  # of the processes that tests start
         if not hasattr(config, "workerinput"):  # workers are told by the environment
             _ask_for(_EMITTERS)
     if not hasattr(config, "workerinput"):

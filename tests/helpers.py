@@ -53,14 +53,8 @@ def check_gradient(
 ) -> None:
     """Compares `jax.grad` with central differences along random directions, in float64.
 
-    Args:
-        function: maps a pytree to a scalar.
-        tree: where to compare; only its floating leaves vary. float64.
-        rtol: relative error that is allowed per direction.
-        step: length of the difference step along a direction of unit root-mean-square; by default
-            the cube root of the machine epsilon times the scale of the tree.
-        directions: how many random directions.
-        key: draws them.
+    Of `tree` only floating leaves vary. By default, the length of a step along a direction of unit
+    root-mean-square is the cube root of the machine epsilon times the scale of the tree.
     """
     moving, rest = eqx.partition(tree, eqx.is_inexact_array)
     leaves = jax.tree.leaves(moving)
@@ -79,23 +73,14 @@ def check_gradient(
             for t in (step, -step)
         )
         numeric = float(above - below) / (2 * step)
-        analytic = float(
-            sum(
-                jnp.vdot(a, b)
-                for a, b in zip(jax.tree.leaves(gradient), jax.tree.leaves(direction), strict=True)
-            )
-        )
+        analytic = dot(gradient, direction)
         assert np.isfinite(analytic), "the gradient is not finite"
         error = abs(analytic - numeric) / max(abs(numeric), abs(analytic), 1e-300)
         assert error <= rtol, f"gradient {analytic:.12g}, differences {numeric:.12g}: {error:.2e}"
 
 
 def count_traces(function: Callable) -> tuple[Callable, Callable[[], int]]:
-    """Jits `function` and tells how many times it was traced.
-
-    Returns:
-        The jitted function and a function without arguments that gives the number of traces.
-    """
+    """The jitted `function`, and a function that gives the number of its traces."""
     traces = []
 
     def counted(*args, **kwargs):
@@ -121,13 +106,8 @@ def check_modes(
 ) -> None:
     """Compares grad, jvp, linearize and jvp of grad with central differences, in float64.
 
-    Args:
-        function: maps a pytree to a scalar.
-        tree: where to compare; only its floating leaves vary, along a random direction.
-        rtol: relative error that is allowed; of the derivative of the gradient, relative to its
-            largest entry per leaf.
-        step: of the differences.
-        key: draws the direction.
+    Along one random direction of the floating leaves. The error of the derivative of the gradient
+    is relative to its largest entry per leaf.
     """
     moving, rest = eqx.partition(tree, eqx.is_inexact_array)
     direction = random_like(moving, key=key)

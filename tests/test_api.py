@@ -40,11 +40,6 @@ _FUNCTIONS = [name for name, value in _OBJECTS.items() if not inspect.isclass(va
 _CLASSES = [name for name, value in _OBJECTS.items() if inspect.isclass(value)]
 
 
-def test_the_walk_finds_the_package():
-    assert len(_FUNCTIONS) > 10
-    assert len(_CLASSES) > 3
-
-
 def _wrong_in_function(name: str) -> Iterator[str]:
     doc, signature = inspect.getdoc(_OBJECTS[name]) or "", inspect.signature(_OBJECTS[name])
     given = list(signature.parameters.values())

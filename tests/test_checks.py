@@ -1,6 +1,7 @@
 """Numbers in parameters: checked outside of `jit`, told inside, never compiled anew."""
 
 import logging
+import re
 import time
 from collections.abc import Callable
 
@@ -10,7 +11,7 @@ import jax.numpy as jnp
 import pytest
 from jaxtyping import Array, Float
 
-from mvedge_jax import _checks, _compiler
+from mvedge_jax import _checks
 from mvedge_jax._checks import checked_jit, expect, sound, with_numbers
 from mvedge_jax._params import number
 
@@ -54,30 +55,6 @@ def test_a_program_made_ahead_looks_at_its_arguments():
         program(bad, jnp.asarray(2.0))
 
 
-def test_memory_of_the_compiler_is_given_back_before_the_program_runs(monkeypatch):
-    order = []
-    for module in (_checks, _compiler):
-        monkeypatch.setattr(module, "release_memory", lambda: order.append("released"))
-
-    @checked_jit(_look)
-    def watched(params: _Outer, scale: Array) -> Array:
-        jax.debug.callback(lambda: order.append("ran"), ordered=True)
-        return params.inner.sigma * scale
-
-    for value in (1.0, 2.0):
-        jax.block_until_ready(watched(_Outer(), jnp.asarray(value)))
-    jax.effects_barrier()
-    assert order[0] == "released"
-    assert order.count("ran") == 2
-    assert watched.traces == 1
-    jax.clear_caches()
-    order.clear()
-    jax.block_until_ready(watched(_Outer(), jnp.asarray(3.0)))
-    jax.effects_barrier()
-    assert sorted(order) == ["ran", "released"]
-    assert watched.traces == 2
-
-
 def test_a_call_that_compiles_for_long_says_so_once(monkeypatch, caplog):
     monkeypatch.setattr(_checks, "_PATIENCE", 0.05)
 
@@ -98,18 +75,20 @@ def test_a_call_that_compiles_for_long_says_so_once(monkeypatch, caplog):
         assert not caplog.records
 
 
+PLACES = {
+    "inner.sigma": lambda p: p.inner.sigma,
+    "weight": lambda p: p.weight,
+    "pair[1].sigma": lambda p: p.pair[1].sigma,
+}
+
+
 @pytest.mark.parametrize("value", [float("nan"), float("inf"), -1.0])
-@pytest.mark.parametrize("where", ["inner.sigma", "weight", "pair[1].sigma"])
+@pytest.mark.parametrize("where", PLACES)
 def test_what_is_no_number_is_named(where, value):
-    place, bad = {
-        "inner.sigma": (lambda p: p.inner.sigma, value),
-        "weight": (lambda p: p.weight, jnp.asarray([0.0, value])),
-        "pair[1].sigma": (lambda p: p.pair[1].sigma, value),
-    }[where]
-    params = eqx.tree_at(place, _Outer(pair=(_Inner(), _Inner())), bad)
-    with pytest.raises(ValueError, match=r"must be finite and not negative, got ") as caught:
+    bad = jnp.asarray([0.0, value]) if where == "weight" else value
+    params = eqx.tree_at(PLACES[where], _Outer(pair=(_Inner(), _Inner())), bad)
+    with pytest.raises(ValueError, match=f"`{re.escape(where)}` must be finite and not negative"):
         with_numbers(params)
-    assert f"`{where}`" in str(caught.value)
     assert not bool(jax.jit(sound)(jax.tree.map(jnp.asarray, params)))
 
 
@@ -160,12 +139,7 @@ def test_tracers_pass_and_derivatives_too():
 
 @pytest.mark.parametrize(
     ("value", "text"),
-    [
-        (None, "None"),
-        (3.0, "3.0"),
-        (jnp.zeros((2, 3)), r"an array of shape \(2, 3\)"),
-        (_Inner(), "_Inner"),
-    ],
+    [(None, "None"), (jnp.zeros((2, 3)), r"an array of shape \(2, 3\)"), (_Inner(), "_Inner")],
 )
 def test_kinds_are_named(value, text):
     with pytest.raises(TypeError, match=f"`params` must be _Outer, got {text}; make one."):

@@ -5,24 +5,20 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers import check_gradient
+from helpers import check_gradient, lean
 from skimage.color import rgb2lab
 
 from mvedge_jax import color
 
 
-def test_lab_equals_scikit_image():
+@pytest.mark.parametrize("planes", [False, True])
+def test_lab_equals_scikit_image(planes):
     image = np.random.default_rng(0).random((17, 23, 3), dtype=np.float32)
     ours = color.srgb_to_lab(jnp.asarray(image))
+    if planes:
+        ours = jnp.moveaxis(color.planes_to_lab(jnp.moveaxis(image, -1, 0)[None])[0], 0, -1)
     np.testing.assert_allclose(ours, rgb2lab(image), atol=0.01)
     assert ours.dtype == jnp.float32
-
-
-def test_planes_are_converted_as_images_are():
-    views = jnp.asarray(np.random.default_rng(1).random((2, 3, 5, 7)))
-    expected = color.srgb_to_lab(jnp.transpose(views, (0, 2, 3, 1)))
-    found = color.planes_to_lab(views)
-    np.testing.assert_array_equal(jnp.transpose(found, (0, 2, 3, 1)), expected)
 
 
 def test_gray_equals_opencv():
@@ -33,11 +29,9 @@ def test_gray_equals_opencv():
 
 def test_gradients():
     image = jax.random.uniform(jax.random.key(0), (4, 5, 3), minval=0.05)
-
-    def energy(i):
-        return (color.srgb_to_lab(i) ** 2).sum()
-
-    check_gradient(energy, image, rtol=1e-6, key=jax.random.key(1))
+    check_gradient(
+        lambda i: (color.srgb_to_lab(i) ** 2).sum(), image, rtol=1e-6, key=jax.random.key(1)
+    )
     black = jax.grad(lambda i: color.srgb_to_lab(i).sum())(jnp.zeros(3))
     assert jnp.isfinite(black).all()
 
@@ -81,7 +75,7 @@ def test_the_slope_of_a_solution_is_that_of_the_inverse():
 
     tree = (moments, jnp.asarray(1e-2), vector)
     for derivative in (jax.grad, jax.jacfwd, jax.hessian):
-        found, expected = derivative(by_factors)(tree), derivative(by_inverse)(tree)
+        found, expected = (lean(derivative(of))(tree) for of in (by_factors, by_inverse))
         for a, b in zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True):
             np.testing.assert_allclose(a, b, rtol=1e-8, atol=1e-8 * float(jnp.abs(b).max()))
 

@@ -3,6 +3,7 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 from helpers import check_modes
 
 from mvedge_jax._cpu import checkpoint_stage, no_fuse, plane_sum, unstack
@@ -36,46 +37,23 @@ def test_other_devices_have_no_fence(monkeypatch):
     np.testing.assert_array_equal(no_fuse(jnp.sin, 1.0), jnp.sin(1.0))
 
 
-def test_stages_in_a_row_compute_each_again_once():
-    calls = []
-
-    def noted(x):
-        jax.debug.callback(lambda: calls.append(1))
-        return jnp.sin(x)
-
-    def chain(x):
-        for _ in range(3):
-            x = checkpoint_stage(noted)(x)
-        return jnp.sum(x)
-
-    jax.block_until_ready(jax.jit(jax.grad(chain))(jnp.ones(4)))
-    jax.effects_barrier()
-    assert len(calls) == 6
+def _of_each(stack):
+    parts = [jnp.sum(jnp.sin((i + 1) * plane)) for i, plane in enumerate(unstack(stack))]
+    return sum(parts[1:], parts[0])
 
 
-def test_unstacking_is_a_list_whose_transpose_is_one_concatenation():
+def _of_sum(stack):
+    return jnp.sum(jnp.sin(plane_sum(stack**2)))
+
+
+@pytest.mark.parametrize(("loss", "concatenations"), [(_of_each, 1), (_of_sum, 0)])
+def test_planes_and_their_sum_have_a_transpose_that_is_one_step(loss, concatenations):
     stack = jax.random.normal(jax.random.key(0), (5, 3, 2))
-    for found, expected in zip(unstack(stack), list(stack), strict=True):
-        np.testing.assert_array_equal(found, expected)
-    assert unstack(stack[:0]) == []
-
-    def loss(stack):
-        parts = [jnp.sum(jnp.sin((i + 1) * plane)) for i, plane in enumerate(unstack(stack))]
-        return sum(parts[1:], parts[0])
-
-    pulled = str(jax.make_jaxpr(jax.vjp(loss, stack)[1])(1.0))
-    assert pulled.count("concatenate") == 1
-    assert "pad" not in pulled
-    check_modes(loss, stack, rtol=1e-6, key=jax.random.key(1))
-
-
-def test_the_sum_of_planes_is_that_of_the_axis_and_its_transpose_a_broadcast():
-    stack = jax.random.normal(jax.random.key(0), (5, 3, 2))
+    np.testing.assert_array_equal(unstack(stack), list(stack))
     np.testing.assert_allclose(plane_sum(stack), stack.sum(0), rtol=1e-14, atol=1e-15)
+    assert unstack(stack[:0]) == []
     np.testing.assert_array_equal(plane_sum(stack[:0]), jnp.zeros((3, 2)))
-
-    def loss(stack):
-        return jnp.sum(jnp.sin(plane_sum(stack**2)))
-
-    assert "concatenate" not in str(jax.make_jaxpr(jax.vjp(loss, stack)[1])(1.0))
+    pulled = str(jax.make_jaxpr(jax.vjp(loss, stack)[1])(1.0))
+    assert pulled.count("concatenate") == concatenations
+    assert "pad" not in pulled
     check_modes(loss, stack, rtol=1e-6, key=jax.random.key(1))

@@ -4,18 +4,14 @@ import json
 import sys
 import time
 from pathlib import Path
-from types import SimpleNamespace
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from posed.walls import MATRIX, POSES, wall
 
-from experiments import _items, _photographs, _report, all as page, peer_maps, table_edges
+from experiments import _items, _photographs, _report, all as page, peer_maps
 from mvedge_jax.datasets import write_pfm
 from mvedge_jax.lightfield import GroundTruth
-from mvedge_jax.posed import Photographs, reference_of
-from mvedge_jax.posed.sparse import seen_points
 
 
 def test_results_tell_commit_and_command_without_folders_of_this_machine(tmp_path, monkeypatch):
@@ -60,28 +56,6 @@ time.sleep(600)
     assert not status.exists() or "(zombie)" in status.read_text()
 
 
-def test_the_table_of_edges_ends_with_the_mean_and_the_worst_scene():
-    columns = table_edges.COLUMNS
-    rows = [
-        {"scene": scene, "method": method, **dict.fromkeys(columns, value)}
-        for scene, value in (("edges", 1.0), ("demo", 3.0))
-        for method in ("edges", "full")
-    ]
-    found = table_edges.summary(rows)
-    assert [(row["scene"], row["method"]) for row in found] == [
-        (what, method) for what in ("mean", "worst") for method in ("edges", "full")
-    ]
-    assert [row["MSE*100"] for row in found] == [2.0, 2.0, 3.0, 3.0]
-    assert [method.name for method in table_edges.METHODS] == [
-        "thesis",
-        "edges",
-        "edges without transmittance",
-        "edges without sides",
-        "full without edges",
-        "full",
-    ]
-
-
 def test_a_published_map_is_scored_on_the_pixels_that_it_has(tmp_path):
     truth = GroundTruth(jnp.zeros((40, 40), jnp.float32), jnp.ones((40, 40), bool))
     place = tmp_path / "peer_results" / "spo"
@@ -98,46 +72,9 @@ def test_a_published_map_is_scored_on_the_pixels_that_it_has(tmp_path):
         list(peer_maps.peer_rows(tmp_path, "edges", truth))
 
 
-def test_labels_of_a_dense_map_lie_where_the_map_has_them(monkeypatch):
-    images, depths = wall(POSES)
-    photographs = Photographs(images, POSES, MATRIX, points=np.zeros((1, 3)))
-    reference = reference_of(photographs, 1, depth_range=(0.5, 9.0))
-    given = []
-
-    def stereo(dense, *rest, **options):
-        given.append(dense)
-        return SimpleNamespace(depth=depths[1])
-
-    monkeypatch.setattr(_photographs, "sparse_stereo", stereo)
-    depth = np.where(np.arange(depths.shape[2]) < 5, 0, depths[1])
-    assert _photographs.from_dense(photographs, reference, depth) is not None
-    seen = seen_points(given[0], reference)
-    assert len(seen.valid) > 20
-    assert seen.valid.all()
-    x, y = np.round(np.asarray(seen.xy)).astype(int).T
-    np.testing.assert_allclose(seen.xy, np.stack([x, y], 1), atol=1e-4)
-    assert x.min() >= 5
-    scale = float(reference.scale(photographs))
-    np.testing.assert_allclose(scale / np.asarray(seen.disparity), depths[1, y, x], rtol=1e-5)
-    # Without a label there is no depth.
-    assert not _photographs.from_dense(photographs, reference, 0 * depth).any()
-
-
 def test_the_thesis_errors_have_unknown_pixels_at_the_mean_and_forget_the_scale():
     truth = jnp.asarray(np.random.default_rng(0).uniform(1, 3, (20, 30)))
     found = _photographs.as_printed((0.5 * truth).at[3, 4].set(0), truth)
     mean = float(truth.mean())
     assert float(found.mse) == pytest.approx(100 * (float(truth[3, 4]) - mean) ** 2 / 600)
     assert float(found.q25) == pytest.approx(0, abs=1e-5)
-
-
-def test_maps_of_colmap_are_asked_for_by_name_and_size(tmp_path):
-    images, _ = wall(POSES)
-    photographs = Photographs(images, POSES, MATRIX, names=("a.png", "b.png", "c.png", "d.png"))
-    reference = reference_of(photographs, 1, depth_range=(0.5, 9.0))
-    assert _photographs.from_colmap(photographs, reference, None) == {}
-    with pytest.raises(SystemExit, match="has neither b.png.geometric.bin nor b.png.photometric"):
-        _photographs.from_colmap(photographs, reference, tmp_path)
-    (tmp_path / "b.png.photometric.bin").write_bytes(b"2&1&1&" + bytes(8))
-    with pytest.raises(SystemExit, match="has 2x1 px; expected the photographs' "):
-        _photographs.from_colmap(photographs, reference, tmp_path)

@@ -24,7 +24,7 @@ def test_unit_gradient_of_a_ramp_is_its_direction():
     np.testing.assert_array_equal(unit_gradient(jnp.full((5, 5), 0.3)), 0)
 
 
-@pytest.mark.parametrize("radius", [0, 1, 2, 3, 4, 7])
+@pytest.mark.parametrize("radius", [0, 1, 3, 4, 7])
 @pytest.mark.parametrize(("border", "mode"), [("edge", "nearest"), ("constant", "constant")])
 def test_window_sums_agree_with_scipy(radius, border, mode):
     image = np.random.default_rng(radius).uniform(size=(9, 12))
@@ -34,7 +34,7 @@ def test_window_sums_agree_with_scipy(radius, border, mode):
         np.testing.assert_allclose(found, expected, atol=1e-12)
 
 
-@pytest.mark.parametrize(("radius", "axis"), [(0, 0), (1, -1), (3, 0), (4, -1)])
+@pytest.mark.parametrize(("radius", "axis"), [(0, 0), (1, -1), (4, 0)])
 @pytest.mark.parametrize("border", ["edge", "constant"])
 def test_transposed_window_sums_are_those_of_the_matrix(radius, border, axis):
     image = jax.random.normal(jax.random.key(radius), (7, 9))

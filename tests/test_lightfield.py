@@ -4,7 +4,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from jax import export
 
 from mvedge_jax import Camera, GroundTruth, LightField
 from mvedge_jax._crosshair import crosshair
@@ -15,7 +14,7 @@ def _random(v=3, u=5, y=6, x=8, **kwargs):
     return LightField(views, **kwargs)
 
 
-def test_epis_and_steps_follow_the_convention():
+def test_epis_steps_and_crops_follow_the_convention():
     field = _random()
     horizontal, vertical = field.horizontal_epis(), field.vertical_epis()
     assert horizontal.shape == (6, 5, 8, 3)
@@ -25,29 +24,10 @@ def test_epis_and_steps_follow_the_convention():
     assert field.steps.shape == (3, 5, 2)
     np.testing.assert_array_equal(field.steps[0, 4], [-2, 1])
     np.testing.assert_array_equal(field.steps[1, 2], [0, 0])
-
-
-def test_a_plane_moves_as_the_convention_says():
-    x = np.arange(32.0)
-    rows = [np.sin(0.3 * (x - (2 - u) * 1.5)) * 0.5 + 0.5 for u in range(5)]
-    views = np.broadcast_to(np.stack(rows)[None, :, None, :, None], (3, 5, 4, 32, 3))
-    field = LightField(views)
-    du = field.steps[1, 0, 0]
-    there = np.interp(x[8:20] + float(du) * 1.5, x, np.asarray(field.views[1, 0, 0, :, 0]))
-    np.testing.assert_allclose(there, field.centre_view[0, 8:20, 0], atol=0.02)
-
-
-def test_crop_keeps_the_centre():
-    field = _random(5, 5)
-    small = field.crop_views(3, 1)
-    np.testing.assert_array_equal(small.views, field.views[1:4, 2:3])
-    np.testing.assert_array_equal(small.centre_view, field.centre_view)
-
-
-@pytest.mark.parametrize("count", [2, 0, 7])
-def test_crop_refuses(count):
-    with pytest.raises(ValueError, match=f"odd and between 1 and the 5 .* got {count}"):
-        _random(5, 5).crop_views(count)
+    np.testing.assert_array_equal(field.crop_views(1, 3).views, field.views[1:2, 1:4])
+    for count in (2, 0, 7):
+        with pytest.raises(ValueError, match=f"odd and between 1 and the 3 .* got {count}"):
+            field.crop_views(count)
 
 
 def test_downsampling_averages_areas_and_scales_disparity():
@@ -64,9 +44,8 @@ def test_downsampling_averages_areas_and_scales_disparity():
     np.testing.assert_array_equal(half.truth.valid[0], [False, True, True, True])
     np.testing.assert_array_equal(half.disparity_range, [-0.5, 1.5])
     # The same point of the world has the same depth at both sizes.
-    np.testing.assert_allclose(
-        half.camera.depth(jnp.array(0.7) / 2), camera.depth(jnp.array(0.7)), rtol=1e-12
-    )
+    near, far = half.camera.depth(jnp.asarray(0.35)), camera.depth(jnp.asarray(0.7))
+    np.testing.assert_allclose(near, far, rtol=1e-12)
     assert field.downsample(1) is field
     assert field.downsample(5).views.shape == (3, 5, 1, 1, 3)
     with pytest.raises(ValueError, match="`factor` must be between 1 and the shorter side, 6"):
@@ -106,14 +85,6 @@ def test_what_else_is_known_compiles_nothing_anew():
     np.testing.assert_array_equal(gradient, 1)
 
 
-def test_passes_through_jit_and_vmap():
-    field = _random(disparity_range=(-1.0, 1.0))
-    shifted = jax.jit(lambda f: f.centre_view.sum())(field)
-    np.testing.assert_allclose(shifted, field.centre_view.sum())
-    gradient = jax.grad(lambda f: f.horizontal_epis().sum(), allow_int=True)(field).views
-    assert gradient.sum() == 5 * 6 * 8 * 3
-
-
 GREY = np.full((3, 3, 4, 4, 3), 0.5, np.float32)
 TRUE = jnp.ones((4, 4), bool)
 
@@ -122,19 +93,14 @@ TRUE = jnp.ones((4, 4), bool)
     ("views", "options", "message"),
     [
         (GREY[0], {}, r"axes \[v, u, y, x, c\].*\(3, 4, 4, 3\)"),
-        (GREY[None], {}, r"axes \[v, u, y, x, c\]"),
         (GREY[:, :2], {}, "odd number of view rows and columns.*3x2"),
         (np.zeros((3, 3, 4, 4, 3), np.uint8), {}, "floating point.*uint8"),
         (GREY.astype("f2"), {}, "must be float32 or float64, got float16"),
-        (jnp.asarray(GREY, jnp.bfloat16), {}, "must be float32 or float64, got bfloat16"),
         (GREY.astype("c8"), {}, "floating point.*complex64"),
-        (GREY[..., :1], {}, "three colour channels, got 1"),
         (np.zeros((3, 3, 4, 4, 4)), {}, "three colour channels, got 4"),
         (GREY[:, :, :0], {}, "must not be empty"),
         (255 * GREY, {}, "from 127.5 to 127.5"),
-        (-GREY, {}, "from -0.5 to -0.5"),
         (GREY, {"disparity_range": (1.0, -1.0)}, "low < high"),
-        (GREY, {"disparity_range": (1.0, 1.0)}, "low < high"),
         (GREY, {"disparity_range": (np.nan, 1.0)}, "disparity_range"),
         (GREY, {"disparity_range": (-np.inf, 1.0)}, "disparity_range"),
         (GREY, {"disparity_range": (1.0, 2.0, 3.0)}, "pair"),
@@ -186,18 +152,14 @@ def test_positions_move_points_as_far_as_they_are_away():
     np.testing.assert_allclose(down.steps, [1.5, 0, -1.5], rtol=1e-6)
     assert (field.farthest, _random().farthest) == (2, 2)
     assert _random(positions=_places(rows=(-2.2, 0, 1.5))).farthest == 3
+    with pytest.raises(TypeError, match="`light_field.positions` is traced"):
+        jax.jit(lambda s: jnp.asarray(s.farthest))(field)
 
 
 def test_positions_survive_what_is_done_to_a_light_field():
     field = _random(positions=_places())
-    for same in (
-        field.bare(),
-        field.without_truth(),
-        field.renamed("another"),
-        field.downsample(2),
-        field.without_views([(0, 0)]),
-        jax.jit(lambda s: s)(field),
-    ):
+    others = (field.bare(), field.without_truth(), field.renamed("another"), field.downsample(2))
+    for same in (*others, field.without_views([(0, 0)]), jax.jit(lambda s: s)(field)):
         np.testing.assert_array_equal(same.positions, field.positions)
     cropped = field.crop_views(3, 1).positions
     np.testing.assert_array_equal(cropped, np.asarray(field.positions)[:, 2:3])
@@ -223,14 +185,3 @@ _BENT = _places() + 0.3 * (np.arange(5) == 4)[None, :, None] * [0, 1]
 def test_positions_are_those_of_rows_and_columns(positions, message):
     with pytest.raises(ValueError, match=message):
         _random(positions=positions)
-
-
-def test_positions_are_written_with_a_program_and_no_size_is_chosen_from_traced_ones():
-    field = _random(positions=_places())
-    with pytest.raises(TypeError, match="`light_field.positions` is traced"):
-        jax.jit(lambda s: jnp.asarray(s.farthest))(field)
-    pytest.importorskip("flatbuffers", reason="jax.export writes files by it")
-    data = export.export(jax.jit(lambda s: (s, s.steps)))(field).serialize()
-    same, steps = export.deserialize(data).call(field)
-    np.testing.assert_array_equal(same.positions, field.positions)
-    np.testing.assert_array_equal(steps, field.steps)

@@ -22,7 +22,6 @@ from mvedge_jax import (
     splatting,
     warping,
 )
-from mvedge_jax._params import accepts_numpy
 from mvedge_jax.depth import Sharpen
 from mvedge_jax.depth._median import weighted_median
 from mvedge_jax.edges import sides
@@ -142,18 +141,6 @@ def test_float64_of_numpy_gives_no_warning(name):
         found = CALLS[name]() if name == "segments" else jax.eval_shape(CALLS[name])
     leaves = jax.tree.leaves(found)
     assert not [leaf for leaf in leaves if getattr(leaf, "dtype", None) == jnp.float64]
-
-
-def test_what_is_no_number_is_left_alone():
-    @accepts_numpy
-    def given(*arguments, **options):
-        return arguments, options
-
-    (words, count), options = given(np.array(["a"]), 3, mask=np.array([True]), none=None)
-    assert isinstance(words, np.ndarray)
-    assert count == 3
-    assert isinstance(options["mask"], jax.Array)
-    assert options["none"] is None
 
 
 def test_a_boolean_mask_is_a_weight():

@@ -1,10 +1,8 @@
 """Figures of the pages are those of the results; results know the code that they depend on."""
 
-import importlib
 import json
 import shutil
 import warnings
-from pathlib import Path
 
 import pytest
 
@@ -63,15 +61,12 @@ def test_a_wrong_figure_on_a_page_is_found_and_mended(copy, capsys):
     ],
 )
 def test_a_marker_that_leads_nowhere_is_an_error(tmp_path, text, message):
-    page = tmp_path / "page.md"
+    page, results = tmp_path / "page.md", Results(_report.ROOT / "experiments" / "results")
     page.write_text(text)
     with pytest.raises(ValueError, match=message):
-        pages.updated(page, Results(_report.ROOT / "experiments" / "results"))
-
-
-def test_a_result_that_is_not_there_is_told():
+        pages.updated(page, results)
     with pytest.raises(ValueError, match="has no table_0.json; it has .*calibration, codec"):
-        Results(_report.ROOT / "experiments" / "results").rows("table_0")
+        results.rows("table_0")
 
 
 def test_every_table_is_on_a_page_and_every_result_is_small():
@@ -101,38 +96,6 @@ def test_a_result_is_stale_when_code_changes_but_not_when_a_comment_does(copy, c
     assert pages.main(["--check"], copy) == 0
     assert "stale: found.json: mvedge_jax/metrics/*.py" in capsys.readouterr().out
     assert pages.main(["--check", "--strict"], copy) == 1
-
-
-def test_layout_is_no_code():
-    one = 'def f(a, b):\n    """Text."""\n    # why\n    return a + "b" * (b)\n'
-    two = "def f(\n    a,\n    b,\n):\n    return a + 'b' * b\n"
-    assert _report.code_of(one) == _report.code_of(two)
-    for other in ("a - 'b' * b", "a + 'c' * b", "b + 'b' * a", "a + 'b' * b + None"):
-        assert _report.code_of(two.replace("a + 'b' * b", other)) != _report.code_of(two)
-
-
-def test_a_result_depends_on_what_its_process_imported(tmp_path):
-    importlib.import_module("mvedge_jax.metrics")
-    depends = _report.imported_code()
-    assert "mvedge_jax/metrics/*.py" in depends
-    assert "experiments/pages.py" in depends
-    assert "experiments/_report.py" not in depends
-    assert not any(Path(pattern).is_absolute() for pattern in depends)
-    _report.write_json(tmp_path / "found.json", [{"a": 1 / 3}], depends=["experiments/all.py"])
-    found = json.loads((tmp_path / "found.json").read_text(encoding="utf-8"))
-    assert found["depends"] == _report.digests(["experiments/all.py"])
-    assert found["content"] == [{"a": 0.333333}]
-    assert '\n  {"a": 0.333333}\n' in (tmp_path / "found.json").read_text(encoding="utf-8")
-
-
-def test_new_results_are_taken_and_other_files_are_not(copy, tmp_path):
-    new, other = tmp_path / "run" / "table_edges.json", tmp_path / "run" / "run.json"
-    old = copy / "experiments" / "results" / "table_edges.json"
-    found = json.loads(old.read_text(encoding="utf-8"))
-    _report.write_json(new, found["content"])
-    other.write_text('{"state": "done"}')
-    assert list(pages.take([new, other], copy)) == [old]
-    assert json.loads(old.read_text(encoding="utf-8"))["date"] != found["date"]
 
 
 def test_published_tables_are_those_that_the_thesis_prints():

@@ -8,7 +8,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from mvedge_jax._product import product
 from mvedge_jax.all_views import ViewDepth, depth_of_views
 from mvedge_jax.color import srgb_to_gray, srgb_to_lab
 from mvedge_jax.depth import EdgeDepth
@@ -87,8 +86,3 @@ def test_products_keep_all_bits(name):
     assert products, "a program without products tests nothing"
     for line in products:
         assert line.count("HIGHEST") == 2, line
-
-
-def test_the_product_is_the_matrix_product():
-    left, right = (np.random.default_rng(k).random((3, 4, 4)) for k in (1, 2))
-    np.testing.assert_allclose(product(jnp.asarray(left), jnp.asarray(right)), left @ right)

@@ -1,7 +1,4 @@
-"""Every verb on views that tell nothing, and of the least sizes.
-
-`EdgeDepth` alone has `tests/depth/test_nothing_to_see.py`.
-"""
+"""Every verb on views that tell nothing, and of the least sizes."""
 
 import equinox as eqx
 import jax

@@ -131,6 +131,12 @@ def test_a_scheduler_without_workers_is_told(capsys):
         assert "has no workers yet; waiting for the first" in capsys.readouterr().err
 
 
+def test_an_address_that_is_none_names_the_option():
+    wrong = r"no Dask scheduler answers at nowhere \(--scheduler; expected .* tcp://host:8786\)"
+    with pytest.raises(ValueError, match=wrong), connected(0, "nowhere"):
+        pass
+
+
 @pytest.mark.slow
 def test_a_call_whose_worker_dies_runs_again(tmp_path):
     marks = tmp_path

@@ -6,21 +6,15 @@ import pytest
 from cli.scenes import RANGE, textured_plane
 from datasets.layouts import write_hci
 
-from mvedge_jax.cli import _common, _depth, _main
+from mvedge_jax.cli import _common, _depth, _tiles
 from mvedge_jax.datasets import read_pfm
+from mvedge_jax.tiles import Window
 
 
-@pytest.fixture(scope="module")
-def scene(tmp_path_factory):
-    truth = np.full((32, 40), 0.4, np.float32)
-    return write_hci(tmp_path_factory.mktemp("depth") / "plane", textured_plane(), disparity=truth)
-
-
-def test_depth_writes_everything_and_is_right(scene, tmp_path, capsys, monkeypatch):
+def test_depth_writes_everything_and_is_right(scene, tmp_path, mvedge, monkeypatch):
     out, viewed = tmp_path / "out", []
     monkeypatch.setattr(_depth, "show", lambda *given: viewed.append(given))
-    words = ["depth", str(scene), str(out), *RANGE, "--view"]
-    assert _main.main(words) == 0
+    assert "written to" in mvedge("depth", scene, out, *RANGE, "--view").out
     found = read_pfm(out / "disparity.pfm")
     ((field, (shown,)),) = viewed
     assert field.views.shape == (3, 3, 32, 40, 3)
@@ -58,14 +52,13 @@ def test_depth_writes_everything_and_is_right(scene, tmp_path, capsys, monkeypat
     assert report["scores"]["crop 0"]["within_two_errors"] > 0.8
     for name in ("disparity.png", "standard_error.png", "error_log.png", "error_signed.png"):
         assert cv2.imread(str(out / name)) is not None, name
-    assert "written to" in capsys.readouterr().out
 
 
 @pytest.mark.slow
-def test_a_preset_and_settings_are_estimated_with_and_reported(scene, tmp_path):
+def test_a_preset_and_settings_are_estimated_with_and_reported(scene, tmp_path, mvedge):
     words = ["--preset", "edges", "--set", "smoothness.color=.4", "--set", "refine.solves=1"]
     words += ["--range", "-0.5", "1", "--seed", "3"]
-    assert _main.main(["depth", str(scene), str(tmp_path / "out"), *words]) == 0
+    mvedge("depth", scene, tmp_path / "out", *words)
     report = json.loads((tmp_path / "out" / "report.json").read_text())
     assert (report["preset"], report["seed"]) == ("edges", 3)
     assert report["numbers"]["smoothness.color"] == 0.4
@@ -76,22 +69,21 @@ def test_a_preset_and_settings_are_estimated_with_and_reported(scene, tmp_path):
     assert np.median(np.abs(found - 0.4)) < 0.01
 
 
-def test_nothing_is_left_behind_when_interrupted(scene, tmp_path, monkeypatch):
+def test_nothing_is_left_behind_when_interrupted(scene, tmp_path, mvedge, monkeypatch):
     def interrupt(*_, **__):
         raise KeyboardInterrupt
 
     monkeypatch.setattr(_common, "compiled", lambda *_, **__: interrupt)
-    assert _main.main(["depth", str(scene), str(tmp_path / "out"), "--range", "0", "1"]) == 130
+    mvedge("depth", scene, tmp_path / "out", "--range", 0, 1, code=130)
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_black_view_is_named_and_costs_little(tmp_path, capsys):
+def test_a_black_view_is_named_and_costs_little(tmp_path, mvedge):
     """Its gain was 0, and all of the map NaN."""
     views = textured_plane()
     views[1, 2] = 0
     folder = write_hci(tmp_path / "plane", views, disparity=np.full((32, 40), 0.4, np.float32))
-    words = ["depth", str(folder), str(tmp_path / "out"), *RANGE]
-    assert _main.main(words) == 0
+    said = mvedge("depth", folder, tmp_path / "out", *RANGE).err
     found = read_pfm(tmp_path / "out" / "disparity.pfm")
     assert np.median(np.abs(found - 0.4)) < 0.01
     report = json.loads((tmp_path / "out" / "report.json").read_text())
@@ -99,12 +91,20 @@ def test_a_black_view_is_named_and_costs_little(tmp_path, capsys):
         "plane: 1 of 9 views left out as missing, as they do not show the scene: input_Cam005.png "
         "is black."
     ]
-    assert report["warnings"][0] in capsys.readouterr().err
+    assert report["warnings"][0] in said
 
 
-def test_tiles(scene, tmp_path):
+def test_tiles(scene, tmp_path, mvedge, monkeypatch):
+    """Of one tile, which is the image: its program is there."""
+
+    def whole(stored, *, model, tiling, key, progress):
+        assert (tiling.side, key is None) == (200, False)
+        progress(1, 1)
+        return model(stored.window(Window(0, 0, *stored.shape[2:])))
+
+    monkeypatch.setattr(_tiles, "depth_in_tiles", whole)
     out = tmp_path / "out"
-    assert _main.main(["depth", str(scene), str(out), *RANGE, "--tile", "200"]) == 0
+    mvedge("depth", scene, out, *RANGE, "--tile", 200)
     assert np.median(np.abs(read_pfm(out / "disparity.pfm") - 0.4)) < 0.01
     report = json.loads((out / "report.json").read_text())
     assert report["shape [v, u, y, x]"] == [3, 3, 32, 40]

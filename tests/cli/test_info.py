@@ -1,9 +1,9 @@
 import re
 
-import cv2
 import numpy as np
 import pytest
 from datasets.layouts import random_views, save_image, write_grid, write_hci, write_stanford
+from datasets.test_convention import cards_of
 
 from mvedge_jax.cli._info import info
 
@@ -22,26 +22,10 @@ def told(capsys):
     return run
 
 
-def _cards(rows=5, size=64):
-    """A textured card of disparity 1.5 before a textured wall of -1, as bytes."""
-    draw = np.random.default_rng(0)
-    wall, card = (
-        cv2.GaussianBlur(draw.uniform(0, 255, (3 * size, 3 * size, 3)), (0, 0), 1.5) for _ in "ab"
-    )
-    wall, card = ((t - t.min()) / (t.max() - t.min()) * 255 for t in (wall, card))
-    y, x = np.mgrid[:size, :size].astype(np.float32)
-    views = np.zeros((rows, rows, size, size, 3), np.uint8)
-    for v, u in np.ndindex(rows, rows):
-        du, dv = rows // 2 - u, rows // 2 - v
-        back, front = (
-            cv2.remap(t, x - d * du + size, y - d * dv + size, cv2.INTER_CUBIC)
-            for t, d in ((wall, -1.0), (card, 1.5))
-        )
-        inside = (abs(x - 1.5 * du - size / 2) < size / 5) & (
-            abs(y - 1.5 * dv - size / 2) < size / 5
-        )
-        views[v, u] = np.where(inside[..., None], front, back).clip(0, 255)
-    return views
+@pytest.fixture(scope="module")
+def cards():
+    """Textured cards before a textured wall, as bytes."""
+    return np.round(255 * cards_of(1.5, -1.0, (5, 5, 90, 100))).astype(np.uint8)
 
 
 def test_everything_that_is_known_is_said(tmp_path, told):
@@ -87,16 +71,16 @@ def test_positions_are_told(tmp_path, told):
     assert told(regular, quick=True)[0]["positions"] == "regular grid"
 
 
-def test_the_right_way_round(tmp_path, told):
-    lines, said = told(write_grid(tmp_path / "cards", _cards()))
+def test_the_right_way_round(tmp_path, told, cards):
+    lines, said = told(write_grid(tmp_path / "cards", cards))
     assert lines["convention"] == "holds: near covers far along both axes"
     low, high = (float(word) for word in re.findall(r"-?\d+\.\d+", lines["range, estimated"]))
     assert (low, high) == pytest.approx((-1.0, 1.5), abs=0.2)
     assert "warning" not in said
 
 
-def test_a_reversed_axis_is_warned_of(tmp_path, told):
-    folder = write_grid(tmp_path / "cards", _cards()[:, ::-1])
+def test_a_reversed_axis_is_warned_of(tmp_path, told, cards):
+    folder = write_grid(tmp_path / "cards", cards[:, ::-1])
     lines, said = told(folder)
     assert lines["convention"] == "columns (u) REVERSED, rows (v) right"
     assert "with --flip-u." in said
@@ -105,8 +89,8 @@ def test_a_reversed_axis_is_warned_of(tmp_path, told):
     assert "without --flip-v." in said
 
 
-def test_exchanged_axes_are_warned_of(tmp_path, told):
-    folder = write_grid(tmp_path / "cards", _cards()[:, ::-1].swapaxes(0, 1))
+def test_exchanged_axes_are_warned_of(tmp_path, told, cards):
+    folder = write_grid(tmp_path / "cards", cards[:, ::-1].swapaxes(0, 1))
     lines, said = told(folder)
     assert lines["convention"] == (
         "rows and columns EXCHANGED; after that, columns (u) REVERSED, rows (v) right"
@@ -122,8 +106,8 @@ def test_command_line(tmp_path, mvedge):
     assert "3x3 of 8x6 px" in mvedge("info", folder, "--views", 3, "--quick").out
 
 
-def test_a_view_that_shows_nothing_is_named(tmp_path, told):
-    views = _cards()
+def test_a_view_that_shows_nothing_is_named(tmp_path, told, cards):
+    views = cards.copy()
     views[2, 4] = 0
     lines, said = told(write_grid(tmp_path / "toy", views, pattern="v_{}_{}.png"), quick=True)
     assert "1 of 25 missing: (v, u) = (2, 4)" in lines["views"]

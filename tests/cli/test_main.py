@@ -19,63 +19,45 @@ from mvedge_jax.cli import _common, _main, _output
 
 
 @pytest.fixture
-def failing(monkeypatch, mvedge):
-    """Runs a command that raises an error; gives its complaints."""
+def instead(monkeypatch):
+    """Puts a function in the place of every command."""
 
-    def run(error, *words, code):
+    def put(function):
         def command():
-            """Fails."""
-            raise error
+            """Does what the test wants."""
+            function()
 
         monkeypatch.setattr(_main, "_load", lambda name: command)
-        return mvedge("info", *words, code=code).err
 
-    return run
-
-
-@pytest.mark.parametrize(
-    ("error", "code", "text"),
-    [
-        (ValueError("`x` must be 1, got 2."), 2, "mvedge: error: `x` must be 1, got 2."),
-        (FileNotFoundError("no such scene"), 2, "mvedge: error: no such scene"),
-        (KeyboardInterrupt(), 130, "interrupted; nothing was left half-written"),
-        (
-            RuntimeError("broken"),
-            1,
-            "mvedge: internal error: RuntimeError: broken (--debug shows where)",
-        ),
-    ],
-)
-def test_exit_codes(failing, error, code, text):
-    assert failing(error, code=code) == text
+    return put
 
 
-@pytest.mark.parametrize(
-    "error", [MemoryError("Unable to allocate 9.0 GiB"), RuntimeError("RESOURCE_EXHAUSTED: 9 GiB")]
-)
-def test_memory_that_does_not_suffice(failing, error):
-    said = failing(error, code=2)
-    assert said.startswith("mvedge: error: the memory does not suffice: ")
-    assert "9" in said
-    assert "--scale 0.5" in said
+SHORT = "mvedge: error: the memory does not suffice: "
+FAILURES = [
+    (ValueError("`x` must be 1, got 2."), 2, "mvedge: error: `x` must be 1, got 2."),
+    (FileNotFoundError("no such scene"), 2, "mvedge: error: no such scene"),
+    (KeyboardInterrupt(), 130, "interrupted; nothing was left half-written"),
+    (RuntimeError("broken"), 1, "mvedge: internal error: RuntimeError: broken (--debug shows"),
+    (MemoryError("Unable to allocate 9.0 GiB"), 2, SHORT + "Unable to allocate 9.0 GiB"),
+    (RuntimeError("RESOURCE_EXHAUSTED: 9 GiB"), 2, SHORT + "RESOURCE_EXHAUSTED: 9 GiB"),
+]
 
 
-def test_debug_shows_the_traceback(monkeypatch, capsys):
-    def command():
-        """Fails."""
-        raise ValueError("no")
+@pytest.mark.parametrize(("error", "code", "text"), FAILURES)
+def test_exit_codes(instead, mvedge, capsys, error, code, text):
+    def fail():
+        raise error
 
-    monkeypatch.setattr(_main, "_load", lambda name: command)
-    assert _main.main(["info", "--debug"]) == 2
-    assert "Traceback" in capsys.readouterr().err
+    instead(fail)
+    said = mvedge("info", code=code).err
+    assert said.startswith(text)
+    assert ("--scale 0.5" in said) == (SHORT in text)
+    assert _main.main(["info", "--debug"]) == code
+    assert ("Traceback" in capsys.readouterr().err) == (code != 130)
 
 
-def test_libraries_warn_in_one_line(monkeypatch, mvedge):
-    def command():
-        """Warns."""
-        warnings.warn("something\nof two lines", UserWarning, stacklevel=1)
-
-    monkeypatch.setattr(_main, "_load", lambda name: command)
+def test_libraries_warn_in_one_line(instead, mvedge):
+    instead(lambda: warnings.warn("something\nof two lines", UserWarning, stacklevel=1))
     with warnings.catch_warnings():
         warnings.simplefilter("default")
         assert mvedge("info").err == "warning something\\nof two lines"

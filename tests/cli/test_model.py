@@ -3,10 +3,9 @@
 import jax.numpy as jnp
 import pytest
 
-from mvedge_jax.cli._model import FULL, ModelOptions, described, read_value, settings_of
+from mvedge_jax.cli._model import FULL, ModelOptions, read_value, settings_of
 from mvedge_jax.diffusion import AutoSolver
 from mvedge_jax.lightfield import LightField
-from mvedge_jax.posed import StereoDepth
 from mvedge_jax.smoothness import ColorAndDepth
 
 
@@ -39,9 +38,3 @@ def test_later_settings_win():
     assert settings_of(("a.b=1", "c=x=y", "a.b=2.5")) == {"a.b": 2.5, "c": "x=y"}
     words = ("1", "-1e-3", "true", "all", "none")
     assert [read_value(text) for text in words] == [1, -1e-3, True, "all", None]
-
-
-def test_numbers_of_a_report_are_as_short_as_their_precision():
-    report = described(StereoDepth(hypotheses=16))
-    assert report["numbers"]["smoothness.color"] == 0.3
-    assert report["static fields"]["hypotheses"] == 16

@@ -5,37 +5,25 @@ import re
 import cv2
 import numpy as np
 import pytest
-from cli.scenes import textured_plane
-from datasets.layouts import write_hci
+from cli.scenes import write_plane
 
-from mvedge_jax.cli import _main
 from mvedge_jax.datasets import read_pfm
 
 
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory):
-    truth = np.full((24, 28), 0.4, np.float32)
-    return write_hci(
-        tmp_path_factory.mktemp("optimize") / "plane", textured_plane(24, 28), disparity=truth
-    )
+    return write_plane(tmp_path_factory.mktemp("optimize") / "plane", 24, 28)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "options",
-    [
-        ["--supervised"],
-        ["--supervised", "--no-recycle", "--grow-points", "6"],
-        ["--loss", "reprojection"],
-        [],
-    ],
+    ["--supervised", "--supervised --no-recycle --grow-points 6", "--loss reprojection", ""],
 )
-def test_optimize_writes_everything_and_ends_no_worse(scene, tmp_path, capsys, options):
+def test_optimize_writes_everything_and_ends_no_worse(scene, tmp_path, mvedge, options):
     out = tmp_path / "out"
-    words = ["optimize", str(scene), str(out), "--iterations", "8", "--raster", "1", *options]
-    status = _main.main(words)
-    printed, complaint = capsys.readouterr()
-    assert status == 0, complaint
+    words = ("--iterations", 8, "--raster", 1, *options.split())
+    printed = mvedge("optimize", scene, out, *words).out
     # Only a known map says where points are missing.
     assert ("points moved to where the map was wrong" in printed) == ("--supervised" in options)
     if "--no-recycle" in options:

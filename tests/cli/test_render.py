@@ -75,8 +75,3 @@ def test_interrupting_the_renderer_leaves_nothing(monkeypatch, tmp_path, render)
     monkeypatch.setattr(synthetic, "visibility", interrupt)
     render("crossing", tmp_path / "out", code=130)
     assert list(tmp_path.iterdir()) == []
-
-
-def test_help_names_every_scene(mvedge):
-    text = mvedge("render", "--help").out
-    assert all(name in text for name in synthetic.scene_names())

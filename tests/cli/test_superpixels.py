@@ -4,27 +4,19 @@ import json
 
 import numpy as np
 import pytest
-from datasets.layouts import write_hci
-from scipy import ndimage
+from cli.scenes import write_plane
 
-from mvedge_jax.cli import _main
 from mvedge_jax.datasets import load_light_field
 
 
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory):
-    """A textured plane at disparity 0, 3x3 views of 32x40 px, in the HCI layout."""
-    rng = np.random.default_rng(0)
-    texture = ndimage.gaussian_filter(rng.uniform(size=(32, 40, 3)), (0.9, 0.9, 0)) * 0.5 + 0.2
-    views = np.broadcast_to(np.round(255 * texture).astype(np.uint8), (3, 3, 32, 40, 3))
-    truth = np.zeros((32, 40), np.float32)
-    return write_hci(tmp_path_factory.mktemp("superpixels") / "plane", views, disparity=truth)
+    return write_plane(tmp_path_factory.mktemp("superpixels") / "plane", disparity=0.0)
 
 
-def test_superpixels_writes_labels_tables_and_pictures(scene, tmp_path):
+def test_superpixels_writes_labels_tables_and_pictures(scene, tmp_path, mvedge):
     out = tmp_path / "out"
-    words = ["superpixels", str(scene), str(out), "--count", "20", "--pick", "20", "16"]
-    assert _main.main(words) == 0
+    mvedge("superpixels", scene, out, "--count", 20, "--pick", 20, 16)
     labels = np.load(out / "labels.npy")
     assert labels.shape == (3, 3, 32, 40)
     assert labels.dtype == np.int32

@@ -5,6 +5,7 @@ from functools import partial
 import h5py
 import numpy as np
 import pytest
+from cli.scenes import textured_plane
 from datasets.layouts import cut, known, random_views, write_h5, write_mat
 from numpy.testing import assert_allclose, assert_array_equal
 
@@ -14,28 +15,18 @@ DEPTH = np.full((3, 3, 6, 8), 5.0, np.float32)
 V73 = partial(write_mat, version="7.3")
 
 
-def _shifting_views(direction_v, direction_u, disparity, size=24):
-    """A textured plane whose views obey the convention, or not, on either axis."""
-    texture = np.random.default_rng(0).integers(0, 256, (size * 2, size * 2, 3)).astype(np.uint8)
-    views = np.zeros((5, 5, size, size, 3), np.uint8)
-    for v, u in np.ndindex(5, 5):
-        y = size // 2 - direction_v * (2 - v) * disparity
-        x = size // 2 - direction_u * (2 - u) * disparity
-        views[v, u] = texture[y : y + size, x : x + size]
-    return views
-
-
 @pytest.mark.parametrize("direction_v", [1, -1])
 @pytest.mark.parametrize("direction_u", [1, -1])
 def test_old_hci_is_put_in_the_order_of_its_ground_truth(tmp_path, direction_v, direction_u):
     disparity = 2
-    views = _shifting_views(direction_v, direction_u, disparity)
+    whole = textured_plane(24, 24, disparity=disparity, grid=(5, 5))
+    views = whole[::direction_v, ::direction_u]
     depth = np.full(views.shape[:4], 0.1 * 600 / (disparity + 10), np.float32)
     labels = np.broadcast_to(np.arange(24, dtype=np.uint8), views.shape[:4])
     loaded = load_light_field(write_h5(tmp_path / "buddha.h5", views, depth=depth, labels=labels))
     truth = known(loaded.truth)
     assert loaded.name == "buddha"
-    assert_array_equal(loaded.views, views[::direction_v, ::direction_u].astype(np.float32) / 255)
+    assert_array_equal(loaded.views, whole.astype(np.float32) / 255)
     assert_allclose(truth.disparity, disparity, rtol=1e-5)
     assert_allclose(known(truth.view_disparity), disparity, rtol=1e-5)
     assert_array_equal(truth.object_ids, labels[0, 0])

@@ -16,7 +16,7 @@ def _texture(seed, size=192):
     return (smooth - smooth.min()) / (smooth.max() - smooth.min())
 
 
-def _cards(near=1.5, far=-0.5, shape=(7, 7, 90, 100)):
+def cards_of(near=1.5, far=-0.5, shape=(7, 7, 90, 100)):
     """Two textured cards before a textured wall, in the convention."""
     rows, columns, height, width = shape
     wall, card = (_texture(seed) for seed in (0, 1))
@@ -41,7 +41,7 @@ def _checked(views, **options):
 @pytest.fixture(scope="module")
 def cards():
     """The scene in the order of the convention."""
-    return _cards()
+    return cards_of()
 
 
 @pytest.mark.parametrize("flip_v", [False, True])
@@ -79,7 +79,10 @@ def test_votes_and_range(cards):
 
 
 def test_without_occlusions_nothing_is_claimed():
-    plane, still = _cards(near=0.7, far=0.7), _cards(near=0, far=0)  # of two textures, one surface
+    plane, still = (
+        cards_of(near=0.7, far=0.7),
+        cards_of(near=0, far=0),
+    )  # of two textures, one surface
     noise = np.random.default_rng(0).uniform(size=(5, 5, 40, 44, 3)).astype(np.float32)
     for views in (plane, noise):
         check = _checked(views)

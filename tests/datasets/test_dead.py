@@ -3,25 +3,17 @@
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from datasets.layouts import random_views, save_image, write_grid, write_h5
-from scipy import ndimage
+from cli.scenes import textured_plane
+from datasets.layouts import write_grid, write_h5
 
 from mvedge_jax import LightField, load_light_field
 from mvedge_jax.datasets import find_dead_views
 
 
-def _plane(disparity=0.7, grid=(5, 5), size=(40, 48), seed=0):
+def _plane(disparity=0.7, grid=(5, 5)):
     """A textured plane, sRGB in [0, 1]."""
-    rng = np.random.default_rng(seed)
-    texture = ndimage.gaussian_filter(rng.uniform(size=(80, 90, 3)), (1.2, 1.2, 0))
-    texture = 0.5 + 0.2 * (texture - texture.mean()) / texture.std()
-    y, x = np.mgrid[: size[0], : size[1]] + 15.0
-    views = np.zeros((*grid, *size, 3), np.float32)
-    for v, u in np.ndindex(*grid):
-        place = [y - (grid[0] // 2 - v) * disparity, x - (grid[1] // 2 - u) * disparity]
-        for c in range(3):
-            views[v, u, ..., c] = ndimage.map_coordinates(texture[..., c], place, order=3)
-    return views.clip(0.05, 0.95)
+    plane = textured_plane(40, 48, disparity=disparity, grid=grid) / np.float32(255)
+    return plane.clip(0.05, 0.95)
 
 
 def _found(views, **options):
@@ -70,7 +62,7 @@ ALIKE = {
     "dark": _plane() * 0.04,
     "gains": _plane() * np.linspace(0.15, 1, 25).reshape(5, 5, 1, 1, 1),
     "8 bits": np.round(_plane(disparity=0) * 255) / 255,
-    "stars": np.where(_plane() > 0.95, 0.9, 0),
+    "stars": np.where(_plane() > 0.9, 0.9, 0),
     "rows alike": np.broadcast_to(_plane()[:, :1], (5, 5, 40, 48, 3)),
     "a noisy wall": 0.6 + np.random.default_rng(0).normal(0, 0.005, (5, 5, 32, 32, 3)),
     "a single row": _plane(grid=(1, 5)),
@@ -137,13 +129,4 @@ def test_a_dead_or_lone_centre_view_is_an_error(tmp_path):
     views[1, [0, 2]] = views[[0, 2], 1] = 0
     folder = write_grid(tmp_path / "lone", views)
     with pytest.raises(ValueError, match="all 4 are missing"), pytest.warns(match="4 of 9"):
-        load_light_field(folder)
-
-
-def test_pictures_that_differ_are_no_repetitions(tmp_path):
-    views = random_views((3, 3, 6, 8, 3))
-    folder = write_grid(tmp_path / "toy", views)
-    assert load_light_field(folder).available.all()  # without a warning
-    save_image(folder / "lf_01_01.png", views[0, 1])
-    with pytest.warns(UserWarning, match="lf_01_01.png is the same picture as lf_01_02.png"):
         load_light_field(folder)

@@ -132,6 +132,9 @@ def test_a_folder_without_photographs_or_some_of_them(tmp_path):
     (tmp_path / "empty").mkdir()
     with pytest.raises(ValueError, match="holds no posed photographs; expected a COLMAP model"):
         load_photographs(tmp_path / "empty")
+    (tmp_path / "notes.md").write_text("# Notes\n\nNo poses at all.\n")
+    with pytest.raises(ValueError, match=r"notes\.md has 1 lines, expected 5 per pose"):
+        load_photographs(tmp_path / "notes.md")
     folder = synthetic_nerf(tmp_path / "lego")
     (folder / "train" / "r_2.png").unlink()
     with pytest.raises(FileNotFoundError, match=r"train/r_2 is missing; .*frame 2, names it"):

@@ -27,7 +27,7 @@ from scipy.spatial.transform import Rotation
 from mvedge_jax.datasets.exchange import read_ply, write_colmap, write_nerfstudio, write_ply
 from mvedge_jax.datasets.photographs import load_photographs
 from mvedge_jax.datasets.photographs._photographs import nearby, open_photographs
-from mvedge_jax.datasets.photographs._sift import _features, triangulated
+from mvedge_jax.datasets.photographs._sift import triangulated
 from mvedge_jax.posed import Photographs
 
 
@@ -144,12 +144,18 @@ def save_all(folder, name):
     return names
 
 
+LENS = (40.0, 40.0, 23.5, 17.5)
+
+
+def write_log(folder, poses):
+    rows = (f"{i} {i} {i + 1}\n{m}\n" for i, m in enumerate(matrices(poses)))
+    (folder / "trajectory.log").write_text("".join(rows))
+
+
 def test_lists_of_poses(tmp_path):
     names = save_all(tmp_path, "0{}.png")
-    rows = (f"{i} {i} {i + 1}\n{m}\n" for i, m in enumerate(matrices(POSES)))
-    (tmp_path / "trajectory.log").write_text("".join(rows))
-    lens = (40.0, 40.0, 23.5, 17.5)
-    found = load_photographs(tmp_path, intrinsics=lens, points=False)
+    write_log(tmp_path, POSES)
+    found = load_photographs(tmp_path, intrinsics=LENS, points=False)
     assert_same(found, photographs(names=names))
     with pytest.raises(ValueError, match="does not say its camera's intrinsics; give"):
         load_photographs(tmp_path)
@@ -166,11 +172,10 @@ def test_lists_of_poses(tmp_path):
 def test_poses_belong_to_images_by_number(tmp_path):
     poses = np.tile(np.eye(4), (11, 1, 1))
     poses[:, 0, 3] = range(11)
+    write_log(tmp_path, poses)
     for i in range(11):
         cv2.imwrite(str(tmp_path / f"{i}.png"), BYTES[i % 4])
-    rows = (f"{i} {i} {i + 1}\n{m}\n" for i, m in enumerate(matrices(poses)))
-    (tmp_path / "trajectory.log").write_text("".join(rows))
-    source = open_photographs(tmp_path, intrinsics=(40.0, 40.0, 23.5, 17.5))
+    source = open_photographs(tmp_path, intrinsics=LENS)
     assert {f.name: f.pose[0, 3] for f in source.frames} == {f"{i}.png": i for i in range(11)}
 
 
@@ -230,15 +235,6 @@ def test_points_that_nobody_is_known_to_see_are_kept(tmp_path):
     assert given(load_photographs(tmp_path, around="d.png", most=2).points).shape == (4, 3)
     (tmp_path / "sparse" / "0" / "points3D.txt").write_text("# none\n")
     assert load_photographs(tmp_path, points=False).points is None
-
-
-def test_features_lie_where_they_are():
-    y, x = np.mgrid[:120, :140].astype(float)
-    wanted = np.asarray([[60.0, 60.0], [100.5, 30.25], [30.3, 90.7]])
-    image = sum(np.exp(-((x - a) ** 2 + (y - b) ** 2) / 32) for a, b in wanted)
-    found, _ = _features(np.repeat(np.clip(image, 0, 1)[..., None], 3, axis=2).astype(np.float32))
-    for place in wanted:
-        assert np.linalg.norm(found - place, axis=1).min() < 0.05
 
 
 def test_features_are_triangulated_where_they_are():

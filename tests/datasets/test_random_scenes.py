@@ -91,12 +91,6 @@ def test_mistakes_are_named():
     for limits in ((1.0, 1.0), (0.0, float("nan"))):
         with pytest.raises(ValueError, match=r"`disparity_range` must be \(low, high\), finite"):
             scene_of(0, disparity_range=limits)
-    for shape, count, match in (
-        (SHAPE, 0, "`count` must be at least 1, got 0"),
-        ((4, 4, 9, 9), 1, "`shape` must have odd numbers of view rows"),
-    ):
-        with pytest.raises(ValueError, match=match):
-            random_scenes.random_light_fields(shape=shape, count=count, key=jax.random.key(0))
 
 
 def test_double_precision_reaches_the_views():

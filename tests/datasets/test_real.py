@@ -1,9 +1,8 @@
-"""The development data through the loaders: the convention holds, time and memory are bounded."""
+"""A scene of the benchmark: its camera is right, and loading it costs little."""
 
 import subprocess
 import sys
 
-import cv2
 import numpy as np
 import pytest
 from datasets.layouts import known
@@ -12,35 +11,6 @@ from helpers import shared_data
 from mvedge_jax.datasets import load_light_field, read_pfm
 
 pytestmark = pytest.mark.slow
-
-
-def _photo_consistency(light_field, sign_v, sign_u):
-    """Mean absolute difference of all views, warped with the ground truth, from the centre."""
-    disparity = np.asarray(known(light_field.truth).disparity)
-    y, x = np.mgrid[: disparity.shape[0], : disparity.shape[1]].astype(np.float32)
-    centre = np.asarray(light_field.centre_view)
-    differences = []
-    for v, u in zip(*np.nonzero(np.asarray(light_field.available)), strict=True):
-        du, dv = np.asarray(light_field.steps[v, u])
-        if du == dv == 0:
-            continue
-        place = x + sign_u * du * disparity, y + sign_v * dv * disparity
-        seen = cv2.remap(np.asarray(light_field.views[v, u]), *place, cv2.INTER_LINEAR)
-        inside = (place[0] >= 0) & (place[0] <= x.max()) & (place[1] >= 0) & (place[1] <= y.max())
-        differences.append(np.abs(seen - centre)[inside].mean())
-    return 255 * float(np.mean(differences))
-
-
-@pytest.mark.parametrize(("name", "views"), [("cotton", 81), ("backgammon", 17)])
-def test_the_truth_explains_all_views(name, views):
-    light_field = load_light_field(shared_data("hci", name))
-    assert light_field.views.shape == (9, 9, 512, 512, 3)
-    assert int(light_field.available.sum()) == views
-    right = _photo_consistency(light_field, 1, 1)
-    assert right < 1.0 or name != "cotton"
-    for signs in ((1, -1), (-1, 1), (-1, -1)):
-        wrong = _photo_consistency(light_field, *signs)
-        assert wrong > (2.5 if name == "cotton" else 1.5 * right)
 
 
 def test_cotton():
@@ -55,12 +25,6 @@ def test_cotton():
     assert np.median(error) < 1e-4
     assert np.percentile(error, 99) < 1e-3
     assert set(np.unique(np.asarray(known(light_field.truth).object_ids))) == {1, 4}
-
-
-def test_lytro():
-    light_field = load_light_field(shared_data("lytro", "2067"), views=7)
-    assert light_field.views.shape == (7, 7, 383, 552, 3)
-    assert light_field.truth is None
 
 
 def test_cotton_within_time_and_memory():

@@ -117,20 +117,6 @@ def test_settings_that_contradict(tmp_path, old, new, match):
     assert str(scene) in refused(scene, match)
 
 
-@pytest.mark.parametrize(
-    ("scale", "match"),
-    [
-        *((scale, r"`scale` must be in \(0, 1\]") for scale in (0.0, -1.0, 1.5)),
-        *(
-            (scale, r"leaves no pixel of .*02_02\.png, 8x8 px .* at least 0\.1")
-            for scale in (1e-320, 1e-30, 0.12)
-        ),
-    ],
-)
-def test_bad_scale(tmp_path, scale, match):
-    refused(write_grid(tmp_path, random_views((3, 3, 8, 8, 3))), match, scale=scale)
-
-
 def test_grids_that_do_not_fit(tmp_path):
     refused(write_hci(tmp_path / "hci", random_views((3, 5, 4, 6, 3))), "3x5 views")
     folder = write_grid(tmp_path / "names", random_views(), pattern="s_{:03d}_{}.png", first=1)

@@ -12,7 +12,6 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from mvedge_jax.datasets import synthetic
 from mvedge_jax.datasets.synthetic import _trace
-from mvedge_jax.datasets.synthetic._noise import fractal_noise, gradient_noise
 from mvedge_jax.datasets.synthetic.world import Material
 
 pytestmark = pytest.mark.usefixtures("optimised")
@@ -104,9 +103,6 @@ def test_edges_are_antialiased():
     expected = (position[:, None] > _trace.tent(3)).mean(-1)
     assert_allclose(row / row[0], expected, atol=1e-4)
     assert len(np.unique(expected)) > 2
-    quantiles = np.sort(_trace.tent(64))
-    cumulative = np.where(quantiles < 0, (1 + quantiles) ** 2 / 2, 1 - (1 - quantiles) ** 2 / 2)
-    assert_allclose(cumulative, (np.arange(64) + 0.5) / 64, atol=1e-9)
 
 
 def test_shadows_darken_and_are_optional():
@@ -152,47 +148,3 @@ def test_only_specular_surfaces_change_with_the_view():
 
     assert error() < 1.0
     assert error(specular=0.9, mirror=0.3) > 5.0
-
-
-def line(x, seed=3):
-    x = jnp.asarray(x)
-    place = x, 0.4 + 0 * x, 0.7 + 0 * x
-    return np.asarray(gradient_noise(place, jnp.full(x.shape, seed, jnp.int32)))
-
-
-def test_gradient_noise_is_smooth_bounded_and_vanishes_on_the_lattice():
-    grid = jnp.asarray(np.random.default_rng(0).integers(-50, 50, (3, 200)).astype(float))
-    seed = jnp.zeros(200, jnp.int32)
-    assert_allclose(gradient_noise((grid[0], grid[1], grid[2]), seed), 0.0)
-    values = line(np.linspace(-300, 300, 20001))
-    assert np.abs(values).max() < 1.6
-    assert 0.15 < values.std() < 0.45
-    assert abs(values.mean()) < 0.03
-    # The second derivative is continuous at a lattice plane, also at negative coordinates.
-    h = 1e-3
-    for plane in (-7.0, 0.0, 4.0):
-        below = np.diff(line(plane - h * np.arange(3)[::-1]), n=2) / h**2
-        above = np.diff(line(plane + h * np.arange(3)), n=2) / h**2
-        assert_allclose(below, above, atol=0.6)
-    seeds = [line(np.linspace(0, 50, 500), seed) for seed in (1, 2)]
-    assert abs(np.corrcoef(seeds)[0, 1]) < 0.2
-
-
-def test_fractal_noise_fades_below_the_footprint():
-    """As seen by a pixel, little is left above the Nyquist frequency, and nothing if all is."""
-
-    def noise(x, coarsest):
-        one = jnp.ones_like(x)
-        seed = jnp.full(x.shape, 5, jnp.int32)
-        return np.asarray(
-            fractal_noise((x, 0.3 * one, 0.1 * one), coarsest * one, 0.9 * one, 0.01 * one, seed)
-        )
-
-    x = jnp.arange(4096.0) * 0.01  # a pixel every 0.01
-    dense = noise(jnp.arange(8 * 4096.0) * 0.01 / 8, 2)
-    power = np.abs(np.fft.rfft(dense * np.hanning(len(dense)))) ** 2
-    nyquist = len(power) // 8
-    assert power[nyquist:].sum() / power[1:].sum() < 0.01
-    assert power[nyquist // 4 : nyquist].sum() / power[1:].sum() > 0.01  # but detail is there
-    assert_allclose(dense[::8], noise(x, 2), atol=1e-12)
-    assert_array_equal(noise(x, 50), 0.0)

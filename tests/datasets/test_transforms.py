@@ -6,14 +6,7 @@ import warnings
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from datasets.walls import (
-    BYTES,
-    CORNERS,
-    matrices,
-    photographs,
-    synthetic_nerf,
-    transforms,
-)
+from datasets.walls import BYTES, CORNERS, matrices, photographs, synthetic_nerf, transforms
 from numpy.testing import assert_allclose, assert_array_equal
 from PIL import Image
 from posed.walls import MATRIX, POSES

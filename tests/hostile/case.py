@@ -17,13 +17,9 @@ PROMPT, LONGEST = 5.0, 420
 
 
 class Case(NamedTuple):
-    """One hostile input.
+    """One hostile input: what runs in an empty folder and raises `AssertionError` if it is wrong.
 
-    Attributes:
-        name: says what is hostile about it; unique.
-        run: does it in an empty folder, and raises `AssertionError` where the outcome is wrong.
-        fast: whether the ordinary tests run it, too.
-        place: file and line that define it.
+    `fast` ones are run by the ordinary tests, too; `place` is where the case is defined.
     """
 
     name: str
@@ -38,10 +34,8 @@ CASES: dict[str, Case] = {}
 def hostile(name: str, values: Iterable[Any] = ((),), *, fast: bool = True) -> Callable:
     """Makes a function of a folder, and of a value, a case for each of some values.
 
-    Args:
-        name: of the cases; what is in braces stands for the value.
-        values: tuples are several arguments; in a dictionary they are what their keys are called.
-        fast: as in `Case`.
+    Tuples are several arguments; in a dictionary, values have names of their own. What is in braces
+    in the name of a case stands for the value.
     """
     named = values.items() if isinstance(values, dict) else [(value, value) for value in values]
 

@@ -80,22 +80,22 @@ def _limit(folder: Path) -> None:
 _FAR = [(10**6, 1), (1, 10**6), (10**9, 10**9), (10**60, 0)]
 
 
-@hostile("a view numbered {}", [100, 9999, 10_000, 999_999, 100_000_000, 10**40])
+@hostile("a view numbered {}", [100, 9999, 999_999, 100_000_000, 10**40])
 def _far(folder: Path, number: int) -> None:
     scene = write_hci(folder / "scene", random_views(), settings=False)
     (scene / f"input_Cam{number}.png").write_bytes(_png(8, 6, lines=6))
     refuses(lambda: load_light_field(scene), "input_Cam")
 
 
-@hostile("a view at {}, {}", _FAR)
-def _far_in_a_grid(folder: Path, row: int, column: int) -> None:
-    scene = write_grid(folder / "scene", random_views())
-    (scene / f"lf_{row}_{column}.png").write_bytes(_png(8, 6, lines=6))
-    refuses(lambda: load_light_field(scene), "scene", "views")
+_GRIDS = {
+    "view": (write_grid, "lf_{}_{}.png"),
+    "camera": (write_stanford, "out_{}_{}_1.0_2.0.png"),
+}
 
 
-@hostile("a camera at {}, {}", _FAR)
-def _far_in_a_rig(folder: Path, row: int, column: int) -> None:
-    scene = write_stanford(folder / "scene", random_views())
-    (scene / f"out_{row}_{column}_1.0_2.0.png").write_bytes(_png(8, 6, lines=6))
+@hostile("a {} at {}, {}", [(kind, *place) for kind in _GRIDS for place in _FAR])
+def _far_away(folder: Path, kind: str, row: int, column: int) -> None:
+    write, name = _GRIDS[kind]
+    scene = write(folder / "scene", random_views())
+    (scene / name.format(row, column)).write_bytes(_png(8, 6, lines=6))
     refuses(lambda: load_light_field(scene), "scene", "views")

@@ -2,7 +2,6 @@
 
 import itertools
 import os
-import warnings
 from pathlib import Path
 from typing import Any
 
@@ -50,22 +49,6 @@ def _container(folder: Path, suffix: str, kind: str) -> None:
 def _parent(folder: Path, name: str) -> None:
     write_grid(folder / name, random_views())
     refuses(lambda: load_light_field(folder), name, "in it")
-
-
-@hostile(
-    "views that are {}",
-    {"black": ("black", 0), "white": ("white", 255), "of one color": ("of one color", 90)},
-)
-def _dead(folder: Path, what: str, value: int) -> None:
-    for name, place in (("centre", (1, 1)), ("crosshair", (1, 2))):
-        views = random_views((3, 3, 16, 16, 3))
-        views[place] = value
-        write_grid(folder / name, views, pattern="v_{}_{}.png")
-    refuses(lambda: load_light_field(folder / "centre"), "v_2_2.png", what)
-    with warnings.catch_warnings(record=True) as said:
-        warnings.simplefilter("always")
-        assert not load_light_field(folder / "crosshair").available[1, 2]
-    assert f"v_2_3.png is {what}." in str(said[0].message)
 
 
 @hostile("3000 grids in one folder")

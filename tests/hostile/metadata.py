@@ -5,11 +5,10 @@ from pathlib import Path
 
 import numpy as np
 from datasets.layouts import CONFIGURATION, random_views, write_hci, write_stanford
-from hostile.case import hostile, mutated, refuses, survives
+from hostile.case import hostile, refuses, survives
 from hostile.folders import occupy
 from hostile.scenes import TRUTH, hci
 
-from experiments.peers.photographs import read_colmap_depth
 from mvedge_jax.datasets import load_ground_truth, load_light_field, read_pfm, write_pfm
 
 _PLAIN = CONFIGURATION.format(width=8, height=6, columns=3, rows=3)
@@ -43,13 +42,8 @@ def _many(folder: Path, cameras: str) -> None:
     refuses(lambda: load_light_field(scene), "parameters.cfg")
 
 
-@hostile("a byte order mark")
-def _marked(folder: Path) -> None:
-    scene = _configured(b"\xef\xbb\xbf" + _PLAIN.encode(), folder)
-    assert load_light_field(scene).camera is not None
-
-
 _TEXTS: dict[str, str | bytes] = {
+    "with a byte order mark": b"\xef\xbb\xbf" + _PLAIN.encode(),
     "UTF-16": _PLAIN.encode("utf-16"),
     "Latin 1": "[meta]\nscene = caf\xe9\n".encode("latin-1"),
     "no sections": "a = 1\n" * 5000,
@@ -67,6 +61,7 @@ _TEXTS: dict[str, str | bytes] = {
 def _text(folder: Path, text: str | bytes) -> None:
     scene = _configured(text, folder)
     survives(lambda: load_light_field(scene), "parameters.cfg")
+    assert text is not _TEXTS["with a byte order mark"] or load_light_field(scene).camera
 
 
 _KINDS = ("/dev/zero", "/dev/urandom", "/dev/stdin", "fifo", "folder", "nothing", "loop")
@@ -106,12 +101,6 @@ def _filed(folder: Path, bad: bytes) -> None:
     refuses(lambda: load_light_field(scene, positions=folder / "positions.txt"))
 
 
-@hostile("positions in {}", ["/dev/zero", "/dev/null", "."])
-def _device(folder: Path, special: str) -> None:
-    scene = write_hci(folder / "scene", random_views())
-    refuses(lambda: load_light_field(scene, positions=special), special)
-
-
 @hostile("a camera named {}", ["1e999_0", "0_1e999", "5_5"])
 def _rig(folder: Path, place: str) -> None:
     scene = write_stanford(folder / "scene", random_views())
@@ -149,19 +138,3 @@ def _disparity(folder: Path, value: float) -> None:
     write_pfm(scene / "gt_disp_lowres.pfm", values)
     survives(lambda: load_light_field(scene), "gt_disp_lowres.pfm")
     survives(lambda: load_ground_truth(scene), "gt_disp_lowres.pfm")
-
-
-_OF_COLMAP = [
-    b"", b"8", b"8&6", b"8&6&1", b"0&0&1&", b"-8&6&1&", b"8&6&3&", b"8.0&6&1&", b" 8&6&1&",
-    b"999999999&999999999&999999999&", b"9" * 5000 + b"&6&1&", b"&&&", b"\0" * 64,
-    "8&６&1&".encode(), b"8&5&1&", b"5&5&1&",
-]  # fmt: skip
-_SOUND = b"4&3&1&" + np.linspace(1, 2, 12).astype("<f4").tobytes()
-_CONTENTS = [*(h + bytes(100) for h in _OF_COLMAP), *(mutated(_SOUND, seed) for seed in range(30))]
-
-
-@hostile("depth map {} of COLMAP: {!r:.26}", enumerate(_CONTENTS))
-def _depth_map(folder: Path, _: int, content: bytes) -> None:
-    path = folder / "map.bin"
-    path.write_bytes(content)
-    survives(lambda: read_colmap_depth(path), "map.bin")

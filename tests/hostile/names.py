@@ -7,7 +7,7 @@ import pytest
 from datasets.layouts import random_views, write_hci
 from hostile.case import hostile
 from hostile.commands import call, complaint
-from hostile.scenes import TRUTH, hci
+from hostile.scenes import TRUTH
 
 from mvedge_jax.datasets import load_light_field, write_pfm
 
@@ -48,15 +48,3 @@ def _damaged(folder: Path, raw: bytes) -> None:
     if name.isprintable():
         assert name in message, f"{name!r} is not in {message!r}"
     assert [item.name for item in folder.iterdir()] == [name]
-
-
-@hostile("OUT is a file called {!r:.42}", [raw for raw in _NAMES if len(raw) <= 100])
-def _into(folder: Path, raw: bytes) -> None:
-    scene, out = hci(folder), folder / os.fsdecode(raw)
-    write_pfm(folder / "map.pfm", TRUTH)
-    out.write_text("mine")
-    code, _, error = call("eval", folder / "map.pfm", scene, "--out", out, "--crop", 1)
-    assert code == 2, error
-    complaint(error)
-    assert out.read_text() == "mine"
-    assert {item.name for item in folder.iterdir()} == {"scene", "map.pfm", out.name}

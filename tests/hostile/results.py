@@ -88,7 +88,7 @@ _CONTENTS: dict[str, bytes | None] = {
 }  # fmt: skip
 _TEXTS = tuple(_CONTENTS)
 # To what holds numbers, one text is as good as another.
-_NUMBERS = ("nothing", "no text", "a list", "a pickle", "a zip without end", "an array", _TEXTS[-1])
+_NUMBERS = ("nothing", "no text", "a pickle", "a zip without end", "an array", _TEXTS[-1])
 _FILES = {
     "report.json": _TEXTS, ".mvedge.json": _NUMBERS, "disparity.pfm": _NUMBERS,
     "standard_error.pfm": _NUMBERS, "points.npz": _NUMBERS, "views.h5": _NUMBERS,

@@ -11,6 +11,7 @@ import subprocess
 import sys
 import tempfile
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -31,28 +32,22 @@ def compute(file: Path, size: int) -> None:
     model = EdgeDepth.for_light_field(field)
     found = model(field)
     gradient = eqx.filter_grad(lambda m: m(field).disparity.mean())(model)
-    leaves = [np.ravel(leaf) for leaf in jax.tree.leaves(gradient)]
-    np.savez(
-        file,
-        views=field.views,
-        disparity=found.disparity,
-        error=found.error,
-        gradient=np.concatenate(leaves),
-    )
+    leaves = np.concatenate([np.ravel(leaf) for leaf in jax.tree.leaves(gradient)])
+    arrays: dict[str, Any] = {"views": field.views, "gradient": leaves}
+    np.savez(file, disparity=found.disparity, error=found.error, **arrays)
 
 
 def ran(cores: set[int], size: int) -> dict[str, np.ndarray]:
-    """The arrays of a process on some cores."""
+    """The arrays of a process on some cores: XLA has as many threads as there are at its start."""
+    every = os.sched_getaffinity(0)
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "found.npz"
         words = [sys.executable, __file__, "--size", str(size), "--into", str(file)]
-        # XLA has as many threads as there are cores when it starts.
-        before = os.sched_getaffinity(0)
         os.sched_setaffinity(0, cores)
         try:
             subprocess.run(words, check=True)
         finally:
-            os.sched_setaffinity(0, before)
+            os.sched_setaffinity(0, every)
         with np.load(file) as stored:
             return dict(stored)
 
@@ -80,9 +75,8 @@ def main() -> int:
         compute(options.into, options.size)
         return 0
     every = os.sched_getaffinity(0)
-    one = {min(every)}
-    runs = {name: [ran(cores, options.size) for _ in range(2)] for name, cores in
-            (("1 core", one), (f"{len(every)} cores", every))}  # fmt: skip
+    kinds = {"1 core": {min(every)}, f"{len(every)} cores": every}
+    runs = {name: [ran(cores, options.size) for _ in range(2)] for name, cores in kinds.items()}
     bad = 0
     for name, (first, again) in runs.items():
         said = apart(first, again)

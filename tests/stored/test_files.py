@@ -23,14 +23,14 @@ def _linked(path, aside):
     path.symlink_to(aside)
 
 
-def _of_another_program(path):
-    (other,) = [other for other in path.parent.glob("*.program") if other != path]
-    path.write_bytes(other.read_bytes())
-
-
 def _a_pipe(path):
     path.unlink()
     os.mkfifo(path, 0o600)
+
+
+def _sealed(path, content):
+    """A file that is whole, of something else."""
+    path.write_bytes(_files._sealed(pickle.dumps(content), path.stem))
 
 
 SPOIL = {
@@ -41,33 +41,28 @@ SPOIL = {
     "in an open folder": lambda path: path.parent.chmod(0o755),
     "linked": lambda path: _linked(path, path.with_suffix(".elsewhere")),
     "in a linked folder": lambda path: _linked(path.parent, path.parent.with_name("aside")),
-    "of another program": _of_another_program,
-    "another pickle": lambda path: path.write_bytes(
-        _files._sealed(pickle.dumps("no program"), path.stem)
-    ),
+    "another pickle": lambda path: _sealed(path, "no program"),
     "a pipe": _a_pipe,
 }
 
 
-@pytest.mark.parametrize("how", SPOIL)
-def test_a_file_in_doubt_is_ignored(files, how):
+@pytest.mark.parametrize("how", [*SPOIL, "of another program", "of another account"])
+def test_a_file_in_doubt_is_ignored(files, how, monkeypatch):
     part = Part(jnp.asarray(2.0))
     wanted, _ = run(X, part)
     (path,) = stored_files(files)
     if how == "of another program":
         run(X[:3], part)
-    SPOIL[how](path)
+        (other,) = [other for other in stored_files(files) if other != path]
+        other.replace(path)
+    elif how == "of another account":
+        own = os.geteuid()
+        monkeypatch.setattr(os, "geteuid", lambda: own + 1)
+    else:
+        SPOIL[how](path)
     found, traces = run(X, part)
     assert traces == 1
     same(found, wanted)
-
-
-def test_another_accounts_file_is_ignored(files, monkeypatch):
-    part = Part(jnp.asarray(2.0))
-    run(X, part)
-    own = os.geteuid()
-    monkeypatch.setattr(os, "geteuid", lambda: own + 1)
-    assert run(X, part)[1] == 1
 
 
 class _Evil:
@@ -85,7 +80,7 @@ def test_nothing_that_others_may_have_written_is_unpickled(files, tmp_path, mode
     part = Part(jnp.asarray(2.0))
     run(X, part)
     (path,) = stored_files(files)
-    path.write_bytes(_files._sealed(pickle.dumps(_Evil(tmp_path / "made")), path.stem))
+    _sealed(path, _Evil(tmp_path / "made"))
     path.chmod(mode)
     run(X, part)
     assert (tmp_path / "made").exists() == ran

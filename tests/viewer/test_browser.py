@@ -84,18 +84,20 @@ def _is(colour, expected):
 
 def _click(tab, x, y):
     box = tab.locator("canvas.picture").bounding_box()
-    size = tab.evaluate(
-        "[document.querySelector('.picture').width, document.querySelector('.picture').height]"
-    )
-    tab.mouse.click(
-        box["x"] + (x + 0.5) * box["width"] / size[0],
-        box["y"] + (y + 0.5) * box["height"] / size[1],
-    )  # fmt: skip
+    size = "e => [e.width, e.height]"
+    width, height = tab.locator("canvas.picture").evaluate(size)
+    across, down = box["width"] / width, box["height"] / height
+    tab.mouse.click(box["x"] + (x + 0.5) * across, box["y"] + (y + 0.5) * down)
 
 
 @pytest.fixture(scope="module")
 def html():
     return page(square_field(), result(), quality=100)
+
+
+@pytest.fixture
+def tab(look, html):
+    return look(html)
 
 
 @pytest.mark.parametrize("served", [False, True])
@@ -112,8 +114,7 @@ def test_a_file_or_a_server_shows_the_centre_view(look, html, served):
         thread.join()
 
 
-def test_numbers_arrive_as_they_were(look, html):
-    tab = look(html)
+def test_numbers_arrive_as_they_were(tab, html):
     found = tab.evaluate(
         "text => { const e = document.createElement('script'); e.textContent = text;"
         " return unpack(e).then(d => [...d.maps].map(m => [...(m.error || m.disparity)])); }",
@@ -126,9 +127,8 @@ def test_numbers_arrive_as_they_were(look, html):
     np.testing.assert_allclose(np.array(found[1]).reshape(48, 64), disparity(), atol=1e-5)
 
 
-def test_a_slider_moves_the_near_square(look, html):
+def test_a_slider_moves_the_near_square(tab):
     """In view (v, u) = (1, 4), two columns to the right, the square is two px to the left."""
-    tab = look(html)
     assert _is(_pixel(tab, 43, 20), NEAR)
     _slide(tab, "u", 2)
     assert _is(_pixel(tab, 43, 20), FAR)
@@ -141,8 +141,7 @@ def test_a_slider_moves_the_near_square(look, html):
     assert _is(_pixel(tab, 46, 24), FAR)
 
 
-def test_a_click_focuses_at_what_is_seen(look, html):
-    tab = look(html)
+def test_a_click_focuses_at_what_is_seen(tab):
     _click(tab, 34, 24)
     assert tab.evaluate("mvedge.state.focus") == pytest.approx(1, abs=1e-4)
     assert tab.evaluate("mvedge.state.at") == [34, 24]
@@ -156,8 +155,7 @@ def test_a_click_focuses_at_what_is_seen(look, html):
     assert tab.evaluate("mvedge.state.at") == [24, 20]
 
 
-def test_the_aperture_blurs_what_is_out_of_focus(look, html):
-    tab = look(html)
+def test_the_aperture_blurs_what_is_out_of_focus(tab):
     _set(tab, aperture=2, shape="square", focus=1, sharp=0)
     assert _is(_pixel(tab, 26, 20), NEAR)
     _set(tab, focus=0)
@@ -171,9 +169,8 @@ def test_the_aperture_blurs_what_is_out_of_focus(look, html):
     assert _is(_pixel(tab, 25, 24), NEAR)
 
 
-def test_slices_show_the_views(look, html):
+def test_slices_show_the_views(tab):
     """The EPI of row 24: view u shows the square's left edge at 24 + (2 - u)."""
-    tab = look(html)
     _click(tab, 30, 24)
     for u in range(5):
         y = 48 + 4 + 7 * u + 3
@@ -181,8 +178,7 @@ def test_slices_show_the_views(look, html):
         assert _is(_pixel(tab, 24 + 2 - u - 2, y), FAR)
 
 
-def test_overlays_show_the_map(look, html):
-    tab = look(html)
+def test_overlays_show_the_map(tab):
     seen = []
     for colour in ("disparity", "standard error", "difference"):
         _set(tab, colour=colour, opacity=1)
@@ -196,8 +192,7 @@ def test_overlays_show_the_map(look, html):
     assert _is(_pixel(tab, 22, 20), (253, 231, 37))
 
 
-def test_a_picture_is_hidden_by_what_is_nearer(look, html):
-    tab = look(html)
+def test_a_picture_is_hidden_by_what_is_nearer(tab):
     tab.get_by_role("button", name="Edit").click()
     _set(tab, cardDisparity=0.5, cardSize=20, at=[34, 24])
     orange = (230, 159, 0)
@@ -209,8 +204,7 @@ def test_a_picture_is_hidden_by_what_is_nearer(look, html):
     assert not _is(_pixel(tab, 34, 18), NEAR)
 
 
-def test_geometry_hides_what_is_uncertain(look, html):
-    tab = look(html)
+def test_geometry_hides_what_is_uncertain(tab):
     tab.get_by_role("button", name="Geometry").click()
     count = """() => { const g = document.querySelector('.picture').getContext('webgl2');
       const a = new Uint8Array(960 * 720 * 4);
@@ -252,11 +246,10 @@ def test_two_results_are_compared(look):
 def test_a_history_is_gone_through(look):
     steps = np.stack([np.zeros((48, 64)), disparity()])
     tab = look(page(square_field(known=False), result()._replace(states=steps)))
-    _click(tab, 34, 24)
-    assert tab.evaluate("mvedge.state.focus") == pytest.approx(1, abs=1e-4)
-    _slide(tab, "history", 0)
-    _click(tab, 34, 24)
-    assert tab.evaluate("mvedge.state.focus") == pytest.approx(0, abs=1e-4)
+    for step, focus in ((1, 1), (0, 0)):
+        _slide(tab, "history", step)
+        _click(tab, 34, 24)
+        assert tab.evaluate("mvedge.state.focus") == pytest.approx(focus, abs=1e-4)
 
 
 _LABELS = result()._replace(labels=np.arange(48 * 64).reshape(48, 64))

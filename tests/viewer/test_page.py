@@ -89,10 +89,8 @@ def test_the_page_is_small_asks_nobody_and_its_scripts_parse():
 def test_nothing_at_all_is_known():
     flat = np.full((48, 64), np.nan)
     data = _data(page(square_field(known=False), result()._replace(disparity=flat, error=flat)))
-    assert data["truth"] is None
-    assert data["camera"] is None
+    assert (data["truth"], data["camera"], data["results"][0]["scores"]) == (None, None, [])
     assert data["range"][0] < data["range"][1]
-    assert data["results"][0]["scores"] == []
 
 
 @pytest.mark.parametrize(
@@ -115,8 +113,7 @@ def test_a_result_is_read_from_its_folder(tmp_path):
     assert given.xy is not None
     write_pfm(tmp_path / "disparity.pfm", disparity())
     alone = read_result(tmp_path / "disparity.pfm")
-    assert alone.name == "disparity"
-    assert alone.error is None
+    assert (alone.name, alone.error) == ("disparity", None)
     write_pfm(tmp_path / "standard_error.pfm", given.error)
     write_pfm(tmp_path / "before.pfm", 0 * disparity())
     np.savez(tmp_path / "points.npz", xy=given.xy, disparity=[1.0, 1.0, 0.9], error=[0.1] * 3)
@@ -127,9 +124,6 @@ def test_a_result_is_read_from_its_folder(tmp_path):
     assert found.points is not None
     assert found.points.shape == (3, 2)
     assert found.normals is None
-    np.savez(tmp_path / "points.npz", xy=given.xy, disparity=[1.0, 1.0])
-    with pytest.raises(ValueError, match="could not be read as points"):
-        read_result(tmp_path)
     (tmp_path / "points.npz").write_bytes(b"PK damaged")
     with pytest.raises(ValueError, match="could not be read as points"):
         read_result(tmp_path)
@@ -167,19 +161,15 @@ def _get(server, path="/", method="GET", host=None):
     return answer.status, body
 
 
-def test_the_server_is_of_this_machine_and_has_one_page(running):
+def test_the_server_is_of_this_machine_and_has_one_page(running, capfd):
     assert running.server_address[0] == "127.0.0.1"
     assert _get(running) == (200, b"<p>page")
     assert _get(running, method="HEAD") == (200, b"")
     assert _get(running, "/../etc/passwd")[0] == 404
     assert _get(running, host="elsewhere.example")[0] == 403
-
-
-def test_a_closed_browser_is_no_error(running, capfd):
-    for _ in range(3):
-        with socket.create_connection(running.server_address) as client:
-            client.sendall(b"GET / HTTP/1.1\r\nHost: localhost\r\n\r\n")
-            client.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, b"\1\0\0\0\0\0\0\0")
+    with socket.create_connection(running.server_address) as client:  # a browser that is closed
+        client.sendall(b"GET / HTTP/1.1\r\nHost: localhost\r\n\r\n")
+        client.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, b"\1\0\0\0\0\0\0\0")
     assert _get(running)[0] == 200
     assert "Traceback" not in capfd.readouterr().err
 
@@ -188,18 +178,6 @@ def test_a_port_in_use_is_passed_over(running):
     taken = running.server_address[1]
     with serve("other", port=taken) as second:
         assert taken < second.server_address[1] <= taken + 20
-
-
-@pytest.mark.parametrize(
-    ("options", "error", "message"),
-    [
-        ({"host": "192.0.2.1", "port": 0}, OSError, r"cannot be served at 192\.0\.2\.1"),
-        ({"port": 70000}, ValueError, "between 0 and 65535, got 70000"),
-    ],
-)
-def test_an_address_that_is_not_ours_is_refused(options, error, message):
-    with pytest.raises(error, match=message):
-        serve("", **options)
 
 
 def test_hidden_surfaces_are_the_most_certain_points_of_other_views():
