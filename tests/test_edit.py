@@ -154,3 +154,29 @@ def test_the_mask_leaves_the_precision_of_the_views():
     single = LightField(field.views.astype(jnp.float32))
     painted = paint(single, depth.astype(jnp.float32), jnp.ones((12, 14)), jnp.ones(3))
     assert painted.views.dtype == jnp.float32
+
+
+def test_what_is_wholly_transparent_has_a_derivative():
+    field, depth = _wall(0.3)
+    weights = jax.random.normal(jax.random.key(1), field.views.shape)
+
+    def loss(tree):
+        alpha, mask = tree
+        picture = jnp.concatenate([jnp.full((5, 5, 3), 0.9), alpha[..., None]], axis=-1)
+        put = insert_picture(field, depth, picture, at=(6.2, 5.1), disparity=1.2)
+        painted = paint(field, depth, mask, jnp.full(3, 0.9), shaded=False)
+        return jnp.sum(weights * (put.views + painted.views))
+
+    tree = (jnp.zeros((5, 5)), jnp.zeros((12, 14)))
+    check_gradient(loss, tree, rtol=1e-6, step=1e-6, key=jax.random.key(2))
+
+
+def test_what_is_removed_has_a_gradient():
+    field, depth, _ = _cards()
+    weights = jax.random.normal(jax.random.key(1), field.views.shape)
+
+    def loss(views):
+        found = remove(LightField(views), depth, depth[1, 1] == _NEAR)
+        return jnp.sum(weights * found.views)
+
+    check_gradient(loss, field.views, rtol=1e-6, step=1e-3, key=jax.random.key(2))

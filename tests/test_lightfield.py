@@ -185,3 +185,13 @@ _BENT = _places() + 0.3 * (np.arange(5) == 4)[None, :, None] * [0, 1]
 def test_positions_are_those_of_rows_and_columns(positions, message):
     with pytest.raises(ValueError, match=message):
         _random(positions=positions)
+
+
+def test_a_plane_moves_as_the_convention_says():
+    x = np.arange(32.0)
+    rows = [np.sin(0.3 * (x - (2 - u) * 1.5)) * 0.5 + 0.5 for u in range(5)]
+    views = np.broadcast_to(np.stack(rows)[None, :, None, :, None], (3, 5, 4, 32, 3))
+    field = LightField(views)
+    du = field.steps[1, 0, 0]
+    there = np.interp(x[8:20] + float(du) * 1.5, x, np.asarray(field.views[1, 0, 0, :, 0]))
+    np.testing.assert_allclose(there, field.centre_view[0, 8:20, 0], atol=0.02)

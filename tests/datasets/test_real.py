@@ -52,3 +52,32 @@ print(elapsed, int(peak[1]) / 1024)
     elapsed, peak = np.min(runs, axis=0)
     assert elapsed < 4.0
     assert peak < 600
+
+
+def _photo_consistency(light_field, sign_v, sign_u):
+    """Mean absolute difference of all views, warped with the ground truth, from the centre."""
+    disparity = np.asarray(known(light_field.truth).disparity)
+    y, x = np.mgrid[: disparity.shape[0], : disparity.shape[1]].astype(np.float32)
+    centre = np.asarray(light_field.centre_view)
+    differences = []
+    for v, u in zip(*np.nonzero(np.asarray(light_field.available)), strict=True):
+        du, dv = np.asarray(light_field.steps[v, u])
+        if du == dv == 0:
+            continue
+        place = x + sign_u * du * disparity, y + sign_v * dv * disparity
+        seen = cv2.remap(np.asarray(light_field.views[v, u]), *place, cv2.INTER_LINEAR)
+        inside = (place[0] >= 0) & (place[0] <= x.max()) & (place[1] >= 0) & (place[1] <= y.max())
+        differences.append(np.abs(seen - centre)[inside].mean())
+    return 255 * float(np.mean(differences))
+
+
+@pytest.mark.parametrize(("name", "views"), [("cotton", 81), ("backgammon", 17)])
+def test_the_truth_explains_all_views(name, views):
+    light_field = load_light_field(shared_data("hci", name))
+    assert light_field.views.shape == (9, 9, 512, 512, 3)
+    assert int(light_field.available.sum()) == views
+    right = _photo_consistency(light_field, 1, 1)
+    assert right < 1.0 or name != "cotton"
+    for signs in ((1, -1), (-1, 1), (-1, -1)):
+        wrong = _photo_consistency(light_field, *signs)
+        assert wrong > (2.5 if name == "cotton" else 1.5 * right)

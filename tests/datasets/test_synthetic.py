@@ -294,3 +294,13 @@ def posed(scene, poses, matrices):
 def test_mistakes_are_explained(call, match):
     with pytest.raises(ValueError, match=match):
         call(synthetic.scene("crossing"))
+
+
+def test_camera_and_crop_agree_with_the_truth(pictures):
+    _, field = pictures["demo"]
+    truth = field.truth
+    assert_allclose(field.camera.depth(truth.disparity)[0, 0], 1 / (0.25 - 1.35 / 20), rtol=1e-5)
+    assert_array_equal(truth.disparity, truth.view_disparity[1, 1])
+    assert_array_equal(truth.object_ids, truth.view_ids[1, 1])
+    assert truth.valid.all()
+    assert field.crop_views(1).truth.view_ids.shape == (1, 1, *PICTURE[2:])

@@ -90,3 +90,46 @@ def test_gaps_are_not_rewarded():
     np.testing.assert_array_equal(
         spoilt.per_view, view_consistency(maps, available=missing).per_view
     )
+
+
+def _printed(maps, target, available):
+    """(6.9) of a view, every sum as it is printed; NaN where fewer than two maps land."""
+    rows, columns, height, width = maps.shape
+    landed = np.full((rows * columns, height, width), -np.inf)
+    for v, u, y, x in np.ndindex(maps.shape):
+        d = maps[v, u, y, x]
+        b, a = (
+            int(np.floor(p + step * d + 0.5))
+            for p, step in ((y, v - target[0]), (x, u - target[1]))
+        )
+        if available[v, u] and 0 <= b < height and 0 <= a < width:
+            landed[v * columns + u, b, a] = max(landed[v * columns + u, b, a], d)
+    found = np.full((height, width), np.nan)
+    for y, x in np.ndindex(height, width):
+        rho = [d for d in landed[:, y, x] if np.isfinite(d)]
+        n = len(rho) - 1
+        if n >= 1:
+            mean = sum(rho) / n
+            found[y, x] = sum((d - mean) ** 2 for d in rho) / n
+    return found
+
+
+def test_the_printed_equations_agree_with_loops():
+    maps = _maps()
+    available = np.ones((3, 3), bool)
+    available[0, 2] = False
+    scores = printed_view_consistency(maps, available=jnp.asarray(available), crop=1)
+    assert jnp.isnan(scores.per_view[0, 2])
+    for target in ((0, 0), (1, 1), (2, 1)):
+        expected = _printed(np.asarray(maps), target, available)[1:-1, 1:-1]
+        np.testing.assert_allclose(scores.per_view[target], np.nanmean(expected))
+        np.testing.assert_allclose(scores.covered[target], np.isfinite(expected).mean())
+
+
+def test_slanted_planes_agree():
+    slope = 0.1
+    x = np.arange(11) - 5.0
+    views = np.arange(3) - 1
+    # d(x_c) = slope x_c in the centre; at x = x_c - du d in view u, so d = slope x / (1 - slope du)
+    maps = np.stack([np.broadcast_to(slope * x / (1 - slope * du), (3, 9, 11)) for du in views], 1)
+    assert view_consistency(jnp.asarray(maps), crop=1, stride=1).mean < 1e-9

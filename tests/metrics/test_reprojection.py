@@ -77,3 +77,20 @@ def test_gradients_match_differences():
     check_gradient(
         loss, (0.3 * disparity, scene.views), rtol=1e-5, step=1e-7, key=jax.random.key(1)
     )
+
+
+def test_the_right_disparity_has_the_smallest_error():
+    x = np.arange(40.0)
+    image = 0.5 + 0.4 * np.sin(x / 3)[:, None] * np.array([1.0, 0.5, -0.7])
+    shifted = [
+        np.stack([np.interp(x + 0.75 * du, x, image[:, c]) for c in range(3)], -1)
+        for du in (-1, 0, 1)
+    ]
+    views = np.broadcast_to(np.stack(shifted)[None, :, None], (3, 3, 6, 40, 3))
+    scene = LightField(jnp.asarray(views))
+    errors = [
+        reprojection_error(jnp.full((6, 40), d), scene, targets=((1, 0), (1, 2))).error
+        for d in (-0.75, 0.0, 0.75)
+    ]
+    assert errors[2] < 0.5
+    assert min(errors[:2]) > 5 * errors[2]

@@ -140,3 +140,11 @@ def test_missing_views_do_not_count():
     other = labels.at[0, 0].set(1), objects.at[0, 0].set(0), disparity.at[0, 0].set(0.5)
     again = superpixel_scores(*other, available=available)
     np.testing.assert_array_equal(np.stack(part), np.stack(again))
+
+
+def test_labels_do_not_depend_on_their_numbers():
+    labels, objects, disparity = (jnp.asarray(a) for a in _random(4))
+    plain = superpixel_scores(labels, objects, disparity)
+    moved = superpixel_scores(7 * labels, 3 + 2 * objects, disparity)
+    for name in ("accuracy", "recall", "undersegmentation", "compactness", "inconsistent"):
+        assert float(getattr(plain, name)) == pytest.approx(float(getattr(moved, name)))
