@@ -124,6 +124,24 @@ def expect(name: str, value: Any, kind: type, advice: str) -> None:
         raise TypeError(f"`{name}` must be {kind.__name__}, got {_described(value)}; {advice}.")
 
 
+def check_finite(views: Any) -> None:
+    """Refuses NaN in the views `[v, u, y, x, c]` of a light field; traced views pass.
+
+    Raises:
+        ValueError: naming the first view and pixel.
+    """
+    if isinstance(views, Tracer):
+        return
+    # Minimum and maximum do not tell: XLA drops NaN from them in large arrays on some CPUs.
+    finite = jnp.isfinite(views)
+    if not bool(finite.all()):
+        v, u, y, x, _ = (int(i) for i in np.argwhere(~np.asarray(finite))[0])
+        raise ValueError(
+            f"`views` must be finite, got NaN or infinity in {int((~finite).sum())} values, "
+            f"the first of them in view (v, u) = ({v}, {u}) at (x, y) = ({x}, {y})."
+        )
+
+
 def untraced(name: str, value: Any) -> None:
     """Raises a TypeError for traced values where the host chooses ranges and capacities."""
     if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(value)):

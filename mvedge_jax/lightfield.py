@@ -11,6 +11,7 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Bool, Float
 
+from mvedge_jax._checks import check_finite
 from mvedge_jax._known import Camera as Camera, GroundTruth as GroundTruth, areas
 from mvedge_jax._params import as_number
 from mvedge_jax._positions import check_positions, farthest
@@ -148,14 +149,7 @@ class LightField(eqx.Module):
             )
         if self.positions is not None:
             check_positions(np.asarray(self.positions))
-        # Minimum and maximum do not tell: XLA drops NaN from them in large arrays on some CPUs.
-        finite = jnp.isfinite(self.views)
-        if not bool(finite.all()):
-            v, u, y, x, _ = (int(i) for i in np.argwhere(~np.asarray(finite))[0])
-            raise ValueError(
-                f"`views` must be finite, got NaN or infinity in {int((~finite).sum())} values, "
-                f"the first of them in view (v, u) = ({v}, {u}) at (x, y) = ({x}, {y})."
-            )
+        check_finite(self.views)
         low, high = float(self.views.min()), float(self.views.max())
         if low < -1e-3 or high > 1 + 1e-3:
             raise ValueError(

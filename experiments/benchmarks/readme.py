@@ -3,7 +3,7 @@
     python experiments/benchmarks/readme.py --light-field ../shared/data/hci/cotton [--tree PATH]
 
 The first Python blocks of the README run word for word in a process of their own without any
-compilation cache, once up to the gradient and once with it; the light field stands in for "cotton".
+compilation cache, once up to the gradient and once with it; the light field stands in for "scene".
 """
 
 import argparse
@@ -58,7 +58,7 @@ def main() -> None:
         del cases["with gradient"]
     rows = []
     with tempfile.TemporaryDirectory() as name:
-        (Path(name) / "cotton").symlink_to(options.light_field.resolve())
+        (Path(name) / "scene").symlink_to(options.light_field.resolve())
         for case, code in cases.items():
             seconds, peak = measured(code, options.tree.resolve(), Path(name))
             rows.append({"example": case, "process, s": seconds, "peak GiB": peak})

@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Sequence
+from itertools import chain
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -16,6 +17,11 @@ from ._model import FULL, ModelArg, ModelOptions, read_value, settings_of
 from ._output import output_folder, write_csv, write_json
 from ._paths import scenes_and_out
 
+# Several words after an option, and the option several times.
+_Words = Annotated[
+    tuple[tuple[str, ...], ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="PATH=...")
+]
+
 
 def sweep(
     paths: Annotated[
@@ -23,8 +29,8 @@ def sweep(
     ],
     /,
     *,
-    vary: tuple[str, ...] = (),
-    choose: tuple[str, ...] = (),
+    vary: _Words = (),
+    choose: _Words = (),
     trials: int = 64,
     batch: int = 4,
     wave: int = 16,
@@ -70,7 +76,7 @@ def sweep(
         from mvedge_jax.sweep import Space, plot_sweep, sweep as search
     scenes, out = scenes_and_out(paths)
     optuna.logging.set_verbosity(optuna.logging.WARNING)
-    space = Space(dict(map(_interval, vary)), dict(map(_choice, choose)))
+    space = Space(dict(map(_interval, chain(*vary))), dict(map(_choice, chain(*choose))))
     space.check(options.check())
     _check_truth(scenes)
     journal = out.with_name(f"{out.name}.journal") if journal is None else journal

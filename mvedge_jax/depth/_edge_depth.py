@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import lineax as lx
 from jaxtyping import Array, Bool, PRNGKeyArray
 
-from mvedge_jax._checks import checked_jit, expect, sound, with_numbers
+from mvedge_jax._checks import check_finite, checked_jit, expect, sound, with_numbers
 from mvedge_jax._cpu import checkpoint_stage
 from mvedge_jax._params import cast
 from mvedge_jax._paths import described, replaced
@@ -29,6 +29,7 @@ from ._result import DepthResult, DepthStats
 from .solves import refine_disparity
 
 Preset = Literal["full", "edges", "thesis"]
+_MAKERS = "`load_light_field` reads one, `LightField(views)` makes one of an array [v, u, y, x, c]"
 
 
 class EdgeDepth(eqx.Module):
@@ -81,6 +82,12 @@ class EdgeDepth(eqx.Module):
     refine: Refine
     searched: tuple[float, float] = eqx.field(static=True)
 
+    def __check_init__(self) -> None:
+        for name in ("calibration", "edges", "sides", "labels", "smoothness"):
+            part = getattr(self, name)
+            if not callable(part):
+                raise TypeError(f"`{name}` must be a part that can be called, got {part!r:.60}.")
+
     @staticmethod
     def for_light_field(
         light_field: LightField,
@@ -105,9 +112,11 @@ class EdgeDepth(eqx.Module):
             compiled program.
 
         Raises:
+            TypeError: `light_field` is none.
             ValueError: the light field has one view only, a name is unknown, or a choice is out of
                 range.
         """
+        expect("light_field", light_field, LightField, _MAKERS)
         parts = _presets.parts_for(light_field, preset, views)
         model = EdgeDepth(**parts)
         return model.replace(_presets.for_few_views(model, light_field.farthest)).replace(choices)
@@ -124,6 +133,7 @@ class EdgeDepth(eqx.Module):
 
         Raises:
             ValueError: the model has no such path, or a value is out of range.
+            TypeError: a part cannot be called.
         """
         return replaced(self, {**(choices or {}), **parts})
 
@@ -170,8 +180,7 @@ def depth(
 def _validate(light_field: Any, model: Any, **options: Any) -> tuple[Any, ...]:
     """Validates the arguments of `estimate_depth` and `multiview_edges`."""
     order = "the order is (light_field, model)"
-    wrapped = "`LightField(views)` makes one of an array [v, u, y, x, c], and " + order
-    expect("light_field", light_field, LightField, wrapped)
+    expect("light_field", light_field, LightField, f"{_MAKERS}, and {order}")
     made = "`EdgeDepth.for_light_field(light_field)` makes one, and " + order
     expect("model", model, EdgeDepth, made)
     if max(light_field.views.shape[:2]) < 3:
@@ -179,6 +188,7 @@ def _validate(light_field: Any, model: Any, **options: Any) -> tuple[Any, ...]:
             "`light_field` must have at least three views in a row or in a column, got a grid of "
             f"{light_field.views.shape[0]}x{light_field.views.shape[1]}."
         )
+    check_finite(light_field.views)
     _presets.check_covers(light_field, model)
     return (light_field.bare(), with_numbers(model)), options
 

@@ -125,8 +125,19 @@ class Parts(NamedTuple):
 
 
 def cut_edges(given: Given, disparity: Array, smoothness: Smoothness) -> tuple[Array, Array]:
-    """Smoothness by the steps of a map; 1 between neighbors of which one is not lit."""
+    """Smoothness by the steps of a map; 1 between neighbors of which one is not lit.
+
+    Raises:
+        ValueError: the weights are not those of edges to the right and downwards.
+    """
     tx, ty = smoothness(given.lab, disparity, given.depth_edge)
+    height, width = disparity.shape
+    wanted = (height, width - 1), (height - 1, width)
+    if (tx.shape, ty.shape) != wanted:
+        raise ValueError(
+            f"`smoothness` must return weights of the edges to the right, {wanted[0]}, and "
+            f"downwards, {wanted[1]}; got {tx.shape} and {ty.shape}."
+        )
     if given.lit is None:
         return tx, ty
     across, down = given.lit[:, 1:] * given.lit[:, :-1], given.lit[1:] * given.lit[:-1]

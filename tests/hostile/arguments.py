@@ -4,9 +4,12 @@ None compiles a program.
 """
 
 import functools
+import inspect
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -95,6 +98,39 @@ _OTHERS: dict[str, Any] = {
 def _another_kind(_: Path, argument: str, name: str) -> None:
     given = {"light_field": _light_field(), "model": _model()} | {argument: _OTHERS[name]}
     refuses(lambda: estimate_depth(**given), f"`{argument}` must be", kinds=_WRONG)
+
+
+@hostile("EdgeDepth.for_light_field({})", ["None", "text", "an array"])
+def _no_light_field(_: Path, name: str) -> None:
+    # Without the type checks of the tests, which users do not have.
+    make = inspect.unwrap(EdgeDepth.for_light_field)
+    refuses(lambda: make(_OTHERS[name]), "`light_field` must be LightField", kinds=_WRONG)
+
+
+@hostile("{.__name__} of views with NaN by tree_at", [estimate_depth, multiview_edges])
+def _spoilt_views(_: Path, function: Any) -> None:
+    field = _light_field()
+    spoilt = eqx.tree_at(lambda f: f.views, field, field.views.at[0, 1, 2, 3].set(jnp.nan))
+    refuses(lambda: function(spoilt, _model()), "view (v, u) = (0, 1) at (x, y) = (3, 2)")
+
+
+@hostile("{} = 'ColorAndDepth'", ["smoothness", "edges", "sides", "labels", "calibration"])
+def _no_part(_: Path, name: str) -> None:
+    parts = dict.fromkeys(("calibration", "edges", "sides", "labels", "smoothness"), len)
+    given = SimpleNamespace(**parts | {name: "ColorAndDepth"})
+    check = inspect.unwrap(EdgeDepth.__check_init__)
+    refuses(lambda: check(given), f"`{name}` must be a part", kinds=_WRONG)
+
+
+@hostile("a smoothness of another shape")
+def _another_shape(_: Path) -> None:
+    def swapped(guide: Any, disparity: Any, depth_edge: Any) -> Any:
+        del guide, depth_edge
+        return disparity[1:], disparity[:, 1:]
+
+    model = _model().replace(smoothness=swapped)
+    words = "to the right, (8, 7), and downwards, (7, 8); got (7, 8) and (8, 7)"
+    refuses(lambda: estimate_depth(_light_field(), model), words)
 
 
 @hostile("a solver with a tolerance of {}", [-1.0, -1e-6, float("nan")])

@@ -173,13 +173,14 @@ batch SCENE OUT --views 4 | --views must be odd and at least 3, got 4
 batch SCENE OUT --scale 0 | --scale must be in (0, 1], got 0.0
 batch SCENE OUT --workers -1 | --workers must not be negative, got -1
 batch SCENE OUT --scheduler nonsense | sweep SCENE OUT --vary dense.trust=1:2 --scheduler nonsense |
-    nonsense
+    no Dask scheduler answers at nonsense (--scheduler; expected an address such as
 batch SCENE OUT --video --scheduler tcp://nowhere:1 | batch SCENE OUT --video --slurm |
     batch SCENE OUT --slurm --workers 1 | --workers or --scheduler exclude each other
 sweep SCENE OUT | at least one number or choice
 sweep SCENE OUT --vary dense.trust | sweep SCENE OUT --vary dense.trust=1:x |
     expected PATH=LOW:HIGH
-sweep SCENE OUT --vary dense.turst=1:2 | `dense.turst` is no path of `EdgeDepth`
+sweep SCENE OUT --vary dense.turst=1:2 |
+    sweep SCENE OUT --vary dense.turst=1:2 --vary dense.trust=1:2 | `dense.turst` is no path
 sweep SCENE OUT --vary refine.solves=1:2 | `refine.solves` is not a number, as an interval
 sweep SCENE OUT --vary dense.trust=1:2 --preset edges | `dense.trust` is no path
 sweep SCENE OUT --vary dense.trust=1:2 --set refine.solves=0 | --set refine.solves: `solves`
@@ -200,7 +201,7 @@ sweep SCENE OUT --vary dense.trust=1:2 --journal SCENE |
 sweep SCENE OUT --vary dense.trust=1:2 --workers -1 | --workers must not be negative
 stereo nowhere OUT | does not exist
 stereo SCENE OUT | holds no posed photographs
-stereo MAP OUT | does not say its camera's intrinsics; give (fx, fy, cx, cy) in px
+stereo MAP OUT | expected 5 per pose: a line of numbers and a 4x4 matrix
 stereo SCENE OUT --set edges.spacing=1 | `edges.spacing` is no path of `StereoDepth`
 stereo SCENE OUT --set refine.solves=0 | --set refine.solves: `solves` must be at least 1, got 0
 stereo SCENE OUT --set refine.solves=1 --method points | --set needs --method dense, got points
