@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from helpers import check_gradient, count_traces
 from numpy.testing import assert_allclose, assert_array_equal
-from photometry.planes import plane_views
+from photometry.scenes import plane_views
 
 from mvedge_jax.lightfield import GroundTruth, LightField
 from mvedge_jax.losses import all_views, gather_views

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from helpers import check_gradient, check_modes, count_traces, lean
-from photometry.planes import plane_views
+from photometry.scenes import plane_views
 
 from mvedge_jax.diffusion import AutoSolver, Elimination
 from mvedge_jax.losses import LossWeights, gather_views, self_supervised_loss
