@@ -91,6 +91,7 @@ def test_overflow_keeps_the_strongest_and_is_counted(flat_plane, found):
     assert rows.max() > 13
 
 
+@pytest.mark.slow
 def test_a_wide_range_and_a_rectangular_grid_of_views_lose_nothing():
     points = _found(plane(3.2, views=9, rows=5, size=(40, 56), span=(-3.5, 3.5)))
     assert points.visible.shape[1] == 14
