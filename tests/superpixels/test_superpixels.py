@@ -120,17 +120,6 @@ def test_the_size_sets_the_number(size):
     assert abs(int(found.number) * size**2 / 64**2 - 1) < 0.15
 
 
-@pytest.mark.parametrize("size", [9.0, 11.0])
-def test_of_many_pieces_of_one_area_only_as_many_join_as_are_too_many(size):
-    # Blocks of one size, each of a colour of its own: hundreds of pieces of 36 px.
-    colours = np.random.default_rng(0).random((16, 16, 3)) * 0.3
-    field, depths, _ = _cards((1, 1, 96, 96))
-    views = 0.6 * np.asarray(field.views) + np.kron(colours, np.ones((6, 6, 1)))
-    field = LightField(jnp.asarray(views, jnp.float32))
-    found = _found(field, depths, size, rounds=6, attempts=4, capacity=512)
-    assert abs(int(found.number) - 96**2 / size**2) <= 1
-
-
 def test_wide_gaps_are_filled_from_the_surface_behind():
     labels = jnp.asarray([[1] + 10 * [0] + [2], 12 * [0]], jnp.int32)
     disparity = jnp.asarray([6 * [2.0] + 6 * [1.0], 12 * [jnp.nan]], jnp.float32)
