@@ -18,8 +18,6 @@ from mvedge_jax.depth._standard_error import StandardError, sharpest
 from mvedge_jax.diffusion import AutoSolver, System, diffuse
 from mvedge_jax.smoothness import ColorAndDepth, edge_smoothness
 
-GUIDE = jnp.asarray(np.random.default_rng(0).uniform(size=(3, 24, 30)))
-
 
 def test_smoothness_needs_both_steps_to_cut():
     lab = jnp.zeros((3, 1, 5)).at[0, 0, 2:].set(40.0)

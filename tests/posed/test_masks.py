@@ -1,6 +1,7 @@
 """Transparent pixels of photographs: they take no part, and get no depth."""
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -55,6 +56,22 @@ def test_a_sweep_has_no_depth_where_the_photograph_is_transparent():
     assert np.median(np.abs(found / DEPTHS[0] - 1)[DISTANCE < 9]) < 0.045
     # The color of what is transparent has no say.
     np.testing.assert_allclose(found[DISTANCE < 9], other[DISTANCE < 9], rtol=1e-6)
+
+
+@pytest.mark.slow
+def test_the_object_keeps_its_depth_and_the_rest_has_none():
+    wanted = reference_of(cut(0.0), 0, depth_range=RANGE)
+    run = jax.jit(lambda p: stereo(p, wanted, StereoDepth.of(wanted)))
+    found = run(cut(0.0))
+    depth, error = np.asarray(found.depth), np.asarray(found.error)
+    assert np.isnan(depth[~MASK[0]]).all()
+    assert np.isinf(error[~MASK[0]]).all()
+    assert np.isfinite([depth[MASK[0]], error[MASK[0]]]).all()
+    assert np.median(np.abs(depth / DEPTHS[0] - 1)[MASK[0]]) < 0.01
+    assert not any("NaN" in text for text in found.problems())
+    # The color of what is transparent has next to no say.
+    other = np.asarray(run(cut(0.5)).depth)
+    assert np.median(np.abs(other / DEPTHS[0] - 1)[DISTANCE < 11]) < 0.01
 
 
 ROOM, CAMERA = (60, 80), np.array([[75.0, 0, 39.5], [0, 75.0, 29.5], [0, 0, 1]])
