@@ -141,9 +141,11 @@ def test_a_wrong_map_moves_towards_the_truth_that_is_not_read(approach):
     # Labels that are hardly known, so that nothing but the views holds them.
     start, told = level(TRUE + 0.02)._replace(error=jnp.full(60, 0.1)), []
     lie = GroundTruth(jnp.full(SHAPE, -5.0), jnp.ones(SHAPE, bool))
-    options = {"routine": all_at_once(approach.rates, iterations=approach.iterations)}
-    options |= {"progress": told.append, "key": jax.random.key(2)}
-    found = optimize_edges(plane(truth=lie), start, approach, NARROW, **options)
+    routine = all_at_once(approach.rates, iterations=approach.iterations)
+    found = optimize_edges(
+        plane(truth=lie), start, approach, NARROW, routine=routine, progress=told.append,
+        key=jax.random.key(2),
+    )  # fmt: skip
     error = np.abs(np.asarray(found.disparity) - TRUE)[4:-4, 4:-4]
     assert error.max() < 0.01
     assert found.verdict is not None
