@@ -13,7 +13,7 @@ from helpers import dot, random_like
 
 from experiments.peers.reprojection import reproject_views
 from mvedge_jax.all_views import ViewDepth, depth_of_views
-from mvedge_jax.depth import DepthResult, DepthStats, EdgeDepth
+from mvedge_jax.depth import DepthResult, DepthStats
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.photometry.brightness import Exposure, Noise
 
@@ -27,16 +27,6 @@ def _known(field):
     stats = DepthStats(**{name: read.get(name, unread) for name in DepthStats._fields})
     error = jnp.full_like(field.truth.disparity, 0.01)
     return DepthResult(field.truth.disparity, error, unread, unread, unread, stats)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("shape", [(16, 16), (1, 40), (1, 1)])
-def test_views_that_show_nothing_have_errors_as_wide_as_the_range(shape):
-    field = LightField(jnp.full((3, 3, *shape, 3), 0.5), disparity_range=(-1.0, 2.0))
-    result = EdgeDepth.for_light_field(field)(field)
-    found = depth_of_views(field, result, ViewDepth.for_light_field(field))
-    assert bool(jnp.isfinite(found.disparity).all())
-    assert float(found.error.min()) >= 3
 
 
 def _bad(maps, field):
@@ -61,6 +51,11 @@ def test_surfaces_hidden_in_the_centre_view_are_found():
     assert found.overflow == 0
     assert jnp.isfinite(found.error).all()
     assert (found.error >= 0).all()
+    # Neither the truth nor a name is read, so neither has its own program.
+    before, other = depth_of_views.traces, field.without_truth().renamed("other")
+    again = depth_of_views(other, result, ViewDepth.for_light_field(field))
+    np.testing.assert_array_equal(again.disparity, found.disparity)
+    assert depth_of_views.traces == before
 
 
 def test_a_wrong_first_guess_is_put_right_by_the_views():
@@ -78,20 +73,14 @@ def test_a_wrong_first_guess_is_put_right_by_the_views():
     assert float(jnp.median(error[new])) < 0.05
 
 
-@pytest.mark.parametrize(
-    "grid", [(1, 5), *(pytest.param(grid, marks=pytest.mark.slow) for grid in ((5, 1), (3, 7)))]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("grid", [(1, 5), (5, 1), (3, 7)])
 def test_any_grid(grid):
     field = cards((*grid, 33, 40))
     result, model = _known(field), ViewDepth.for_light_field(field)
     found = depth_of_views(field, result, model)
     assert _bad(found.disparity, field) < 0.004
     assert _bad(reproject_views(field.truth.disparity, field.steps), field) < 0.02
-    # Neither the truth nor a name is read, so neither has its own program.
-    before = depth_of_views.traces
-    again = depth_of_views(field.without_truth().renamed("other"), result, model)
-    np.testing.assert_array_equal(again.disparity, found.disparity)
-    assert depth_of_views.traces == before
     few = depth_of_views(field, result, model.replace(capacity=10))
     assert few.overflow > 0
     assert 0 < (few.source == 1).sum() < (found.source == 1).sum()
@@ -149,14 +138,6 @@ def test_derivatives_of_off_centre_maps_equal_differences():
         np.testing.assert_allclose(reverse, numeric, rtol=1e-4)
 
 
-def test_the_model_lists_its_numbers_and_takes_others_by_path():
-    model = ViewDepth.for_light_field(cards(), choices={"measurement.passes": 1, "trust": 2.0})
-    assert model.measurement.passes == 1
-    assert float(model.trust) == 2.0
-    assert "matching.jump = 0.8" in str(model)
-    assert float(model.replace({"smoothness.color": 0.5}, solves=1).smoothness.color) == 0.5
-
-
 def test_other_sizes_are_refused():
     field = cards()
     wrong = _known(field)._replace(disparity=jnp.zeros((8, 8)))
@@ -168,7 +149,9 @@ def test_other_sizes_are_refused():
             ViewDepth.for_light_field(field, choices={path: value})
     with pytest.raises(ValueError, match=r"`matching.colour` is no path of `ViewDepth`"):
         ViewDepth.for_light_field(field, choices={"matching.colour": 1.0})
-    model = ViewDepth.for_light_field(field)
+    model = ViewDepth.for_light_field(field, choices={"measurement.passes": 1})
+    assert model.measurement.passes == 1
+    assert "matching.jump = 0.8" in str(model)
     with pytest.raises(ValueError, match=r"`precision` must be finite .*, got nan"):
         depth_of_views(field, _known(field), model.replace(precision=float("nan")))
     with pytest.raises(TypeError, match="`result` must be DepthResult, got ViewDepth"):

@@ -110,16 +110,12 @@ def _close(found: Any, wanted: Any, **tolerance: Any) -> None:
 def check_part(
     part: Any, call: Callable[[Any, Given], Any], *, rtol: float = 1e-9, atol: float = 1e-12
 ) -> Any:
-    """Checks all that a part of the chain has to keep.
+    """Checks all that a part of the chain has to keep, and returns what it gave.
 
     Args:
         part: a module.
         call: how the chain calls it.
-        rtol: how far results of the same numbers may differ: larger where a solver stops.
-        atol: the same, absolute.
-
-    Returns:
-        What the part gave.
+        rtol, atol: how far results of the same numbers may differ, as where a solver stops.
     """
     of = given()
     moving, rest = eqx.partition((part, of), eqx.is_inexact_array)

@@ -1,5 +1,6 @@
 """The chain on small views, all by one program: right, robust, and honest where nothing is seen."""
 
+import inspect
 from typing import Any
 
 import equinox as eqx
@@ -9,10 +10,11 @@ import numpy as np
 import pytest
 from photometry.scenes import changed, cross_gains
 
-from experiments import robustness
+from mvedge_jax import depth
 from mvedge_jax._paths import value_at
 from mvedge_jax.datasets import synthetic
-from mvedge_jax.depth import EdgeDepth, estimate_depth
+from mvedge_jax.depth import EdgeDepth, SharedLabels, estimate_depth
+from mvedge_jax.edges.thesis import ThesisEdges
 from mvedge_jax.lightfield import LightField
 
 SMALL = {"refine.sharpen.levels": 16, "refine.sharpen.radius": 3}
@@ -69,37 +71,29 @@ def test_a_scene_with_depth_edges(scene):
     assert float(result.error.min()) > 0
     assert (error <= result.error).mean() > 0.68
     # The truth is never read, nor is the name; the same input gives the same output.
-    before = estimate_depth.traces
-    again = model(scene.without_truth().renamed("again"))
-    np.testing.assert_array_equal(again.disparity, result.disparity)
+    before, blind = estimate_depth.traces, scene.without_truth().renamed("again")
+    np.testing.assert_array_equal(model(blind).disparity, result.disparity)
+    # Numbers are traced: Python numbers, arrays and other values share the program.
+    for choices in ({"refine.stiffness": 6.0}, {"smoothness.color": jnp.asarray(1.0)}):
+        other = model.replace(choices)(blind)
+        assert float(jnp.abs(other.disparity - result.disparity).max()) > 1e-5
     assert estimate_depth.traces == before
 
 
 # The median error and the share of pixels off by more than .3 px that each may have.
-@pytest.mark.parametrize(
-    ("preset", "median", "bad"), [("full", 0.02, 0.1), ("edges", 0.05, 0.2), ("thesis", 0.3, 0.5)]
-)
-def test_each_preset_gives_a_map_and_one_trace_serves_changed_numbers(scene, preset, median, bad):
+@pytest.mark.parametrize(("preset", "median", "bad"), [("edges", 0.05, 0.2), ("thesis", 0.3, 0.5)])
+def test_the_other_presets_give_a_map(scene, preset, median, bad):
     blind, key = scene.without_truth(), jax.random.key(0)
     lines = {"edges.lines.capacity": 32} if preset == "thesis" else {}
     model = small_model(blind, preset=preset).replace(lines)
     result = model(blind, key=key)
-    assert result.disparity.shape == (48, 56)
+    is_sound(result)
     assert result.disparity.dtype == blind.views.dtype
-    assert bool(jnp.isfinite(result.disparity).all())
-    assert bool((result.error > 0).all())
     assert bool(result.stats.converged)
     assert int(result.stats.edges.valid) > 50
     error = off(result, scene)
     assert np.median(error) < median
     assert (error > 0.3).mean() < bad
-    # Numbers are traced: Python numbers, arrays and other values share the program.
-    before = estimate_depth.traces
-    own = "smoothness.depth_edge" if preset == "thesis" else "smoothness.color"
-    for choices in ({"refine.stiffness": 6.0}, {own: jnp.asarray(1.0)}):
-        other = model.replace(choices)(blind, key=key)
-        assert float(jnp.abs(other.disparity - result.disparity).max()) > 1e-5
-    assert estimate_depth.traces == before
 
 
 def test_all_views_know_more_than_those_of_the_crosshair(scene):
@@ -173,6 +167,11 @@ def test_static_fields_follow_the_range_and_explain_mistakes():
     assert hypotheses[1] > 2.5 * hypotheses[0]
     assert [value_at(model, "measurement.radius") for model in (narrow, wide)] == [8, 28]
     assert [model.searched for model in (narrow, wide)] == [(-1.0, 1.0), (-3.5, 3.5)]
+    # A model prints its numbers and their units; what is traced has a type instead of a value.
+    assert "refine.precision = 0.005 px" in str(narrow).splitlines()
+    shown = []
+    jax.eval_shape(lambda m: shown.append(str(m)), narrow)
+    assert "refine.precision = f64[] px" in shown[0]
     single = LightField(jnp.zeros((1, 1, 8, 8, 3)), disparity_range=(0.0, 1.0))
     spoilt = EdgeDepth.for_light_field(FLAT).replace({"sides.vote.cap": float("nan")})
     anything: Any = estimate_depth
@@ -195,33 +194,58 @@ def test_static_fields_follow_the_range_and_explain_mistakes():
             call()
 
 
-def test_the_model_prints_its_numbers_and_their_units():
-    model = EdgeDepth.for_light_field(FLAT)
-    lines = str(model).splitlines()
-    assert len(lines) == len(jax.tree.leaves(model))
-    # Four times that of 9x9 views.
-    assert "refine.precision = 0.02 px" in lines
-    # What is traced has a type instead of a value.
-    shown = []
-    jax.eval_shape(lambda m: shown.append(str(m)), model)
-    assert "refine.precision = f64[] px" in shown[0]
+def test_what_is_no_preset_or_no_choice_is_named():
+    # Past the annotations, which are checked in tests only.
+    plain: Any = inspect.unwrap(EdgeDepth.for_light_field)
+    chosen = EdgeDepth.for_light_field
+    for call, match in (
+        (lambda: plain(FLAT, preset="sparse"), "sparse"),
+        (lambda: inspect.unwrap(depth)(FLAT, preset="sparse"), "sparse"),
+        (lambda: plain(FLAT, views="some"), "some"),
+        (lambda: chosen(FLAT, choices={"solves": 1}), "`solves` is no path of `EdgeDepth`: the f"),
+        (
+            lambda: chosen(FLAT, preset="edges", choices={"dense.trust": 1.0}),
+            "`NoneType` has no fields",
+        ),
+        (
+            lambda: chosen(FLAT, choices={"measurement.radius": 0}),
+            "`radius` must be at least 1, got 0",
+        ),
+    ):
+        with pytest.raises((ValueError, TypeError), match=match):
+            call()
 
 
-def test_the_experiment_changes_the_crosshair_and_forgets_the_truth(scene):
-    def difference(found, where):
-        return (np.asarray(found.views) - np.asarray(scene.views))[where]
+def test_parts_that_need_a_measurement_say_so():
+    """Before a program is compiled: shapes alone are asked for."""
+    full = EdgeDepth.for_light_field(FLAT)
+    thesis = EdgeDepth.for_light_field(FLAT, preset="thesis")
+    still = thesis.replace({"edges.lines.entropy": False, "edges.lines.capacity": 8})
+    for model, match in (
+        (full.replace(measurement=None), "`OrientedEdges` need a `measurement` in the chain"),
+        (thesis, "`key` must be given for the entropy search"),
+        (still.replace(labels=SharedLabels()), "`SharedLabels` need a `measurement` in the chain"),
+        (still.replace(dense=full.dense), "dense labels need a `measurement` in the chain"),
+    ):
+        with pytest.raises(ValueError, match=match):
+            jax.eval_shape(model, FLAT)
 
-    found = robustness.changed(scene, robustness.CHANGES["noise .02"])
-    assert found.truth is None
-    assert found.disparity_range is None
-    assert int(found.available.sum()) == 9
-    views, there = np.asarray(found.views), np.asarray(found.available)
-    inner = (np.asarray(scene.views)[there] > 0.1) & (np.asarray(scene.views)[there] < 0.9)
-    assert abs(difference(found, there)[inner].std() / 0.02 - 1) < 0.05
-    np.testing.assert_allclose(255 * views, np.round(255 * views), atol=1e-4)
-    every = robustness.changed(scene, robustness.CHANGES["noise .02"], every=True)
-    assert bool(every.available.all())
-    np.testing.assert_array_equal(np.asarray(every.views)[there], views[there])
-    assert abs(difference(every, ~there).std() / 0.02 - 1) < 0.05
-    clean = robustness.changed(scene, robustness.CHANGES["clean"])
-    np.testing.assert_array_equal(difference(clean, there), 0)
+
+def test_numbers_in_px_per_view_step_grow_where_views_are_few():
+    def model(views, **options):
+        flat = LightField(jnp.full((views, views, 8, 8, 3), 0.5), disparity_range=(-1.0, 1.0))
+        return EdgeDepth.for_light_field(flat, **options)
+
+    many, few = model(9), model(3)
+    assert float(many.refine.precision) == pytest.approx(0.005)
+    for path in ("refine.precision", "smoothness.depth", "edges.error_limit", "dense.agreement"):
+        assert float(value_at(few, path)) == pytest.approx(4 * float(value_at(many, path)))
+    same = "measurement.same_surface"
+    assert float(value_at(few, same)) == pytest.approx(2 * float(value_at(many, same)))
+    # What is chosen stays as chosen; distances in the image are none of disparities.
+    chosen = model(3, choices={"refine.precision": 0.007})
+    assert float(chosen.refine.precision) == pytest.approx(0.007)
+    assert few.refine.error.forgotten == many.refine.error.forgotten
+    assert model(11).refine.precision == many.refine.precision
+    assert isinstance(model(3, preset="thesis").edges, ThesisEdges)
+    assert model(3, preset="thesis").refine.precision == many.refine.precision

@@ -1,18 +1,18 @@
-"""Every implementation of a part keeps what its protocol says: one template for all of them.
-
-Values are the same with and without `jit` and under `vmap`, gradients finite, empty slots without
-influence, and the precision that of the data.
-"""
+"""Every implementation of a part keeps what its protocol says: one template for all of them."""
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import lineax as lx
 import numpy as np
 import pytest
 from depth.parts import SHAPE, check_part, given
 from jaxtyping import Array
+from numpy.testing import assert_allclose, assert_array_equal
 
+from mvedge_jax import EdgeDepth, multiview_edges
 from mvedge_jax._params import cast, number
+from mvedge_jax.datasets import synthetic
 from mvedge_jax.depth import (
     NearestLabels,
     PointLabels,
@@ -22,15 +22,7 @@ from mvedge_jax.depth import (
     StepWeight,
 )
 from mvedge_jax.diffusion import AutoSolver
-from mvedge_jax.edges.sides import (
-    BidirectionalSides,
-    DirectionalDiffusion,
-    MapSides,
-    NoSides,
-    ReprojectionSides,
-    SideChoice,
-    ThesisSides,
-)
+from mvedge_jax.edges import sides
 from mvedge_jax.smoothness import ColorAndDepth, ImageGradient, Smoothness, ThesisSmoothness
 
 
@@ -68,18 +60,6 @@ def test_smoothness(part):
         assert float(t.max()) <= 1
 
 
-def test_a_smoothness_is_whole_where_nothing_changes():
-    flat = jnp.zeros((3, 6, 7)), jnp.zeros((6, 7)), jnp.zeros((6, 7))
-    for part in (ColorAndDepth(), ThesisSmoothness(), ImageGradient()):
-        for t in part(*flat):
-            np.testing.assert_allclose(t, 1, atol=1e-5)
-    # That of the thesis is one half at its confidence.
-    thesis = ThesisSmoothness()
-    tx, _ = thesis(*flat[:2], flat[2].at[:, 3].set(thesis.depth_edge))
-    np.testing.assert_allclose(tx[:, 0], 1)
-    np.testing.assert_allclose(tx[:, 2:4], 0.5)
-
-
 @each(SharedLabels(), NearestLabels(), SplattedLabels())
 def test_labels(part):
     assert isinstance(part, PointLabels)
@@ -98,26 +78,26 @@ def test_labels(part):
 
 def _precise():
     """Results of a solver agree to its tolerance."""
-    return DirectionalDiffusion(solver=AutoSolver(tolerance=jnp.asarray(1e-10)))
+    return sides.DirectionalDiffusion(solver=AutoSolver(tolerance=jnp.asarray(1e-10)))
 
 
 @each(
-    BidirectionalSides(diffusion=_precise()),
-    MapSides(),
-    ThesisSides(diffusion=_precise()),
-    ReprojectionSides(radius=2, diffusion=_precise()),
-    NoSides(),
+    sides.BidirectionalSides(diffusion=_precise()),
+    sides.MapSides(),
+    sides.ThesisSides(diffusion=_precise()),
+    sides.ReprojectionSides(radius=2, diffusion=_precise()),
+    sides.NoSides(),
 )
 def test_sides(part):
-    assert isinstance(part, SideChoice)
-    tolerance = {} if isinstance(part, NoSides) else {"rtol": 1e-5, "atol": 1e-6}
+    assert isinstance(part, sides.SideChoice)
+    tolerance = {} if isinstance(part, sides.NoSides) else {"rtol": 1e-5, "atol": 1e-6}
     found = check_part(part, lambda p, of: p(of.points, of.evidence), **tolerance)
     valid = np.asarray(given().points.valid)
     assert found.edge.shape == found.initial.shape == SHAPE
     assert not np.asarray(found.surface.offset)[~valid].any()
-    np.testing.assert_array_equal(np.asarray(found.surface.forward)[~valid], 0.5)
+    assert_array_equal(np.asarray(found.surface.forward)[~valid], 0.5)
     length = np.linalg.norm(np.asarray(found.surface.offset)[valid], axis=1)
-    np.testing.assert_allclose(length, 0 if isinstance(part, NoSides) else 1, atol=1e-9)
+    assert_allclose(length, 0 if isinstance(part, sides.NoSides) else 1, atol=1e-9)
 
 
 @each(StepWeight(), PointWeight())
@@ -130,21 +110,46 @@ def test_weights_grow_with_the_confidence_up_to_the_limit(part):
     if isinstance(part, PointWeight):
         # The points' standard error is the one at which a label counts half.
         expected = 0.25 * (1 + expected)
-    np.testing.assert_allclose(np.asarray(found)[[0, 1, 3]], expected)
+    assert_allclose(np.asarray(found)[[0, 1, 3]], expected)
     assert float(found[2]) == 0
 
 
-def test_confidences_are_those_of_the_profiles_as_they_are_where_the_thesis_says_so():
-    case = given()
-    points = eqx.tree_at(lambda p: p.disparity, case.points, 0.1 * case.points.disparity)
-    half = eqx.tree_at(lambda p: p.disparity, points, 0.5 * points.disparity)
+# Small programs; `test_edge_depth.py` has the preset whole.
+SMALL = {"refine.sharpen.levels": 6, "refine.sharpen.radius": 2, "refine.slopes": None}
 
-    def confidence(stretched, points):
-        part = ThesisSides(diffusion=_precise(), stretched=stretched)
-        return np.asarray(part(points, case.evidence).confidence)[np.asarray(points.valid)]
 
-    printed = confidence(False, points)
-    assert printed.max() > 0
-    np.testing.assert_allclose(confidence(False, half), 0.5 * printed, atol=1e-7)
-    # Stretched profiles do not know the height of a step.
-    np.testing.assert_allclose(confidence(True, half), confidence(True, points), atol=1e-3)
+@pytest.fixture(scope="module")
+def scene():
+    return synthetic.render(
+        synthetic.scene("edges"), shape=(3, 3, 24, 28), samples=2, key=jax.random.key(0)
+    )
+
+
+@pytest.fixture(scope="module")
+def model(scene):
+    return EdgeDepth.for_light_field(scene.without_truth(), preset="edges", choices=SMALL)
+
+
+def test_another_bank_of_filters_finds_other_points(scene, model):
+    """Differences of single views instead of Prewitt's steps: half of the bank's views are off."""
+    blind = scene.without_truth()
+    banks = model.edges.prewitt(blind.views.shape, blind.views.dtype)
+
+    def outer_views_only(bank):
+        middle = bank.taps.shape[1] // 2
+        return eqx.tree_at(lambda b: b.taps, bank, bank.taps.at[:, middle].set(0))
+
+    other = model.replace({"edges.banks": tuple(map(outer_views_only, banks))})
+    before = multiview_edges.traces
+    usual = multiview_edges(blind, model.replace({"edges.banks": banks})).points
+    found = multiview_edges(blind, other).points
+    assert multiview_edges.traces == before + 1
+    assert int(found.valid.sum()) > 20
+    both = np.asarray(found.valid & usual.valid)
+    assert np.abs(np.asarray(found.xy) - np.asarray(usual.xy))[both].max() > 0.01
+
+
+def test_another_solver_is_taken(scene, model):
+    other = model.replace(solver=lx.CG(rtol=1e-5, atol=1e-5))
+    found = jax.eval_shape(other, scene.without_truth())
+    assert found.disparity.shape == (24, 28)

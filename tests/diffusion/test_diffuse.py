@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 from diffusion.problems import direct, member, random_system, stacked
 from helpers import count_traces, shared_data
+from numpy.testing import assert_allclose, assert_array_equal
 
-from mvedge_jax.diffusion import AutoSolver, Elimination, Multigrid, System, diffuse, edge_weights
+from experiments.solver_truth import Case, cases, cells, exact, row
+from mvedge_jax.diffusion import AutoSolver, Elimination, Multigrid, System, diffuse
 
 TIGHT = AutoSolver(tolerance=1e-12)
 SHAPE = (17, 18)
@@ -20,63 +22,20 @@ def with_label(system, label):
     return eqx.tree_at(lambda s: s.label, system, label)
 
 
+def with_weight(system, weight):
+    return eqx.tree_at(lambda s: s.weight, system, weight)
+
+
 @pytest.mark.parametrize(
     ("shape", "kind"),
-    [
-        ((1, 1), AutoSolver),
-        ((5, 23), AutoSolver),
-        ((23, 5), AutoSolver),
-        (SHAPE, Elimination),
-        ((1, 7), Multigrid),
-        ((9, 1), Multigrid),
-        ((37, 53), Multigrid),
-    ],
+    [((1, 1), AutoSolver), ((23, 5), AutoSolver), ((9, 1), Multigrid), ((37, 53), Multigrid)],
 )
 def test_equals_direct_solve(shape, kind):
     system = random_system(*shape, key=jax.random.key(0))
     found = diffuse(system, solver=kind(tolerance=1e-12))
     assert bool(found.stats.converged)
     assert int(found.stats.isolated) == 0
-    np.testing.assert_allclose(found.value, direct(system), rtol=0, atol=1e-10)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("kind", [AutoSolver, Multigrid])
-@pytest.mark.parametrize(
-    "shape", [(2, 2), (3, 3), (1, 512), (512, 1), (9, 512), (31, 32), (33, 257), (513, 777)]
-)
-def test_equals_direct_solve_at_more_sizes(shape, kind):
-    system = random_system(*shape, contrast=1.0, key=jax.random.key(0))
-    found = diffuse(system, solver=kind(tolerance=1e-10))
-    assert bool(found.stats.converged)
-    np.testing.assert_allclose(found.value, direct(system), rtol=0, atol=1e-8)
-
-
-def test_the_estimate_covers_the_error_in_float32():
-    """Data weights of 1e5, smoothness of 1 cut to 1e-4; `test_truth.py` has far worse systems."""
-    rows, columns = jnp.mgrid[:48, :48]
-    inside = (rows - 22) ** 2 + (columns - 25) ** 2 < 150
-    smoothness = jnp.where(inside & (jnp.roll(inside, 2) ^ inside), 1e-4, 1.0)
-    weight = jnp.where((rows * 7 + columns * 3) % 29 == 0, 1e5, 0.0)
-    maps = (weight, jnp.where(inside, 2.0, -1.0), *edge_weights(smoothness))
-    system = System(*(a.astype(jnp.float32) for a in maps))
-    found, few = diffuse(system), diffuse(system, solver=AutoSolver(max_iterations=2))
-    error = float(np.abs(np.asarray(found.value) - direct(system)).max())
-    assert bool(found.stats.converged)
-    assert found.value.dtype == found.stats.residual.dtype == jnp.float32
-    jitted = eqx.filter_jit(diffuse)(system)
-    np.testing.assert_allclose(jitted.value, found.value, rtol=0, atol=1e-6)
-    assert error < float(found.stats.estimate) + 1e-6
-    assert float(found.stats.estimate) <= 3.01e-4
-    assert not bool(few.stats.converged)
-    assert int(few.stats.iterations) == 2
-
-
-def test_a_large_offset_costs_no_digits():
-    system = random_system(*SHAPE, dtype=jnp.float32, contrast=1.0, key=jax.random.key(3))
-    shifted = with_label(system, system.label + 1000)
-    value = diffuse(shifted, solver=AutoSolver(tolerance=1e-5)).value
-    assert np.abs(np.asarray(value, np.float64) - 1000 - direct(system)).max() < 1e-3
+    assert_allclose(found.value, direct(system), rtol=0, atol=1e-10)
 
 
 def test_vmap_equals_loop_and_members_stop_alone():
@@ -89,21 +48,11 @@ def test_vmap_equals_loop_and_members_stop_alone():
     together = jax.vmap(diffuse)(batch)
     alone = [diffuse(system) for system in systems]
     for i, one in enumerate(alone):
-        np.testing.assert_allclose(together.value[i], one.value, rtol=0, atol=1e-12)
+        assert_allclose(together.value[i], one.value, rtol=0, atol=1e-12)
         assert int(together.stats.iterations[i]) == int(one.stats.iterations)
     assert len(set(together.stats.iterations.tolist())) > 1
     nested = jax.vmap(jax.vmap(diffuse))(jax.tree.map(lambda a: a[:2, None], batch))
-    np.testing.assert_allclose(nested.value[:, 0], together.value[:2], rtol=0, atol=1e-12)
-
-
-def test_large_images_are_solved_in_turn():
-    system = random_system(96, 100, contrast=0.5, key=jax.random.key(6))
-    sizes, solver = jnp.array([1.0, 3.0]), AutoSolver(tolerance=1e-10)
-    found = jax.vmap(lambda size: diffuse(with_label(system, size * system.label), solver=solver))(
-        sizes
-    )
-    exact = direct(system)
-    np.testing.assert_allclose(found.value, np.stack([exact, 3 * exact]), rtol=0, atol=1e-8)
+    assert_allclose(nested.value[:, 0], together.value[:2], rtol=0, atol=1e-12)
 
 
 def test_epipolar_plane_images_at_once():
@@ -116,10 +65,10 @@ def test_epipolar_plane_images_at_once():
     assert bool(found.stats.converged.all())
     assert int(found.stats.iterations.max()) == 1
     for i in (0, 64, 130):
-        np.testing.assert_allclose(found.value[i], direct(member(batch, i)), rtol=0, atol=1e-5)
+        assert_allclose(found.value[i], direct(member(batch, i)), rtol=0, atol=1e-5)
 
 
-@pytest.mark.parametrize("shape", [(9, 80), (1, 400), (90, 5)], ids=str)
+@pytest.mark.parametrize("shape", [(9, 80), (1, 400)], ids=str)
 @pytest.mark.parametrize("contrast", [0.0, 3.0, 5.0])
 def test_what_elimination_leaves_is_rounding(shape, contrast):
     """Edges over 0, 8 and 13 decades; float32 against a direct solve in float64."""
@@ -134,36 +83,6 @@ def test_what_elimination_leaves_is_rounding(shape, contrast):
         assert float(found.stats.estimate) < 1e-5 * float(jnp.ptp(system.label))
 
 
-def test_a_tolerance_finer_than_rounding_is_iterated_for():
-    system = random_system(9, 60, dtype=jnp.float32, key=jax.random.key(5))
-    found = diffuse(system, solver=AutoSolver(tolerance=1e-6))
-    assert bool(found.stats.converged)
-    assert int(found.stats.iterations) > 1
-
-
-def test_thin_images_with_a_negative_weight_are_iterated():
-    system = random_system(5, 30, data=0.8, key=jax.random.key(4))
-    system = eqx.tree_at(lambda s: s.weight, system, system.weight.at[2, 7].set(-0.01))
-    found = jax.jit(lambda s: diffuse(s, solver=TIGHT))(system)
-    assert int(found.stats.iterations) > 1
-    np.testing.assert_allclose(found.value, direct(system), rtol=0, atol=1e-9)
-
-
-def test_scan_and_checkpoint():
-    system = random_system(*SHAPE, key=jax.random.key(7))
-
-    def total(scale):
-        def step(carry, _):
-            scaled = with_label(system, scale * system.label)
-            return carry + jnp.sum(diffuse(scaled, solver=TIGHT).value), None
-
-        return jax.lax.scan(jax.checkpoint(step), jnp.zeros(()), None, length=2)[0]
-
-    value, slope = jax.value_and_grad(total)(jnp.asarray(1.5))
-    # The map is linear in the labels.
-    np.testing.assert_allclose(slope * 1.5, value, rtol=1e-9)
-
-
 def test_one_trace_for_many_values():
     function, traces = count_traces(diffuse)
     for i, tolerance in enumerate((1e-3, 1e-5)):
@@ -175,7 +94,7 @@ def test_one_trace_for_many_values():
 def test_labels_without_weight_change_nothing():
     system = random_system(*SHAPE, key=jax.random.key(8))
     changed = with_label(system, jnp.where(system.weight > 0, system.label, jnp.nan))
-    np.testing.assert_array_equal(diffuse(changed).value, diffuse(system).value)
+    assert_array_equal(diffuse(changed).value, diffuse(system).value)
     gradient = jax.grad(lambda s: jnp.sum(diffuse(s).value ** 2))(changed)
     assert all(bool(jnp.isfinite(leaf).all()) for leaf in jax.tree.leaves(gradient))
     assert float(jnp.abs(jnp.where(system.weight > 0, 0, gradient.label)).max()) == 0
@@ -186,7 +105,7 @@ def test_warm_start_saves_iterations_and_changes_nothing():
     cold = diffuse(system)
     warm = diffuse(system, start=jnp.asarray(direct(system)))
     assert int(warm.stats.iterations) < int(cold.stats.iterations)
-    np.testing.assert_allclose(warm.value, direct(system), rtol=0, atol=1e-9)
+    assert_allclose(warm.value, direct(system), rtol=0, atol=1e-9)
 
 
 def test_rises_carry_a_slope_over_pixels_without_data():
@@ -196,7 +115,7 @@ def test_rises_carry_a_slope_over_pixels_without_data():
     edges = jnp.ones((12, 14)), jnp.ones((11, 15))
     system = System(weight, jnp.asarray(slanted), *edges, 0.3 * edges[0], -0.1 * edges[1])
     found = diffuse(system, solver=AutoSolver(tolerance=1e-10))
-    np.testing.assert_allclose(found.value, slanted, atol=1e-7)
+    assert_allclose(found.value, slanted, atol=1e-7)
     assert float(system.energy(found.value)) < 1e-12
     assert float(found.stats.residual) < 1e-6
 
@@ -208,23 +127,18 @@ def test_a_part_without_data_takes_the_mean_of_the_rest():
     start = jax.random.normal(jax.random.key(0), SHAPE)
     for found in (diffuse(cut, solver=TIGHT), diffuse(cut, start=start, solver=TIGHT)):
         mean = jnp.sum(weight * system.label) / jnp.sum(weight)
-        np.testing.assert_allclose(found.value[:, 9:], mean, rtol=1e-12)
+        assert_allclose(found.value[:, 9:], mean, rtol=1e-12)
         assert int(found.stats.isolated) == SHAPE[0] * (SHAPE[1] - 9)
         assert bool(found.stats.converged)
         left = System(weight[:, :9], system.label[:, :9], system.tx[:, :8], system.ty[:, :9])
-        np.testing.assert_allclose(found.value[:, :9], direct(left), rtol=0, atol=1e-9)
+        assert_allclose(found.value[:, :9], direct(left), rtol=0, atol=1e-9)
     gradient = jax.grad(lambda s: jnp.sum(diffuse(s, solver=TIGHT).value ** 2))(cut)
     assert all(bool(jnp.isfinite(leaf).all()) for leaf in jax.tree.leaves(gradient))
     assert float(jnp.abs(gradient.weight[:, 9:]).max()) == 0
-
-
-def test_no_data_at_all_is_zero():
-    nothing = System(jnp.zeros((5, 6)), jnp.ones((5, 6)), jnp.ones((5, 5)), jnp.ones((4, 6)))
-    found = diffuse(nothing)
-    np.testing.assert_array_equal(found.value, 0)
-    assert int(found.stats.isolated) == 30
-    empty = jax.tree.map(jnp.zeros_like, nothing)
-    np.testing.assert_array_equal(diffuse(empty).value, 0)
+    for nothing in (with_weight(system, jnp.zeros(SHAPE)), jax.tree.map(jnp.zeros_like, system)):
+        found = diffuse(nothing, solver=TIGHT)
+        assert_array_equal(found.value, 0)
+        assert int(found.stats.isolated) == SHAPE[0] * SHAPE[1]
 
 
 def test_nan_under_jit_is_not_silent():
@@ -287,3 +201,37 @@ def test_real_systems(name, iterations):
     assert np.abs(np.asarray(found.value) - data["x"]).max() < 1e-3
     default = diffuse(system)
     assert np.abs(np.asarray(default.value) - data["x"]).max() < float(default.stats.estimate)
+
+
+CASES = [one for i, one in enumerate(cases([64], 2)) if i % 9 == 4 or one.cut < 1e-7][::3][:40]
+
+
+@pytest.fixture(scope="module")
+def systems():
+    """Every case with its system and the exact solution."""
+    made = [(case, cells(case)) for case in CASES]
+    return [(case, system, exact(system)) for case, system in made]
+
+
+# Never converging would be true, too.
+@pytest.mark.usefixtures("optimised")
+@pytest.mark.parametrize(
+    ("dtype", "converged"),
+    [(jnp.float32, 30), pytest.param(jnp.float64, 40, marks=pytest.mark.slow)],
+)
+def test_converged_is_never_a_lie(systems, dtype, converged):
+    rows = [row(case, system, truth, dtype, AutoSolver()) for case, system, truth in systems]
+    assert len(rows) == 40
+    assert not [found for found in rows if found["wrong"]]
+    assert sum(found["converged"] for found in rows) >= converged
+
+
+@pytest.mark.usefixtures("optimised")
+def test_what_is_mostly_rounding_is_not_taken_for_converged():
+    """A region hangs on by 1e-8, and its companion's level comes out right by luck."""
+    case = Case(size=64, cut=1e-8, weight=1e6, density=1e-2, seed=56)
+    system = cells(case)
+    found = row(case, system, exact(system), jnp.float32, AutoSolver())
+    assert found["error"] > 3
+    assert not found["converged"]
+    assert found["estimate"] > 1

@@ -5,8 +5,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from diffusion.problems import random_system
+from helpers import check_gradient
+from numpy.testing import assert_allclose
 
-from mvedge_jax.diffusion import Multigrid, System, diffuse
+from mvedge_jax.diffusion import Multigrid, edge_weights
 from mvedge_jax.diffusion._coarsen import Stencil, coarsen, interpolate, product, restrict
 
 
@@ -23,7 +25,7 @@ def two_coarser(stencil):
         shape, below = stencil.mass.shape, coarse.mass.shape
         up = dense(lambda image, w=weights, s=shape: interpolate(w, image, s), below)
         down = dense(lambda image, w=weights: restrict(w, image), shape)
-        np.testing.assert_allclose(down, up.T, rtol=0, atol=1e-14)
+        assert_allclose(down, up.T, rtol=0, atol=1e-14)
         fine = dense(lambda image, s=stencil: product(s, image), shape)
         found = dense(lambda image, s=coarse: product(s, image), below)
         yield coarse, found, up.T @ fine @ up
@@ -41,7 +43,7 @@ def test_coarse_matrix_is_the_galerkin_product(shape):
     tx = jax.random.uniform(keys[2], (y, x - 1), minval=0.5)
     ty = jax.random.uniform(keys[3], (y - 1, x), minval=0.5)
     for _, found, galerkin in two_coarser(Stencil(data, tx, ty, None, None)):
-        np.testing.assert_allclose(found, galerkin, rtol=0, atol=1e-12 * np.abs(galerkin).max())
+        assert_allclose(found, galerkin, rtol=0, atol=1e-12 * np.abs(galerkin).max())
 
 
 def test_no_coarse_matrix_is_smaller_than_the_galerkin_product():
@@ -58,30 +60,51 @@ def test_no_coarse_matrix_is_smaller_than_the_galerkin_product():
     assert max(cut) > 1e-3
 
 
-def test_interpolation_keeps_a_constant_where_there_is_no_data():
-    system = random_system(6, 8, key=jax.random.key(1))
-    _, weights = coarsen(Stencil(jnp.zeros((6, 8)), system.tx, system.ty, None, None))
-    # The last column and row have a corner on one side only.
-    np.testing.assert_allclose(interpolate(weights, jnp.ones((3, 4)), (6, 8)), 1, rtol=1e-14)
-
-
 @pytest.mark.parametrize("shape", [(9, 14), (35, 3)])
 def test_preconditioner_is_symmetric_and_definite(shape):
     system = random_system(*shape, key=jax.random.key(2))
     cycle = Multigrid().preconditioner(Multigrid().prepare(system.coefficients))
     matrix = dense(jax.jit(cycle), shape)
-    np.testing.assert_allclose(matrix, matrix.T, rtol=0, atol=1e-12 * np.abs(matrix).max())
+    assert_allclose(matrix, matrix.T, rtol=0, atol=1e-12 * np.abs(matrix).max())
     assert np.linalg.eigvalsh(matrix).min() > 0
 
 
-@pytest.mark.slow
-def test_iterations_hardly_grow_with_size():
-    counts = []
-    for size in (128, 1024):
-        rows, columns = jnp.mgrid[:size, :size]
-        weight = jnp.where((rows % 16 == 0) & (columns % 16 == 3), 1.0, 0.0)
-        label = jnp.sin(9 * rows / size) + jnp.cos(7 * columns / size)
-        maps = (weight, label, jnp.ones((size, size - 1)), jnp.ones((size - 1, size)))
-        system = System(*(a.astype(jnp.float32) for a in maps))
-        counts.append(int(diffuse(system, solver=Multigrid(by_residual=True)).stats.iterations))
-    assert counts[1] <= 1.3 * counts[0]
+def test_matvec_diagonal_and_energy_agree_with_the_sparse_matrix():
+    system = random_system(6, 9, key=jax.random.key(0))
+    matrix = system.to_scipy().toarray()
+    image = jax.random.normal(jax.random.key(1), system.shape)
+    assert_allclose(
+        system.matvec(image).ravel(), matrix @ np.asarray(image).ravel(), rtol=0, atol=1e-10
+    )
+    assert_allclose(system.diagonal().ravel(), np.diag(matrix), rtol=1e-14)
+    assert_allclose(matrix, matrix.T)
+    # Nothing is tied to the border.
+    assert_allclose(system.matvec(jnp.ones((6, 9))), system.weight, atol=1e-12)
+    # Half of the gradient of the energy is what the normal equations set to zero.
+    slope = jax.grad(system.energy)(image)
+    expected = 2 * (system.matvec(image) - system.right_hand_side())
+    assert_allclose(slope, expected, rtol=0, atol=1e-10)
+
+
+@pytest.mark.parametrize(
+    ("pairing", "expected"),
+    [("min", [1.0, 0.0]), ("mean", [2.0, 1.5]), ("harmonic", [1.5, 0.0]), ("second", [3.0, 0.0])],
+)
+def test_pairings(pairing, expected):
+    row = jnp.array([[1.0, 3.0, 0.0]])
+    tx, ty = edge_weights(row, pairing=pairing)
+    assert tx.tolist() == [expected]
+    assert ty.shape == (0, 3)
+    assert edge_weights(row.T, pairing=pairing)[1][:, 0].tolist() == expected
+
+
+def test_pairing_is_differentiable_and_checked():
+    smoothness = jnp.exp(jax.random.normal(jax.random.key(4), (4, 5)))
+
+    def total(smoothness):
+        tx, ty = edge_weights(smoothness, pairing="harmonic")
+        return jnp.sum(tx**2) + jnp.sum(ty**3)
+
+    check_gradient(total, smoothness, rtol=1e-6, key=jax.random.key(5))
+    with pytest.raises(ValueError, match="`pairing` must be"):
+        edge_weights(smoothness, pairing="max")

@@ -5,11 +5,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers import check_gradient, count_traces
+from helpers import check_gradient, check_modes
 from numpy.testing import assert_allclose, assert_array_equal
 
 from mvedge_jax.diffusion import AutoSolver
-from mvedge_jax.edges import EdgePoints, rasterise
+from mvedge_jax.edges import EdgePoints, rasterise, share
 from mvedge_jax.edges.sides import (
     DirectionalDiffusion,
     SideVote,
@@ -21,7 +21,7 @@ from mvedge_jax.edges.sides import (
     thesis_response,
 )
 from mvedge_jax.edges.sides._profile import profiles
-from mvedge_jax.edges.sides._surface import along_edge, choose
+from mvedge_jax.edges.sides._surface import along_edge
 from mvedge_jax.photometry.measuring import visible_view_range
 
 SHAPE = (24, 32)
@@ -78,15 +78,6 @@ def test_rasterise_keeps_the_nearest_surface_and_drops_what_is_outside():
     assert int(raster.hit.sum()) == 2
 
 
-def test_masked_points_change_neither_labels_nor_gradients():
-    def total(disparity, valid):
-        raster = rasterise(jnp.array([[1.0, 1.0], [2.0, 1.0]]), disparity, valid, (3, 4))
-        return jnp.sum(raster.values(disparity) ** 2)
-
-    gradient = jax.grad(total)(jnp.array([2.0, jnp.inf]), jnp.array([True, False]))
-    assert_allclose(gradient, [4.0, 0.0])
-
-
 @pytest.mark.parametrize("taps", [(-1.0, -1.5, -2.0, 2.0, 1.5, 1.0), (-1.0, -1.0, 1.0, 1.0)])
 def test_step_response_is_twice_the_step_and_zero_when_flat(taps):
     before = jnp.array([0.0, 0, 0, 1, 1, 1, 1])[:, None] * 0.3
@@ -125,14 +116,6 @@ def test_surface_vectors_move_labels_onto_their_surface(passes):
         assert_allclose(surface.offset[AT_EDGE], [[1.0, 0.0]] * AT_EDGE.sum())
 
 
-def test_probabilities_approach_a_choice_and_have_a_gradient():
-    score = jnp.linspace(-0.3, 0.3, POINTS.disparity.shape[0])
-    cold, warm = (SideVote(temperature=jnp.asarray(t)) for t in (1e-4, 0.1))
-    assert_allclose(choose(POINTS, score, cold).forward, score > 0, atol=1e-6)
-    gradient = jax.grad(lambda s: choose(POINTS, s, warm).forward.sum())(score)
-    assert float(jnp.abs(gradient).min()) > 0
-
-
 def test_along_edge_outvotes_a_lone_dissenter():
     sign = POINTS.normal[:, 0]
     score = sign.at[50].multiply(-1.0)
@@ -142,26 +125,13 @@ def test_along_edge_outvotes_a_lone_dissenter():
     assert_array_equal(along_edge(POINTS, score, shape=SHAPE, reach=0), score)
 
 
-def test_invalid_slots_take_no_part(passes):
-    normals = [(0.0, 1.0), (1.0, 0.0)]
-    junk = make_points([(14.0, 5.0), (15.0, 9.0)], [9.0, -9.0], normals, [False, False])
-    both = jax.tree.map(lambda a, b: jnp.concatenate([a, b]), POINTS, junk)
-    more = bidirectional(both, GRAY, DirectionalDiffusion())
-    assert_array_equal(passes.forward, more.forward)
-    assert_array_equal(more.response[-2:], 0)
-    one, two = (
-        surface_vectors(p, b.response, None, SideVote(), shape=SHAPE)
-        for p, b in ((POINTS, passes), (both, more))
-    )
-    assert_array_equal(one.offset, two.offset[:-2])
-    assert_array_equal(two.offset[-2:], 0)
-
-
 def test_no_points_at_all_is_a_flat_map():
     nothing = eqx.tree_at(lambda p: p.valid, POINTS, jnp.zeros_like(POINTS.valid))
     found = bidirectional(nothing, jnp.full(SHAPE, 0.5), DirectionalDiffusion())
     for image in (found.forward, found.backward, found.edge, found.response):
         assert_array_equal(image, 0)
+    gradient = jax.grad(lambda d: depth_edge_confidence(d, d).sum())(jnp.zeros((4, 4)))
+    assert bool(jnp.isfinite(gradient).all())
 
 
 def test_gradient_of_the_passes_matches_differences():
@@ -179,14 +149,6 @@ def test_gradient_of_the_passes_matches_differences():
     check_gradient(loss, tree, rtol=1e-3, step=1e-6, key=jax.random.key(0))
 
 
-def test_one_trace_serves_every_parameter():
-    run, traces = count_traces(lambda p: bidirectional(POINTS, GRAY, p).response)
-    first = run(DirectionalDiffusion())
-    second = run(DirectionalDiffusion(data=jnp.asarray(3.0), gradient=jnp.asarray(1e-2)))
-    assert traces() == 1
-    assert float(jnp.abs(first - second).max()) > 0
-
-
 def test_reach_agrees_with_brute_force():
     rng = np.random.default_rng(1)
     disparity = np.repeat(rng.uniform(-1, 1, (6, 8)), 4, axis=1)
@@ -202,14 +164,6 @@ def test_reach_agrees_with_brute_force():
                         expected[side, y, x] = min(expected[side, y, x], (j - 0.5) / rise)
     for negative_and_positive in zip(found, expected, strict=True):
         assert_allclose(*negative_and_positive)
-
-
-def test_depth_edge_confidence_of_a_ramp_is_its_slope():
-    ramp = jnp.broadcast_to(0.25 * jnp.arange(9.0), (5, 9))
-    assert_allclose(depth_edge_confidence(ramp, ramp)[:, 1:-1], 0.25)
-    assert_array_equal(depth_edge_confidence(ramp, -ramp), 0)
-    gradient = jax.grad(lambda d: depth_edge_confidence(d, d).sum())(jnp.zeros((4, 4)))
-    assert bool(jnp.isfinite(gradient).all())
 
 
 def _minimum(weight, label, smoothness):
@@ -248,3 +202,61 @@ def test_both_passes_minimise_the_printed_energy():
                 weight[y, x], label[y, x] = 1e6, max(label[y, x], value)
         expected = _minimum(weight, np.where(weight > 0, label, 0), smoothness)
         assert_allclose(passed, expected, atol=1e-6)
+
+
+_TOLERANCE = 0.2
+
+
+@pytest.fixture
+def labels():
+    rng = np.random.default_rng(0)
+    xy = rng.uniform(-1.5, 8.5, (40, 2))
+    disparity, weight = rng.normal(size=40), rng.uniform(0.1, 1, 40)
+    weight[::7] = 0
+    surface = 0.3 * rng.normal(size=(6, 8))
+    return jnp.asarray(xy), jnp.asarray(disparity), jnp.asarray(weight), jnp.asarray(surface)
+
+
+def test_shares_are_those_of_a_loop(labels):
+    xy, disparity, weight, surface = map(np.asarray, labels)
+    total, moved = np.zeros((6, 8)), np.zeros((6, 8))
+    for (x, y), d, w in zip(xy, disparity, weight, strict=True):
+        for row, column in np.ndindex(6, 8):
+            bilinear = max(0, 1 - abs(x - column)) * max(0, 1 - abs(y - row))
+            part = w * bilinear / (1 + ((d - surface[row, column]) / _TOLERANCE) ** 2) ** 2
+            total[row, column] += part
+            moved[row, column] += part * d
+    found, mean = share(*labels, tolerance=jnp.asarray(_TOLERANCE))
+    assert_allclose(found, total, atol=1e-12)
+    hit = total > 1e-9
+    assert_allclose(np.asarray(mean)[hit], moved[hit] / total[hit], atol=1e-9)
+    empty = total == 0
+    assert empty.any()
+    assert_array_equal(np.asarray(mean)[empty], surface[empty])
+
+
+def test_empty_slots_change_nothing_and_have_no_gradient(labels):
+    xy, disparity, weight, surface = labels
+
+    def loss(xy, disparity):
+        total, mean = share(xy, disparity, weight, surface, jnp.asarray(_TOLERANCE))
+        return jnp.sum(total * jnp.sin(mean))
+
+    empty = weight == 0
+    other = jnp.where(empty[:, None], 3.3, xy), jnp.where(empty, 0.1, disparity)
+    assert float(loss(xy, disparity)) == float(loss(*other))
+    gradient = jax.grad(loss, argnums=(0, 1))(*other)
+    assert not np.asarray(gradient[0])[np.asarray(empty)].any()
+    assert not np.asarray(gradient[1])[np.asarray(empty)].any()
+
+
+def test_derivatives_in_positions_labels_weights_map_and_tolerance(labels):
+    xy, disparity, weight, surface = labels
+    weight = weight + 0.1
+
+    def loss(tree):
+        total, mean = share(*tree)
+        return jnp.sum(total * jnp.sin(mean))
+
+    tree = (xy, disparity, weight, surface, jnp.asarray(_TOLERANCE))
+    check_modes(loss, tree, rtol=1e-5, key=jax.random.key(0))

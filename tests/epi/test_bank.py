@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from edges.scenes import plane
+from epi.slices import VIEWS, WIDTH, epi_lines, smooth, step
 from helpers import check_gradient, check_modes, dot
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy import signal
@@ -13,10 +14,14 @@ from mvedge_jax.color import srgb_to_lab
 from mvedge_jax.epi import (
     FilterBank,
     bank_radius,
+    epi_edge_map,
     exponential_disparities,
+    fit_lines,
+    merge_scales,
     prewitt_bank,
     strongest_response,
 )
+from mvedge_jax.epi._lines import _vertex
 from mvedge_jax.epi._response import bank_response, correlate
 
 _DISPARITY = np.array([-1.7, -0.6, -0.25, 0.0, 0.33, 1.0, 2.0])
@@ -66,35 +71,6 @@ def test_explicit_taps_sheared_sum_and_brute_force_agree():
     assert_allclose(bank_response(tall, bank)[33:36], some, atol=1e-13)
     # A flat image has no edges, not at the borders either, where zero padding would invent one.
     assert float(jnp.abs(bank_response(jnp.full((5, 2, 11, 1), 0.7), bank)).max()) < 1e-12
-
-
-@pytest.mark.parametrize("slope", [-1.7, -0.25, 0.33, 2.0])
-def test_a_unit_step_answers_with_one_for_every_slope(slope):
-    steps = 2 - np.arange(5)
-    epi = np.clip(np.arange(41)[None] - (20 + steps * slope)[:, None] + 0.5, 0, 1)
-    response = np.asarray(bank_response(jnp.asarray(epi)[:, None, :, None], _bank()))[0, 20, 0]
-    own = response[slope == _DISPARITY][0]
-    # A slope off by less than half a pixel at the ends still has the step between its lines.
-    assert own == pytest.approx(1, abs=0.06)
-    assert own >= response.max() - 0.03
-    assert own > response[np.abs(_DISPARITY - slope) > 0.55].max() + 0.02
-
-
-def test_response_is_differentiable_in_views_and_taps():
-    weight = jax.random.normal(jax.random.key(3), (3, 21, 2, 7), jnp.float64)
-
-    def loss(tree):
-        return (weight * jnp.sin(bank_response(*tree))).sum()
-
-    check_gradient(loss, (_arm(), _bank()), rtol=1e-7, key=jax.random.key(1))
-
-
-def test_exponential_spacing_is_that_of_the_reference_notes():
-    values = exponential_disparities(60, 2.0)
-    assert values.shape == (59,)
-    assert_allclose(values, -values[::-1], atol=1e-15)
-    assert_allclose(values[-3:], [1.789, 1.893, 2.0], atol=1e-3)
-    assert_allclose(np.diff(values)[29], 0.0408, atol=2e-3)
 
 
 @pytest.mark.parametrize(
@@ -164,13 +140,6 @@ def test_second_derivatives_of_the_correlation_agree_with_differences(rows_and_t
     check_modes(loss, rows_and_taps, rtol=1e-6, key=jax.random.key(2))
 
 
-def test_correlation_under_vmap_is_a_loop(rows_and_taps):
-    rows, taps = rows_and_taps
-    many = jnp.stack([taps, 2 * taps])
-    slope = jax.grad(lambda t: jnp.sum(correlate(rows, t) ** 2))
-    assert_allclose(jax.vmap(slope)(many), jnp.stack([slope(t) for t in many]), rtol=1e-12)
-
-
 def test_the_strongest_response_is_that_of_the_bank():
     arm = srgb_to_lab(plane(0.5, size=(19, 27), dtype=jnp.float64).horizontal_arm)
     bank = prewitt_bank(jnp.linspace(-0.2, 1.2, 15, dtype=jnp.float64), 5, bank_radius(1.2, 5))
@@ -191,3 +160,75 @@ def test_the_strongest_response_is_differentiable_in_views_and_taps():
     check_gradient(loss, (arm, taps), rtol=1e-6, step=1e-6, directions=2, key=keys[0])
     bank = prewitt_bank(jnp.linspace(0.0, 1.0, 5), 5, bank_radius(1.0, 5))
     assert not jnp.any(jax.grad(lambda a: jnp.sum(strongest_response(a, bank)))(0 * arm))
+
+
+BANK = prewitt_bank(jnp.asarray(np.arange(-6, 7) * 0.2), VIEWS, bank_radius(1.2, VIEWS))
+
+
+def test_a_flat_epi_has_no_lines_and_a_step_has_one():
+    bank = prewitt_bank(jnp.asarray(np.arange(-10, 11) * 0.1), VIEWS, bank_radius(1.0, VIEWS))
+    for epi, expected in ((np.full((VIEWS, WIDTH), 30.0), 0), (50 * step(31.3, 0.6), 1)):
+        for modulate in (False, True):
+            confidence, slope = epi_edge_map(
+                jnp.asarray(smooth(epi[..., None])), bank, modulate=modulate
+            )
+            confidence = jnp.where(confidence > 1e-6, confidence, 0)
+            lines, left = fit_lines(confidence, slope, jnp.asarray(1.8), capacity=8)
+            strong = np.asarray(lines.valid & (lines.confidence > 0.5 * lines.confidence.max()))
+            assert strong.sum() == expected
+            assert int(left) == 0
+            if expected:
+                assert abs(float(lines.position[0]) - 31.3) < 1
+                assert abs(float(lines.disparity[0]) - 0.6) < 0.15
+
+
+def test_the_vertex_of_a_parabola_is_found_between_filters_of_any_spacing():
+    disparity = np.array([-2.0, -1.0, -0.5, 0.0, 0.25, 1.0])
+
+    def vertex(response, best):
+        response = jnp.asarray(response, float)[None]
+        return float(_vertex(response, jnp.asarray([best]), jnp.asarray(disparity))[0])
+
+    for place in (1.0, 1.2, 2.49, 3.0, 3.7):
+        response = 5 - 0.3 * (np.arange(6) - place) ** 2
+        found = vertex(response, np.argmax(response))
+        assert_allclose(found, np.interp(place, np.arange(6), disparity), rtol=1e-12)
+    # No parabola: at the ends of the bank, and where all filters answer alike.
+    for response, best in (([9, 5, 4, 3, 2, 1], 0), ([1, 2, 3, 4, 5, 9], 5), ([7] * 6, 2)):
+        assert vertex(response, best) == disparity[best]
+
+
+def test_interpolated_disparities_have_the_derivative_of_differences_in_the_taps():
+    epi = jnp.asarray(smooth((50 * step(31.3, 0.28))[..., None]))
+    confidence, _ = epi_edge_map(epi, BANK)
+    at = np.unravel_index(int(jnp.argmax(confidence)), confidence.shape)
+
+    def disparity(taps, interpolate=True):
+        changed = FilterBank(BANK.disparity, taps)
+        return epi_edge_map(epi, changed, interpolate=interpolate)[1][at]
+
+    direction = jnp.asarray(np.random.default_rng(3).normal(size=BANK.taps.shape))
+    slope = jnp.vdot(jax.grad(disparity)(BANK.taps), direction)
+    before, after = (disparity(BANK.taps + h * direction) for h in (-1e-7, 1e-7))
+    assert abs(float(slope)) > 1e-3
+    assert_allclose(slope, (after - before) / 2e-7, rtol=1e-5)
+    assert not jax.grad(lambda taps: disparity(taps, interpolate=False))(BANK.taps).any()
+
+
+def test_slots_that_run_out_are_counted():
+    confidence = jnp.zeros((3, 30)).at[1, ::5].set(jnp.arange(6.0) + 1)
+    lines, left = fit_lines(confidence, jnp.zeros((3, 30)), jnp.asarray(1.0), capacity=4)
+    assert int(left) == 2
+    assert_allclose(lines.position, [25, 20, 15, 10])
+    assert_allclose(lines.confidence, [6, 5, 4, 3])
+
+
+def test_merging_keeps_only_what_the_fine_scale_lacks():
+    fine = epi_lines([20.0, 40.0], [0.5, 0.0])
+    # The same line; one that crosses the second; one of its own; and an empty slot.
+    coarse = epi_lines([9.75, 19.75, 27.0, 5.0], [0.25, 0.5, 0.1, 0.0])
+    coarse = coarse._replace(valid=jnp.asarray([True, True, True, False]))
+    merged = merge_scales(fine, coarse, jnp.asarray(1.8), views=VIEWS)
+    assert_array_equal(merged.valid, [True, True, False, False, True, False])
+    assert_allclose(merged.position[4], 54.5)
+    assert_allclose(merged.disparity[4], 0.2)

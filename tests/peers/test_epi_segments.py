@@ -41,14 +41,6 @@ def test_the_surface_in_front_is_where_the_line_behind_is_not_seen(seen, side):
     assert sides[jnp.asarray([0, 1, 3, 4])].tolist() == [0, 0, 0, 0]
 
 
-def test_contradictions_open_to_the_more_similar_slope():
-    # A second line behind is seen on the other side.
-    position, slope = jnp.append(_POSITION, 37.0), jnp.append(_SLOPE, -0.1)
-    edges = _edges(9, 70, [(36, 0, range(5, 9)), (37, -0.1, range(3))])
-    sides = opening_sides(position, slope, edges, jnp.ones(6, bool))
-    assert sides[2] == -1  # line 1, to the left, has the same slope
-
-
 class _Rules:
     """Which lines may bound a segment (Alg. 2), by intercepts and in loops."""
 
@@ -100,7 +92,7 @@ def _best(rules, pairs, i=0, used=frozenset()):
     return best
 
 
-@pytest.mark.parametrize("seed", range(40))
+@pytest.mark.parametrize("seed", range(20))
 def test_random_segments_are_the_best_of_all_matchings(seed):
     rng = np.random.default_rng(seed)
     position, slope = rng.uniform(0, 30, 6), rng.choice([-0.5, 0.0, 0.5, 1.5], 6)

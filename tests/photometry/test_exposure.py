@@ -1,19 +1,17 @@
 """Brightness of the views: known gains, exposures and vignettes are recovered and taken out."""
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from helpers import check_gradient
-from numpy.testing import assert_allclose, assert_array_equal
 from photometry.scenes import changed, cross_gains, exposure_along, rough_exposure, textured
 
+from mvedge_jax._crosshair import crosshair
 from mvedge_jax.datasets import synthetic
-from mvedge_jax.depth import EdgeDepth
 from mvedge_jax.lightfield import LightField
-from mvedge_jax.metrics import depth_scores
 from mvedge_jax.photometry.brightness import Brightness, Exposure, GridViews, expose
+from mvedge_jax.photometry.brightness._unlit import lit
 
 SIZE = (96, 112)
 FLAT = jnp.full(SIZE, 0.5, jnp.float32)
@@ -32,9 +30,10 @@ def bright():
     return textured(low=0.2)
 
 
-@pytest.mark.parametrize("sigma", [0.0, 0.05])
-def test_known_gains_are_recovered_and_no_vignettes_invented(bright, sigma):
-    gain = cross_gains()
+@pytest.mark.parametrize(
+    ("gain", "sigma"), [(NONE, 0.0), (cross_gains(), 0.0), (cross_gains(), 0.05)]
+)
+def test_known_gains_are_recovered_and_no_vignettes_invented(bright, gain, sigma):
     field = changed(bright, gain=gain, noise=sigma)
     exposures = both(field)
     rough, along = (np.asarray(exposure.gain) for exposure in exposures)
@@ -43,43 +42,12 @@ def test_known_gains_are_recovered_and_no_vignettes_invented(bright, sigma):
     assert (along[~CROSS] == 1).all()
     # To the digit: gains change nothing of the views' vignettes, nor does noise.
     for exposure in exposures:
-        assert_array_equal(exposure.vignette, 0)
-        assert_array_equal(exposure.unevenness, 0)
+        np.testing.assert_array_equal(exposure.vignette, 0)
+        np.testing.assert_array_equal(exposure.unevenness, 0)
         plain = exposure._replace(vignette=None)
         exposed = (GridViews(field).exposed(of) for of in (exposure, plain))
         for one, other in zip(*exposed, strict=True):
-            assert_array_equal(one.planes, other.planes)
-
-
-def test_gains_of_all_views_are_recovered_and_those_of_the_crosshair_do_not_change(bright):
-    gain = 1 + 0.05 * np.random.default_rng(3).standard_normal((5, 5)).astype(np.float32)
-    gain[2, 2] = 1
-    field = changed(bright, gain=gain)
-    every, cross = (
-        np.asarray(exposure_along(field, ONE, FLAT, every=which).gain) for which in (True, False)
-    )
-    assert np.abs(every / gain - 1).max() < 0.003
-    assert_allclose(every[CROSS], cross[CROSS], atol=1e-3)
-
-
-def test_equal_views_keep_their_brightness(bright):
-    rough, along = both(changed(bright))
-    assert np.abs(np.asarray(rough.gain) - 1).max() < 0.003
-    assert np.abs(np.asarray(along.gain) - 1).max() < 0.0005
-
-
-def test_taking_out_gains_and_exposure_gives_the_bright_views_back(bright):
-    assert float(rough_exposure(bright).scale) == 1
-    dark = changed(bright, gain=cross_gains(), factor=0.25, bits=False)
-    scale = rough_exposure(dark).scale
-    found = expose(dark, exposure_along(dark, scale, FLAT))
-    level = np.quantile(np.asarray(bright.centre_view), 0.99)
-    assert float(scale) == pytest.approx(0.56 / (0.25 * level), rel=0.02)
-    # The level is a number of the part.
-    half = Brightness(bright=jnp.asarray(0.28))
-    assert float(rough_exposure(dark, params=half).scale) == pytest.approx(0.5 * float(scale))
-    ratio = np.asarray(found.views)[CROSS] / np.asarray(bright.views)[CROSS]
-    assert np.abs(ratio / ratio.mean() - 1).max() < 0.004
+            np.testing.assert_array_equal(one.planes, other.planes)
 
 
 def smooth(*, strength=0.05, size=SIZE, views=5, seed=4):
@@ -88,7 +56,8 @@ def smooth(*, strength=0.05, size=SIZE, views=5, seed=4):
     known = strength * rng.standard_normal((views, views, 4, 4))
     order = np.maximum.outer(np.arange(4), np.arange(4))
     known *= np.select([order == 1, order == 2], [1, 0.5], 0.25) * (order > 0)
-    known[~CROSS] = known[2, 2] = 0
+    middle = np.arange(views) == views // 2
+    known[~np.add.outer(middle, middle)] = known[views // 2, views // 2] = 0
     axes = [(2 * np.arange(n) + 1) / n - 1 for n in size]
     down, across = (np.polynomial.legendre.legvander(t, 3) * np.sqrt([1, 3, 5, 7]) for t in axes)
     return known, np.einsum("vukl,yk,xl->vuyx", known, down, across)
@@ -102,7 +71,7 @@ def vignetted(light_field, logs):
     )
 
 
-def left(exposure, logs, gain=NONE):
+def left(exposure, logs, gain: np.ndarray = NONE):
     """Log of what the views are still off by, once vignettes and gains are taken out."""
     factors = np.asarray(exposure.factors(..., logs.shape[2:])) / float(exposure.scale)
     return (logs + np.log(gain[..., None, None] * factors))[CROSS]
@@ -116,22 +85,35 @@ def test_known_vignettes_are_recovered_beside_gains(bright, sigma, bar):
     before = left(Exposure(ONE, jnp.ones((5, 5), jnp.float32)), logs, gain).std()
     assert left(rough, logs, gain).std() < 0.25 * before
     assert left(along, logs, gain).std() < bar
-    assert_allclose(np.asarray(along.vignette), known, atol=4 * bar)
+    np.testing.assert_allclose(np.asarray(along.vignette), known, atol=4 * bar)
     assert np.abs(np.asarray(along.vignette)[~CROSS]).max() < 1e-6
-    assert_allclose(along.unevenness, logs.std((2, 3)), atol=4 * bar)
+    np.testing.assert_allclose(along.unevenness, logs.std((2, 3)), atol=4 * bar)
 
 
-def test_vignettes_of_all_views_are_recovered(bright):
+def test_gains_and_vignettes_of_all_views_are_recovered(bright):
+    gain = 1 + 0.05 * np.random.default_rng(3).standard_normal((5, 5)).astype(np.float32)
+    gain[2, 2] = 1
     _, logs = smooth()
-    field = vignetted(bright, logs)
-    moved = LightField(field.views.at[0, 0].set(bright.views[0, 0] * 0.63))
-    every = exposure_along(moved, ONE, FLAT, every=True)
-    assert float(every.gain[0, 0]) == pytest.approx(0.9, rel=2e-3)
-    assert float(every.unevenness[0, 0]) < 0.003
-    assert left(every, logs).std() < 0.003
-    clean = 0.7 * np.asarray(bright.views)
-    ratio = np.asarray(expose(field, every).views)[CROSS] / clean[CROSS]
+    field = changed(vignetted(bright, logs), gain=gain, bits=False)
+    every, cross = (exposure_along(field, ONE, FLAT, every=which) for which in (True, False))
+    assert np.abs(np.asarray(every.gain) / gain - 1).max() < 0.003
+    np.testing.assert_allclose(
+        np.asarray(every.gain)[CROSS], np.asarray(cross.gain)[CROSS], atol=1e-3
+    )
+    assert left(every, logs, gain).std() < 0.003
+    ratio = np.asarray(expose(field, every).views)[CROSS] / (0.7 * np.asarray(bright.views))[CROSS]
     assert np.abs(ratio - 1).mean() < 0.003
+
+
+def test_what_moves_by_itself_is_an_outlier_and_a_dark_half_is_left_to_the_other(bright):
+    _, logs = smooth(strength=0.03)
+    field = vignetted(bright, logs)
+    # A tenth of a view shows something else, brighter by half.
+    spoiled = LightField(field.views.at[2, 0, 20:50, 30:60].multiply(1.5))
+    assert left(exposure_along(spoiled, ONE, FLAT), logs).std() < 0.004
+    rough, along = both(LightField(field.views.at[:, :, :, 70:].set(0)))
+    assert all(np.isfinite(np.asarray(each.vignette)).all() for each in (rough, along))
+    assert left(along, logs)[:, :, :60].std() < 0.01
 
 
 def test_what_all_lenses_have_in_common_is_seen_by_parallax():
@@ -155,15 +137,7 @@ def test_what_all_lenses_have_in_common_is_seen_by_parallax():
             assert (logs + np.log(factor)).std() < 0.4 * logs.std()
             assert float(found.unevenness.max()) < 0.03
         else:
-            assert_array_equal(factor, 1)
-
-
-def test_what_moves_by_itself_is_an_outlier(bright):
-    """A tenth of a view shows something else, brighter by half."""
-    _, logs = smooth()
-    field = vignetted(bright, logs)
-    spoiled = LightField(field.views.at[2, 0, 20:50, 30:60].multiply(1.5))
-    assert left(exposure_along(spoiled, ONE, FLAT), logs).std() < 0.004
+            np.testing.assert_array_equal(factor, 1)
 
 
 def test_a_missing_view_has_neither_gain_nor_vignette_and_changes_no_other(bright):
@@ -179,68 +153,84 @@ def test_a_missing_view_has_neither_gain_nor_vignette_and_changes_no_other(brigh
     assert all(map(np.array_equal, jax.tree.leaves(first), jax.tree.leaves(others)))
     for gains, vignettes in first:
         assert float(gains[2, 0]) == 1
-        assert_array_equal(vignettes[2, 0], 0)
+        np.testing.assert_array_equal(vignettes[2, 0], 0)
         # And the others keep theirs.
-        assert_allclose(gains[2, 4], gain[2, 4], rtol=0.02)
+        np.testing.assert_allclose(gains[2, 4], gain[2, 4], rtol=0.02)
         assert float(jnp.abs(vignettes[2, 4]).max()) > 0.01
 
 
-def test_a_dark_half_is_left_to_the_other_half(bright):
-    """Where the centre view is black no ratio is known: finite, and right where it is known."""
-    _, logs = smooth(strength=0.03)
-    field = vignetted(bright, logs)
-    rough, along = both(LightField(field.views.at[:, :, :, 70:].set(0)))
-    for exposure in (rough, along):
-        assert np.isfinite(np.asarray(exposure.vignette)).all()
-    assert left(along, logs)[:, :, :60].std() < 0.01
-
-
 @pytest.mark.parametrize("value", [0.0, 0.3, 1.0])
-def test_constant_views_are_left_finite(value):
-    field = LightField(jnp.full((3, 5, 16, 9, 3), value, jnp.float32))
-    for exposure in both(field, jnp.zeros((16, 9), jnp.float32)):
+def test_constant_views_are_left_finite(bright, value):
+    field = LightField(jnp.full_like(bright.views, value), disparity_range=(-1, 1))
+    for exposure in both(field):
         assert 1 <= float(exposure.scale) <= 16
-        assert_allclose(exposure.gain, 1, atol=1e-6)
+        np.testing.assert_allclose(exposure.gain, 1, atol=1e-6)
 
 
-@pytest.mark.parametrize("part", ["gain", "vignette"])
-def test_gradients_and_jit(part):
-    field = textured(size=(32, 40), dtype=np.float64, low=0.2)
-    if part == "gain":
-        field = changed(field, gain=cross_gains(), bits=False)
-    else:
-        field = vignetted(field, smooth(size=(32, 40))[1])
-    shape = (5, 5) if part == "gain" else (5, 5, 4, 4)
-    weight = jax.random.normal(jax.random.key(1), shape, jnp.float64)
+def test_gradients_and_jit():
+    field = textured(views=3, size=(32, 40), dtype=np.float64, low=0.2)
+    field = changed(field, gain=cross_gains(3), bits=False)
+    field = vignetted(field, smooth(size=(32, 40), views=3)[1])
+    weights = jax.random.normal(jax.random.key(1), (2, 17, 3, 3), jnp.float64)
     disparity = 0.5 + 0.05 * jax.random.normal(jax.random.key(2), (32, 40), jnp.float64)
 
     def loss(tree):
         views, disparity = tree
         exposures = both(LightField(views), disparity)
-        rough, along = (getattr(exposure, part) for exposure in exposures)
-        total = jnp.sum(weight * rough) + jnp.sum(weight[::-1] * along)
-        return total + (exposures[0].scale if part == "gain" else 0)
+        total = exposures[0].scale
+        for exposure, weight in zip(exposures, weights, strict=True):
+            total = total + jnp.sum(weight[0] * exposure.gain)
+            total = total + jnp.sum(weight[1:].reshape(3, 3, 4, 4) * exposure.vignette)
+        return total
 
     tree = (field.views, disparity)
     check_gradient(loss, tree, rtol=1e-4, step=2e-9, key=jax.random.key(0))
-    assert_allclose(loss(tree), jax.jit(loss)(tree), rtol=1e-10)
+    np.testing.assert_allclose(loss(tree), jax.jit(loss)(tree), rtol=1e-10)
 
 
-@pytest.mark.slow
-def test_a_light_field_of_uneven_lenses_is_as_good_as_one_of_even_ones():
-    """The chain on `mvedge render --vignette .4 --gain .02`, 8 bits."""
-    scene, shape = synthetic.scene("slanted"), (9, 9, 128, 128)
-    found = []
-    for seen in (scene, scene.through_lenses(vignette=0.4, vignette_shift=0.05, gain=0.02)):
-        field = synthetic.render(seen, shape=shape, samples=2, key=jax.random.key(0))
-        field = eqx.tree_at(lambda f: f.views, field, jnp.round(255 * field.views) / 255)
-        assert field.truth is not None
-        result = EdgeDepth.for_light_field(field)(field).check()
-        scores = depth_scores(result.disparity, field.truth.disparity, crop=4)
-        found.append((result.stats.exposure.unevenness.max(), scores))
-    (even, clean), (uneven, vignetted) = found
-    assert float(even) == 0
-    assert 0.02 < float(uneven) < 0.2
-    # Without: 2.5 times the mean error, 15 % beyond .07 px instead of 6 %.
-    for score in ("mse", "mae", "bad_03", "bad_07"):
-        assert float(getattr(vignetted, score)) < 1.1 * float(getattr(clean, score)), score
+def _slant(grid=(3, 3)):
+    """Views of a textured plane whose disparity is 1 px per view step."""
+    texture = np.random.default_rng(0).uniform(0.2, 0.8, (48, 56, 3))
+    rows, columns = map(range, grid)
+    return np.asarray([[texture[v : v + 40, u : u + 48] for u in columns] for v in rows])
+
+
+# How far a pixel is from the lower left corner.
+AWAY = np.add.outer(np.arange(39, -1, -1), np.arange(48))
+
+
+def _lit(views, dtype: type = np.float64, **numbers):
+    arms = crosshair(LightField(jnp.asarray(views, dtype)))
+    return np.asarray(lit(arms, Brightness(**numbers)))
+
+
+@pytest.mark.parametrize("grid", [(3, 3), (1, 5)])
+def test_a_fixed_corner_is_unlit_and_little_around_it(grid):
+    views, corner = _slant(grid), AWAY < 12
+    views[:, :, corner] = 0
+    found = _lit(views, np.float32)
+    assert found.dtype == np.float32
+    assert set(np.unique(found)) == {0.0, 1.0}
+    assert (found[corner] == 0).all()
+    assert AWAY[found == 0].max() <= 12 + 6
+    assert ((_lit(views, dark_reach=0) == 0) == corner).all()
+    assert (_lit(views, black=jnp.asarray(0.0)) == 1).all()
+
+
+@pytest.mark.parametrize(
+    "blacken",
+    [
+        lambda views: None,
+        # Black things within the picture, and one that moves from view to view.
+        lambda views: views.__setitem__(np.s_[:, :, 10:20, 10:20], 0),
+        lambda views: [views.__setitem__(np.s_[:, u, :5, 12 * u : 12 * u + 12], 0) for u in (0, 2)],
+        lambda views: views.__setitem__(np.s_[1, 1, :5, :12], 0),
+        # Dark is not black.
+        lambda views: views.__setitem__(np.s_[:, :, :5, :12], 0.01),
+    ],
+    ids=["nothing", "inside", "moving", "one view", "dark"],
+)
+def test_all_else_is_lit(blacken):
+    views = _slant()
+    blacken(views)
+    assert (_lit(views) == 1).all()

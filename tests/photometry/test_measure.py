@@ -6,21 +6,28 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from edges.scenes import plane, two_planes
 from helpers import check_gradient, check_modes, with_values
-from photometry.planes import error, look, measured, plane_arms, plane_views, splines_of
+from numpy.testing import assert_allclose, assert_array_equal
+from photometry.scenes import error, measured, plane_views, splines_of
 from scipy import ndimage
 
+from mvedge_jax._crosshair import crosshair
+from mvedge_jax._params import cast
 from mvedge_jax.lightfield import LightField
+from mvedge_jax.photometry import first_labels, prepare, prepare_views
+from mvedge_jax.photometry._window import color_weights, contrast, weighted_sum
+from mvedge_jax.photometry.brightness import GridViews
+from mvedge_jax.photometry.matching import Matching
 from mvedge_jax.photometry.measuring import (
     AdaptedMeasurement,
     CrosshairSplines,
+    Measurement,
     NormalEquations,
-    PhotometricLabels,
     ViewSplines,
     labels,
     residual_variance,
 )
-from mvedge_jax.photometry.measuring._measure import average_over_surface
 from mvedge_jax.photometry.views import views_of
 
 SHAPE = (20, 28)
@@ -55,32 +62,21 @@ def test_a_plane_is_found_and_known_how_well_and_better_in_all_views():
 @KINDS
 def test_a_missing_view_takes_no_part(kind):
     views, start = splines_of(plane_views(0.2), kind), jnp.full(SHAPE, 0.15)
-    gone = 0 if kind == "crosshair" else 3  # the first of all views is the reference
-    arm = views.horizontal if kind == "crosshair" else views
-    own = arm.others if kind == "crosshair" else arm.splines
-
-    def holding(planes):
-        there = arm.available.at[gone].set(False)
-        if kind == "crosshair":
-            return views._replace(horizontal=arm._replace(others=planes, available=there))
-        return views._replace(splines=planes, available=there)
+    # The first of all views is the reference.
+    gone, arm, name = (
+        (0, views.horizontal, "others") if kind == "crosshair" else (3, views, "splines")
+    )
+    own = getattr(arm, name)
 
     def disparity(planes):
-        return measured(holding(planes), start, passes=1).disparity
+        held = arm._replace(**{name: planes}, available=arm.available.at[gone].set(False))
+        held = views._replace(horizontal=held) if kind == "crosshair" else held
+        return measured(held, start, passes=1).disparity
 
-    junk = own.at[gone].set(0.123)
-    np.testing.assert_array_equal(disparity(own), disparity(junk))
+    assert_array_equal(disparity(own), disparity(own.at[gone].set(0.123)))
     gradient = jax.grad(lambda p: disparity(p).sum())(own)
     assert float(jnp.abs(gradient[gone]).max()) == 0
     assert float(jnp.abs(gradient[1]).max()) > 0
-
-
-@KINDS
-def test_flat_images_leave_the_map_alone_and_say_so(kind):
-    flat = splines_of(LightField(jnp.full((5, 5, *SHAPE, 3), 0.5)), kind)
-    found = measured(flat, jnp.full(SHAPE, 0.4))
-    np.testing.assert_allclose(found.disparity, 0.4, atol=1e-9)
-    assert float(found.variance.min()) > 1
 
 
 @KINDS
@@ -100,52 +96,6 @@ def test_a_drift_of_colours_is_not_taken_for_parallax(kind):
     )
     assert with_drift < (0.1 if kind == "crosshair" else 0.2) * without
     assert with_drift < 2e-3
-
-
-def test_matt_surfaces_pay_nothing_for_drift():
-    # Noise without drift: to believe every drift costs information, to ask for evidence none.
-    truth, start = 0.31, jnp.full((40, 48), 0.31)
-    views, inner = splines(truth, size=(40, 48), noise=0.01), (slice(8, -8), slice(8, -8))
-
-    def off(**settings):
-        found = measured(views, start, with_values(AdaptedMeasurement, **settings), passes=1)
-        return error(found, truth, inner)
-
-    rigid, asked, believed = off(stiffness=1e9), off(), off(drift=0.0)
-    assert believed > 1.05 * rigid
-    assert asked - rigid < 0.3 * (believed - rigid)
-
-
-def test_a_small_step_parts_surfaces_only_where_disparities_are_known():
-    params = AdaptedMeasurement()
-    step = jnp.where(jnp.arange(28) < 14, 0, 2.5 * params.same_surface)
-    disparity = jnp.broadcast_to(0.3 + step, SHAPE)
-    around = look(splines(0.3), disparity, radius=1)
-    spike = jnp.zeros(SHAPE).at[10, 14].set(1.0)
-
-    def across(information):
-        known = jnp.full(SHAPE, information)
-        found = around._replace(power=spike, freedom=jnp.ones(SHAPE), information=known)
-        shares = residual_variance(found, PLAIN, disparity, params, passes=1)
-        return float(shares[10, 13] / shares[10, 15])
-
-    assert across(1e6) < 0.01
-    assert across(0.0) > 0.5
-
-
-@pytest.mark.parametrize("variance", [1e-6, 1.0])
-def test_labels_are_shared_across_small_steps_only_however_little_is_known(variance):
-    params = AdaptedMeasurement()
-
-    def beside(step):
-        disparity = jnp.broadcast_to(0.3 + jnp.where(jnp.arange(28) < 14, 0, step), SHAPE)
-        known = jnp.full_like(disparity, variance)
-        found = PhotometricLabels(disparity, known, jnp.zeros_like(disparity))
-        averaged = average_over_surface(found, PLAIN, params, passes=2).disparity
-        return float(averaged[10, 13] - 0.3) / step
-
-    assert beside(params.same_surface) > 0.2
-    assert beside(12 * params.same_surface) < 0.01
 
 
 def test_elimination_equals_the_regression_with_all_unknowns():
@@ -217,64 +167,7 @@ def test_all_views_give_what_a_regression_with_all_unknowns_does():
     field, start = plane_views(0.3, views=(3, 5), size=(14, 17)), jnp.full((14, 17), 0.26)
     changed = measured(splines_of(field, "all"), start, PURE, passes=0).disparity - start
     for y, x in ((5, 6), (8, 9), (6, 10)):
-        np.testing.assert_allclose(changed[y, x], regressed(field, 0.26, y, x, 2.0), rtol=1e-3)
-
-
-@pytest.mark.parametrize("nearer", [1.0, 2.0])
-def test_views_in_which_a_pixel_is_hidden_do_not_count(nearer):
-    """Oracle: every pixel of the map is taken to where it lands in every view."""
-    shape = (20, 24)
-    disparity = np.zeros(shape)
-    disparity[8:12, 9:14] = nearer
-    field = plane_views(0.0, size=shape)
-    found = look(splines_of(field, "all"), jnp.asarray(disparity), PURE, radius=8)
-    visible = np.zeros(shape)
-    for step in np.asarray(field.steps).reshape(-1, 2):
-        y, x = (np.mgrid[:20, :24] + step[::-1, None, None] * disparity).astype(int)
-        front = np.full((40, 44), -np.inf)
-        np.maximum.at(front, (10 + y, 10 + x), disparity)
-        inside = (y >= 0) & (y < 20) & (x >= 0) & (x < 24)
-        visible += inside & (front[10 + y, 10 + x] == disparity)
-    count = np.asarray(found.freedom) + 1
-    # A thin occluder may uncover a pixel again: what is hidden, is; what counts, is visible.
-    assert (count <= visible + 1e-6).mean() > 0.97
-    assert np.abs(count - visible).mean() < 1.0
-
-
-def test_a_grid_of_one_row_is_an_arm():
-    views = splines_of(plane_views(0.3, views=(1, 5), size=(14, 17)), "all")
-    start = jnp.full((14, 17), 0.28)
-    found = measured(views, start, PURE).disparity
-    assert float(jnp.abs(found - 0.3)[4:-4, 4:-4].max()) < 0.01
-    np.testing.assert_array_equal(look(views, start, PURE).spread[1], 0)
-
-
-def test_noise_is_no_information():
-    # Plain surfaces under noise: what looks like contrast must not pass for a measurement.
-    rng = np.random.default_rng(2)
-    grain = plane_arms(0.2).mapped(lambda p: jnp.asarray(0.5 + 0.02 * rng.standard_normal(p.shape)))
-    params = with_values(AdaptedMeasurement, noise=0.02)
-    textured, nothing = (
-        np.median(1 / (1 + measured(v, jnp.full(SHAPE, 0.2), params).variance[4:-4, 4:-4] / 1e-4))
-        for v in (splines(0.2, noise=0.02, seed=1), CrosshairSplines.of(grain))
-    )
-    assert nothing < 0.02 * textured
-
-
-def test_neighbours_of_another_colour_take_no_part():
-    views, start = splines(0.2), jnp.full(SHAPE, 0.18)
-    lab = PLAIN.at[0, :, 14:].set(60.0)
-
-    def total(planes):
-        arm = views.horizontal._replace(centre=planes[0], others=planes[1])
-        found = measured(views._replace(horizontal=arm), start, lab=lab)
-        # The half that is looked at is far from what the other half's occlusions could reach.
-        return jnp.sum(found.disparity[:, :12] ** 2)
-
-    centre, others = jax.grad(total)((views.horizontal.centre, views.horizontal.others))
-    gradient = jnp.concatenate([centre[None], others])
-    # Nine columns of the spline, its view steps and the trust in views reach over the outline.
-    assert float(jnp.abs(gradient[..., 17:]).max()) < 1e-12 * float(jnp.abs(gradient).max())
+        assert_allclose(changed[y, x], regressed(field, 0.26, y, x, 2.0), rtol=1e-3)
 
 
 def problem(kind):
@@ -317,10 +210,95 @@ def test_derivatives_of_the_measurement_in_every_mode(kind):
 def test_jit_and_single_precision_change_little():
     views, start = splines_of(plane_views(0.3, size=(14, 17)), "all"), jnp.full((14, 17), 0.28)
     exact = measured(views, start).disparity
-    np.testing.assert_allclose(
-        exact, jax.jit(lambda v, s: measured(v, s).disparity)(views, start), atol=1e-12
-    )
+    assert_allclose(exact, jax.jit(lambda v, s: measured(v, s).disparity)(views, start), atol=1e-12)
     single = jax.tree.map(lambda a: a if a.dtype == bool else a.astype(jnp.float32), views)
     found = measured(single, start.astype(jnp.float32)).disparity
     assert found.dtype == jnp.float32
-    np.testing.assert_allclose(found, exact, atol=1e-4)
+    assert_allclose(found, exact, atol=1e-4)
+
+
+def test_a_scene_without_a_first_map_or_arms_is_told():
+    views = views_of(plane(0.37))
+
+    def refused(light_field):
+        tried = jnp.linspace(0, 0.7, 5).astype(light_field.views.dtype)
+        scene = prepare(GridViews(light_field), tried, cast(Matching(), tried.dtype), window=2)
+        seen = prepare_views(scene, cast(Measurement(radius=3), tried.dtype))
+        with pytest.raises(ValueError, match="`scene` has no first map; `prepare` finds one"):
+            first_labels(scene._replace(hypotheses=None), seen)
+        with pytest.raises(ValueError, match="`prepared` must be views of a crosshair, got photo"):
+            first_labels(scene, seen._replace(splines=ViewSplines.of(views)))
+        with pytest.raises(TypeError, match="`views` must be a crosshair to have arms, got photo"):
+            _ = scene._replace(views=views).arms
+        return seen.params
+
+    jax.eval_shape(refused, plane(0.37))  # before anything is compiled
+
+
+def test_views_that_a_nearer_surface_hides_or_that_differ_weigh_little():
+    light_field, params = (
+        two_planes(0.8, -0.6, edge=30.2),
+        cast(AdaptedMeasurement(radius=12), jnp.float32),
+    )
+    truth = jnp.where(jnp.arange(64) < 30, 0.8, -0.6)[None] * jnp.ones((16, 1))
+
+    def weights(views):
+        splines = CrosshairSplines.of(crosshair(LightField(views)))
+        return np.asarray(splines.accumulate_with_weights(truth.astype(jnp.float32), params)[1])
+
+    found = weights(light_field.views)
+    assert found.shape == (18, 16, 64)
+    # Right of the border, the near plane comes over the pixel in views of one side only.
+    across = found[9:, 4:12, 33].mean(1)
+    hidden, shown = (across[:2], across[6:]) if across[0] < across[-1] else (across[7:], across[:3])
+    assert hidden.max() == 0
+    assert shown.min() > 0.3
+    painted = weights(light_field.views.at[4, 0].set(0.9))[9:, 4:12, 10:24].mean((1, 2))
+    assert painted[0] < 0.3
+    assert painted[1:].min() > 0.5
+
+
+@pytest.mark.parametrize("spacing", [1, 2])
+def test_mean_over_neighbours_of_like_colour(spacing):
+    rng = np.random.default_rng(spacing)
+    image, lab = rng.standard_normal((9, 11)), 5 * rng.standard_normal((3, 9, 11))
+    weights = color_weights(jnp.asarray(lab), jnp.asarray(4.0), reach=1, spacing=spacing)
+    found = weighted_sum(jnp.asarray(image)[None], weights, spacing=spacing)[0]
+    for y, x in np.ndindex(9, 11):
+        total = sums = 0.0
+        for dy, dx in np.ndindex(3, 3):
+            other = (np.clip(y + (dy - 1) * spacing, 0, 8), np.clip(x + (dx - 1) * spacing, 0, 10))
+            weight = np.exp(-np.linalg.norm(lab[:, *other] - lab[:, y, x]) / 4)
+            total, sums = total + weight, sums + weight * image[other]
+        assert float(found[y, x]) == pytest.approx(sums / total)
+
+
+@pytest.mark.parametrize("radius", [0, 3])
+def test_contrast_is_the_largest_gradient_nearby(radius):
+    lab = np.random.default_rng(radius).standard_normal((3, 14, 17))
+    taps = np.array([1, 4, 6, 4, 1]) / 16
+    square = 0.0
+    for channel in lab:
+        for axis in (0, 1):
+            channel = ndimage.correlate1d(channel, taps, axis=axis, mode="nearest")
+        for axis in (0, 1):
+            slope = ndimage.correlate1d(channel, [-0.5, 0, 0.5], axis=axis, mode="nearest")
+            square = square + slope**2
+    expected = ndimage.maximum_filter(np.sqrt(square), 2 * radius + 1, mode="nearest")
+    assert_allclose(contrast(jnp.asarray(lab), radius=radius), expected, atol=1e-12)
+
+
+@pytest.mark.parametrize("mode", ["edge", "constant"])
+def test_derivatives_in_both_modes_which_are_finite_where_all_is_equal(mode):
+    key = jax.random.split(jax.random.key(1))
+    lab, images = 9 * jax.random.normal(key[0], (3, 6, 7)), jax.random.normal(key[1], (2, 6, 7))
+
+    def loss(tree):
+        lab, images = tree
+        weights = color_weights(lab, jnp.asarray(4.0), reach=1)
+        found = weighted_sum(images, weights, spacing=2, mode=mode)
+        return jnp.sum(jnp.sin(found)) + jnp.sum(contrast(lab, radius=2))
+
+    check_modes(loss, (lab, images), rtol=1e-6, key=key[0])
+    flat = jax.grad(loss)((jnp.ones_like(lab), images))
+    assert all(bool(jnp.isfinite(leaf).all()) for leaf in flat)

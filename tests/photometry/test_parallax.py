@@ -4,11 +4,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers import check_modes, with_values
+from helpers import check_modes
 from numpy.testing import assert_allclose, assert_array_equal
 from posed.walls import MATRIX, POSES, SIZE, places, turned, wall
 
-from mvedge_jax.photometry.measuring import AdaptedMeasurement, ViewSplines, labels
+from mvedge_jax.photometry.measuring import AdaptedMeasurement, ViewSplines
 from mvedge_jax.photometry.views import GridShift, Parallax, PlaneParallax, ViewSet
 from mvedge_jax.posed import projections
 
@@ -21,13 +21,6 @@ def of_pose(pose, scale=2.0):
         jnp.stack([jnp.eye(4), jnp.asarray(pose)]), MATRICES[:2], 0, jnp.asarray(scale)
     )
     return PlaneParallax(both.homography[1], both.epipole[1])
-
-
-def projected(shift):
-    """The same as a homography and an epipole."""
-    step = shift.step
-    eye = jnp.broadcast_to(jnp.eye(3, dtype=step.dtype), (*step.shape[:-1], 3, 3))
-    return PlaneParallax(eye, jnp.concatenate([step, jnp.zeros_like(step[..., :1])], axis=-1))
 
 
 def within(x, y):
@@ -43,35 +36,14 @@ def test_positions_are_those_of_the_points():
             assert_allclose(one, local[..., axis] / local[..., 2], atol=1e-9)
 
 
-def test_measures_a_slanted_wall():
-    scale = 2.0
-    place = projections(jnp.asarray(POSES), MATRICES, 0, jnp.asarray(scale))
-    views = ViewSet(jnp.moveaxis(jnp.asarray(IMAGES), -1, 1), place, jnp.ones(4, bool))
-    truth = scale / jnp.asarray(DEPTHS[0])
-    lab = jnp.zeros((3, *SIZE))
-    params = with_values(AdaptedMeasurement, noise=0.5 / 255)
-    for wrong in (0.05, -0.08):
-        start = truth + wrong
-        found = ViewSplines.of(views).accumulate(start, params)
-        found = labels(found, lab, start, params, passes=1)
-        error = np.abs(np.asarray(found.disparity - truth))[3:-3, 3:-3]
-        assert np.median(error) < 0.12 * abs(wrong)
-
-
 def test_far_never_occludes_near():
-    """Crossing cameras: seen from the far side, what is far from the reference is near.
-
-    Two cards at depths 1 and 3, cameras that face each other: the other camera, behind both and
-    turned around, has the card at 3 before that at 1, though its disparity is smaller.
-    """
-    pose = turned(yaw=180.0, at=(0.0, 0.0, 4.0))
-    place = of_pose(pose)
-    x = np.arange(SIZE[1])[None] + 0 * np.arange(SIZE[0])[:, None]
-    disparity = 2.0 / jnp.where(jnp.asarray(x < 24), 1.0, 3.0)
+    """Cameras that face each other: to the other one, the card at depth 3 is before that at 1."""
+    place = of_pose(turned(yaw=180.0, at=(0.0, 0.0, 4.0)))
+    disparity = 2.0 / jnp.where(X < 24, 1.0, 3.0)
     u, v = (np.asarray(p) for p in place.positions(disparity))
     seen = np.asarray(place.seen(disparity, 1))
     # In the other camera the card at 3 is at depth 1, that at 1 at depth 3, and where both land...
-    far, near = x < 24, x >= 24
+    far, near = X < 24, X >= 24
     both = far & np.isin(np.round(u), np.round(u[near & seen]))
     # ... the one that is near to that camera is never hidden by the other.
     assert seen[near & within(u, v)].all()
@@ -80,11 +52,8 @@ def test_far_never_occludes_near():
 
 def test_behind_the_camera_is_masked_and_never_nan():
     """A camera in the middle of the scene, half of which is behind it."""
-    pose = turned(at=(0.1, 0.0, 1.5))
-    y, x = np.mgrid[: SIZE[0], : SIZE[1]]
-    depth = jnp.where(jnp.asarray(x < 24), 1.0, 3.0)
-    place, disparity = of_pose(pose), 2.0 / depth
-    assert not np.asarray(place.seen(disparity, 1))[x < 24].any()
+    place, disparity = of_pose(turned(at=(0.1, 0.0, 1.5))), 2.0 / jnp.where(X < 24, 1.0, 3.0)
+    assert not np.asarray(place.seen(disparity, 1))[X < 24].any()
     for values in (place.positions(disparity), place.steps(disparity)):
         assert all(bool(jnp.isfinite(v).all()) for v in values)
     both = PlaneParallax(
@@ -101,24 +70,6 @@ def test_behind_the_camera_is_masked_and_never_nan():
     assert bool(jnp.isfinite(value))
     for leaf in jax.tree.leaves(gradients):
         assert bool(jnp.isfinite(leaf).all())
-
-
-@pytest.mark.slow
-def test_gradients_of_a_measurement_in_photographs():
-    """With respect to images, poses and the map."""
-    lab = jnp.zeros((3, *SIZE))
-    start = 2.0 / jnp.asarray(DEPTHS[0]) + 0.03
-
-    def total(tree):
-        images, poses, disparity = tree
-        place = projections(poses, MATRICES[:3], 0, jnp.asarray(2.0))
-        views = ViewSet(jnp.moveaxis(images, -1, 1), place, jnp.ones(3, bool))
-        found = ViewSplines.of(views).accumulate(disparity, AdaptedMeasurement())
-        found = labels(found, lab, disparity, AdaptedMeasurement(), passes=1)
-        return jnp.mean(found.disparity**2) + jnp.mean(jnp.log(found.variance))
-
-    tree = (jnp.asarray(IMAGES[:3]), jnp.asarray(POSES[:3]), start)
-    check_modes(total, tree, rtol=2e-4, step=1e-7, key=jax.random.key(0))
 
 
 # What every `Parallax` has to keep: a new one is added here.
@@ -210,21 +161,3 @@ def test_a_stack_is_a_loop(stack):
     for index in range(4):
         for batched, alone in zip(found, of(one_of(stack, index)), strict=True):
             assert_allclose(batched[index], alone, rtol=1e-12, atol=1e-12)
-
-
-def test_a_shift_is_a_case_of_a_plane_and_its_epipole():
-    shifts = STACKS["shift"]
-    planes = projected(shifts)
-    assert_allclose(planes.apart, shifts.apart)
-    for index in range(4):
-        shift, plane = one_of(shifts, index), one_of(planes, index)
-        for name in ("positions", "steps"):
-            pair = zip(getattr(shift, name)(BOWL), getattr(plane, name)(BOWL), strict=True)
-            for one, other in pair:
-                assert_allclose(np.asarray(one) - np.asarray(other), 0, atol=1e-12)
-        slopes = jnp.ones((3, *SIZE)), jnp.zeros((3, *SIZE))
-        assert shift.pulled(BOWL, slopes) is slopes
-        for one, other in zip(slopes, plane.pulled(BOWL, slopes), strict=True):
-            assert_allclose(other, one, atol=1e-12)
-        # One looks along its step, the other draws all pixels: outlines differ by half a pixel.
-        assert float(jnp.mean(shift.seen(CARD, 9) != plane.seen(CARD, 9))) < 0.04

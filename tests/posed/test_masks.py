@@ -5,12 +5,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from posed.walls import MATRIX, POSES, wall
+from posed.walls import MATRIX, POSES, room, turned, wall
 
 from mvedge_jax.photometry import Noise
 from mvedge_jax.photometry._scene import adapted_measurement
 from mvedge_jax.photometry.measuring import Measurement, ViewSplines
 from mvedge_jax.posed import Photographs, StereoDepth, posed_sweep, reference_of, stereo
+from mvedge_jax.posed.scores import depth_errors
 
 IMAGES, DEPTHS = wall(POSES)
 Y, X = np.mgrid[:36, :48]
@@ -71,3 +72,33 @@ def test_the_object_keeps_its_depth_and_the_rest_has_none():
     # The color of what is transparent has next to no say.
     other = np.asarray(run(cut(0.5)).depth)
     assert np.median(np.abs(other / DEPTHS[0] - 1)[DISTANCE < 11]) < 0.01
+
+
+ROOM, CAMERA = (60, 80), np.array([[75.0, 0, 39.5], [0, 75.0, 29.5], [0, 0, 1]])
+
+
+def around(x, y=0.0, z=0.0):
+    """A camera that looks at the middle of the room from one side."""
+    yaw, pitch = (np.rad2deg(np.arctan2(side, 2.0)) for side in (-x, y))
+    return turned(yaw=yaw, pitch=pitch, at=(x, y, z))
+
+
+PLACES = [(0,), (0.45, 0.05), (-0.4, -0.03), (0.75, -0.1, 0.1), (-0.7, 0.08)]
+AROUND = np.stack([around(*place) for place in PLACES])
+
+
+@pytest.mark.slow
+def test_a_room_with_a_steep_floor_is_found_from_15_to_30_px_apart():
+    images, depths = room(AROUND, matrix=CAMERA, size=ROOM)
+    view = Photographs(jnp.asarray(images, jnp.float32), AROUND, CAMERA, depth=depths)
+    farthest = np.linalg.norm(AROUND[:, :3, 3], axis=1)[1:]
+    assert view.depth is not None
+    moved = CAMERA[0, 0] * farthest / np.median(view.depth[0])
+    assert (moved > 12).all()
+    assert (moved < 30).all()
+    wanted = reference_of(view, 0, depth_range=(0.9, 4.0))
+    found = stereo(view.without_truth(), wanted, StereoDepth.of(wanted))
+    errors = depth_errors(found.depth, view.depth[0])
+    assert float(errors.median) < 1
+    assert float(errors.above) < 18
+    assert found.problems() == ()

@@ -9,18 +9,10 @@ import pytest
 from helpers import check_gradient, count_traces, shared_data
 from posed.walls import MATRIX, POSES, SIZE, falloff, places, texture, turned, wall
 
-from experiments.peers.photographs import five_views, scale_to
 from mvedge_jax.datasets import synthetic
 from mvedge_jax.datasets.photographs import load_photographs
 from mvedge_jax.photometry.brightness import Brightness, PosedViews
-from mvedge_jax.posed import (
-    Photographs,
-    StereoDepth,
-    _stereo,
-    posed_sweep,
-    reference_of,
-    stereo,
-)
+from mvedge_jax.posed import Photographs, StereoDepth, _stereo, reference_of, stereo
 from mvedge_jax.posed._problems import depth_problems
 from mvedge_jax.posed.cloud import photographs_of, surface_of
 from mvedge_jax.posed.scores import depth_errors
@@ -94,18 +86,6 @@ def test_photographs_that_show_nothing_leave_the_whole_range(small, level):
     assert any("half of the pixels have a standard error" in text for text in found.problems())
 
 
-def test_units_are_those_of_the_poses(small):
-    """A scene ten times as large has ten times the depth, and the same disparity."""
-    run, _ = small
-    larger = POSES.copy()
-    larger[:, :3, 3] *= 10
-    plain = run(photographs(), 1)
-    found = run(photographs(poses=larger), 1, depth_range=(12.0, 35.0))
-    np.testing.assert_allclose(found.depth, 10 * plain.depth, rtol=1e-5)
-    np.testing.assert_allclose(found.disparity, plain.disparity, rtol=1e-5)
-    np.testing.assert_allclose(found.error, 10 * plain.error, rtol=1e-4)
-
-
 def test_exposures_and_dark_corners_do_not_matter(small):
     run, _ = small
     gain = np.array([1.0, 0.8, 1.15, 0.9])
@@ -124,7 +104,7 @@ def test_vignettes_are_measured_along_the_map_and_not_invented(losses):
     view = Photographs(jnp.asarray((0.1 + 0.7 * images) * dark), POSES, matrix)
     wanted, part = reference_of(view, 0, depth_range=RANGE), Brightness()
     views = PosedViews(wanted.views(view))
-    rough, truth = views.rough_exposure(part), wanted.scale(view) / jnp.asarray(depths[0])
+    rough, truth = (views.rough_exposure(part), wanted.scale(view) / jnp.asarray(depths[0]))
     found = views.exposure_along(rough.scale, truth, part)
     taken_out = np.log(np.asarray(found.factors(..., size)) * dark[..., 0])
     assert taken_out.std((1, 2)).max() < 0.015
@@ -155,14 +135,6 @@ def test_photographs_of_something_else_are_said_to_fail(small):
 
 
 @pytest.mark.slow
-def test_single_precision(small):
-    double, single = (small[0](photographs(dtype=dtype)) for dtype in (jnp.float64, jnp.float32))
-    assert single.depth.dtype == jnp.float32
-    off = np.abs(np.asarray(single.disparity) - np.asarray(double.disparity))
-    assert np.quantile(off, 0.95) < 2e-3
-
-
-@pytest.mark.slow
 def test_gradients_with_respect_to_poses_and_images():
     """Of the whole chain: against differences, at the selections made."""
     view, wanted = photographs(), wanted_of(photographs())
@@ -175,14 +147,6 @@ def test_gradients_with_respect_to_poses_and_images():
 
     tree = (view.images * 0.9 + 0.05, view.poses)
     check_gradient(mean, tree, rtol=2e-2, step=1e-7, key=jax.random.key(0))
-
-
-def test_scale_is_that_of_least_squares():
-    depth = jnp.asarray(DEPTHS[0])
-    found = scale_to(depth / 3, depth.at[:5].set(0), key=jax.random.key(0))
-    np.testing.assert_allclose(found, 3, rtol=1e-12)
-    unknown = scale_to(jnp.where(depth > 2, jnp.inf, depth), 2 * depth, key=jax.random.key(0))
-    np.testing.assert_allclose(unknown, 2, rtol=1e-12)
 
 
 def test_errors_count_what_is_missing():
@@ -263,40 +227,6 @@ def test_a_living_room_from_near_and_far_apart(name, index, most):
     # On 29 November 23, 23, 16, 26 and 15 %; `livingroom_wide5` had 64 before.
     assert float(depth_errors(found.depth, view.depth[index]).above) < most
     assert found.problems() == ()
-
-
-@pytest.mark.slow
-def test_living_room():
-    camera = (525.0, 525.0, 319.5, 239.5)
-    view = load_photographs(shared_data("mvs", "livingroom5"), intrinsics=camera)
-    assert view.depth is not None
-    wanted = reference_of(view, 2)
-    model, truth = StereoDepth.of(wanted), view.depth[2]
-    errors = depth_errors(stereo(view.without_truth(), wanted, model).depth, truth)
-    sweep = depth_errors(posed_sweep(view.without_truth(), wanted, model).depth, truth)
-    assert float(errors.median) < 0.6
-    assert float(errors.mse) < float(sweep.mse)
-    assert float(errors.above) < float(sweep.above)
-
-
-def test_five_rendered_photographs_agree_with_their_depths():
-    scene = synthetic.scene("slanted")
-    five = five_views(scene, size=(40, 48), samples=1, key=jax.random.key(0))
-    assert five.depth is not None
-    centres = np.asarray(five.centres)
-    apart = np.linalg.norm(centres[1:] - centres[0], axis=1)
-    np.testing.assert_allclose(apart, 0.25, rtol=0.1)
-    points = surface_of(five.depth[0], five.poses[0], five.intrinsics[0]).points
-    for k in range(1, 5):
-        pose = np.asarray(five.poses[k])
-        local = (np.asarray(points) - pose[:3, 3]) @ pose[:3, :3]
-        place = local @ np.asarray(five.intrinsics[k]).T
-        x, y = (np.round(place[..., i] / place[..., 2]).astype(int) for i in (0, 1))
-        inside = (x >= 0) & (x < 48) & (y >= 0) & (y < 40)
-        there = np.asarray(five.depth[k])[y[inside], x[inside]]
-        # The same surface, but where something is in front of it.
-        assert inside.mean() > 0.6
-        assert (np.abs(there / local[inside][:, 2] - 1) < 0.05).mean() > 0.85
 
 
 @pytest.mark.parametrize(

@@ -20,23 +20,7 @@ def splat_reference(
     *,
     opacity: Float[Array, "n"] | None = None,
 ) -> Splat:
-    """Splats like `splat`, without tiles, lists, radius or custom gradient: the oracle.
-
-    Time and memory grow with points times pixels.
-
-    Args:
-        xy: positions in raster pixels.
-        label: disparity or depth.
-        weight: data weight.
-        valid: points that take part.
-        widths: widths and density.
-        shape: height and width of the raster.
-        raster: static choices; only order, absorption and nearest matter.
-        opacity: factor of each point's density.
-
-    Returns:
-        The maps, differentiable by JAX alone.
-    """
+    """Like `splat`, without tiles, lists, radius or custom gradient; differentiable by JAX."""
     widths = cast(widths, xy.dtype)
     order = depth_order(jax.lax.stop_gradient(label), valid, raster.nearest)
     xy, label, weight, valid = xy[order], label[order], weight[order], valid[order]

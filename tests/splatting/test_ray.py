@@ -3,6 +3,7 @@
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from scipy import integrate
 
 from mvedge_jax.splatting import SplatRaster, SplatWidths, absorption, splat
@@ -59,12 +60,12 @@ def test_maps_are_integrals_along_rays(nearest):
     points = (jnp.asarray(xy), jnp.asarray(label), jnp.asarray(weight), jnp.ones(4, bool))
     widths = SplatWidths(*(jnp.asarray(w) for w in (LABEL, WEIGHT, DENSITY, DEPTH)))
     found = splat(*points, widths, SHAPE, raster)
-    np.testing.assert_allclose(np.ravel(found.label_sum), shown, atol=1e-7)
-    np.testing.assert_allclose(np.ravel(found.transmittance), np.exp(-optical[-1]), atol=1e-8)
+    assert_allclose(np.ravel(found.label_sum), shown, atol=1e-7)
+    assert_allclose(np.ravel(found.transmittance), np.exp(-optical[-1]), atol=1e-8)
     # (7.5) as corrected: the weight of a point (7.6) times what reaches the point.
     flat = np.exp(-((_squares(xy) / (2 * WEIGHT**2)) ** ORDER)) * weight[:, None]
     seen = (np.exp(-optical[:-1]) * flat[order]).sum(0)
-    np.testing.assert_allclose(np.ravel(found.weight), seen, atol=1e-8)
+    assert_allclose(np.ravel(found.weight), seen, atol=1e-8)
 
 
 def test_the_samples_of_a_point_are_those_of_the_thesis():

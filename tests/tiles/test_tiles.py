@@ -5,9 +5,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from datasets.layouts import known
+from depth.test_edge_depth import small_model, small_scene
+from numpy.testing import assert_allclose, assert_array_equal
 
-from mvedge_jax import EdgeDepth, LightField
-from mvedge_jax.datasets import synthetic
+from mvedge_jax import EdgeDepth
 from mvedge_jax.depth import estimate_depth
 from mvedge_jax.photometry.brightness import Exposure, Known
 from mvedge_jax.tiles import StoredViews, Tiling, Window, depth_in_tiles
@@ -15,11 +16,8 @@ from mvedge_jax.tiles import StoredViews, Tiling, Window, depth_in_tiles
 
 @pytest.fixture(scope="module")
 def scene():
-    shape = (3, 3, 40, 64)
-    field = synthetic.render(synthetic.scene("demo"), shape=shape, samples=2, key=jax.random.key(0))
-    return LightField(
-        field.views.astype(jnp.float32), disparity_range=field.disparity_range, truth=field.truth
-    )
+    """That of `depth/test_edge_depth.py`, for its program."""
+    return small_scene()
 
 
 @pytest.mark.parametrize(("height", "width"), [(100, 64), (64, 64), (40, 301)])
@@ -54,8 +52,8 @@ def test_windows_hold_what_the_light_field_holds(scene):
     stored = StoredViews.of(scene)
     part = stored.window(Window(4, 8, 20, 30))
     cross = np.asarray(part.available)
-    assert cross.sum() == 5
-    np.testing.assert_array_equal(part.views[cross], np.asarray(scene.views)[cross][:, 4:24, 8:38])
+    assert cross.sum() == 9
+    assert_array_equal(part.views[cross], np.asarray(scene.views)[cross][:, 4:24, 8:38])
     assert not np.asarray(part.views)[~cross].any()
 
 
@@ -65,8 +63,8 @@ def test_colors_stay_in_their_bits(dtype):
     image = np.random.default_rng(0).integers(0, white, (6, 8, 3)).astype(dtype)
     stored = StoredViews({(0, u): image for u in range(3)}, (1, 3))
     part = stored.window(Window(0, 0, 6, 8))
-    np.testing.assert_allclose(part.views[0, 1], image / white, rtol=1e-6)
-    np.testing.assert_allclose(stored.centre_view, image / white, rtol=1e-6)
+    assert_allclose(part.views[0, 1], image / white, rtol=1e-6)
+    assert_allclose(stored.centre_view, image / white, rtol=1e-6)
 
 
 def test_small_pictures_average_areas():
@@ -75,8 +73,8 @@ def test_small_pictures_average_areas():
     small, factor = stored.shrunk()
     assert factor == 2
     assert small.views.shape == (1, 3, 512, 515, 3)
-    np.testing.assert_allclose(small.views[0, 1, 3, 5], values[6:8, 10:12].mean((0, 1)), rtol=1e-6)
-    np.testing.assert_allclose(known(small.disparity_range), [-1, 2])
+    assert_allclose(small.views[0, 1, 3, 5], values[6:8, 10:12].mean((0, 1)), rtol=1e-6)
+    assert_allclose(known(small.disparity_range), [-1, 2])
 
 
 def test_the_vignette_of_a_part_is_that_part_of_the_vignette():
@@ -84,17 +82,18 @@ def test_the_vignette_of_a_part_is_that_part_of_the_vignette():
     exposure = Exposure(jnp.asarray(1.5), jnp.linspace(0.9, 1.1, 9).reshape(3, 3), vignette)
     whole = exposure.factors(..., (50, 70))
     part = exposure.within(11, 20, (24, 32), (50, 70)).factors(..., (24, 32))
-    np.testing.assert_allclose(part, whole[..., 11:35, 20:52], rtol=1e-12)
+    assert_allclose(part, whole[..., 11:35, 20:52], rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_what_is_known_is_not_measured_again(scene):
-    model = EdgeDepth.for_light_field(scene)
+    model = small_model(scene)
     measured = estimate_depth(scene.bare(), model)
     before = Known(measured.stats.exposure, measured.stats.noise)
     again = estimate_depth(scene.bare(), model.replace({"calibration.known": before}))
     # Not to all digits: the first map is searched for in views of the final exposure, too.
     assert np.median(np.abs(again.disparity - measured.disparity)) < 5e-3
-    np.testing.assert_array_equal(again.stats.exposure.gain, measured.stats.exposure.gain)
+    assert_array_equal(again.stats.exposure.gain, measured.stats.exposure.gain)
     louder = before.noise._replace(deviation=3 * before.noise.deviation)
     noisier = before._replace(noise=louder)
     other = estimate_depth(scene.bare(), model.replace({"calibration.known": noisier}))
@@ -104,14 +103,14 @@ def test_what_is_known_is_not_measured_again(scene):
 
 
 def test_tiles_have_the_depth_of_the_image(scene):
-    whole = EdgeDepth.for_light_field(scene)(scene)
-    seen, before = [], estimate_depth.traces
+    model = small_model(scene)
+    whole, seen, before = model(scene), [], estimate_depth.traces
     tiled = depth_in_tiles(
-        scene, tiling=Tiling(40, 16), progress=lambda done, total: seen.append((done, total))
+        scene, model=model, tiling=Tiling(48, 16), progress=lambda *now: seen.append(now)
     )
     assert estimate_depth.traces <= before + 1
     assert seen == [(1, 2), (2, 2)]
-    assert tiled.disparity.shape == tiled.error.shape == (40, 64)
+    assert tiled.disparity.shape == tiled.error.shape == (48, 56)
     apart = np.abs(tiled.disparity - np.asarray(whole.disparity))
     assert np.median(apart) < 2e-3
     truth = np.asarray(scene.truth.disparity)
@@ -123,7 +122,7 @@ def test_tiles_have_the_depth_of_the_image(scene):
     count = int(whole.stats.edges.valid)
     assert abs(len(points.xy) - count) < 0.05 * count
     assert (points.xy.min(0) > -1).all()
-    assert points.xy[:, 0].max() > 55
+    assert points.xy[:, 0].max() > 47
     places = {tuple(xy) for xy in np.round(points.xy, 3).tolist()}
     assert len(places) == len(points.xy)
 
