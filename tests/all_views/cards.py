@@ -4,7 +4,6 @@ from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
-from scipy import ndimage
 
 from mvedge_jax.lightfield import GroundTruth, LightField
 
@@ -14,9 +13,16 @@ NEAR, FAR = 1.0, -1.0
 def _texture(shape, rng):
     """Smooth random colours, so that they can be told apart and followed."""
     coarse = rng.random((shape[0] // 3 + 2, shape[1] // 3 + 2, 3))
-    places = np.mgrid[: shape[0], : shape[1]] / 3
-    planes = [ndimage.map_coordinates(coarse[..., c], places, order=1) for c in range(3)]
-    return np.stack(planes, -1)
+    y, x = (np.arange(n) / 3 for n in shape)
+    fine = np.stack([_bilinear(coarse[..., c], y, x) for c in range(3)], -1)
+    return fine
+
+
+def _bilinear(image, y, x):
+    b, a = y.astype(int), x.astype(int)
+    t, s = (y - b)[:, None], (x - a)[None]
+    rows = (1 - t) * image[b] + t * image[b + 1]
+    return (1 - s) * rows[:, a] + s * rows[:, a + 1]
 
 
 def cards(shape=(5, 5, 40, 48), dtype: Any = np.float32) -> Any:
