@@ -5,12 +5,13 @@ import jax
 import jax.numpy as jnp
 import lineax as lx
 import numpy as np
+import optax
 import pytest
 from depth.parts import SHAPE, check_part, given
 from jaxtyping import Array
 from numpy.testing import assert_allclose, assert_array_equal
 
-from mvedge_jax import EdgeDepth, multiview_edges
+from mvedge_jax import EdgeDepth, lean_jit, multiview_edges
 from mvedge_jax._params import cast, number
 from mvedge_jax.datasets import synthetic
 from mvedge_jax.depth import (
@@ -153,3 +154,46 @@ def test_another_solver_is_taken(scene, model):
     other = model.replace(solver=lx.CG(rtol=1e-5, atol=1e-5))
     found = jax.eval_shape(other, scene.without_truth())
     assert found.disparity.shape == (24, 28)
+
+
+class Network(eqx.Module):
+    """Scales the smoothness of the rule by two convolutions of what it sees; at first by 1/2."""
+
+    first: eqx.nn.Conv2d
+    last: eqx.nn.Conv2d
+
+    def __init__(self, key):
+        keys = jax.random.split(key)
+        self.first = eqx.nn.Conv2d(5, 6, 3, padding=1, key=keys[0], dtype=jnp.float32)
+        last = eqx.nn.Conv2d(6, 2, 3, padding=1, key=keys[1], dtype=jnp.float32)
+        self.last = jax.tree.map(jnp.zeros_like, last)
+
+    def __call__(self, guide, disparity, depth_edge):
+        seen = jnp.concatenate([guide / 50, disparity[None], depth_edge[None]])
+        right, down = jax.nn.sigmoid(self.last(jax.nn.tanh(self.first(seen))))
+        tx, ty = ColorAndDepth()(guide, disparity, depth_edge)
+        return tx * right[:, :-1], ty * down[:-1]
+
+
+def test_a_network_for_the_smoothness_learns(scene, model):
+    blind, truth, adam = scene.without_truth(), scene.truth.disparity, optax.adam(0.03)
+
+    def loss(network, light_field):
+        found = model.replace(smoothness=network)(light_field).disparity
+        return jnp.mean(jnp.log1p(((found - truth) / 0.05) ** 2))
+
+    @lean_jit
+    def step(network, state, light_field):
+        value, slope = eqx.filter_value_and_grad(loss)(network, light_field)
+        # Optax divides by an integer count.
+        with jax.numpy_dtype_promotion("standard"):
+            updates, state = adam.update(slope, state)
+        return eqx.apply_updates(network, updates), state, value
+
+    network, values = Network(jax.random.key(0)), []
+    state = adam.init(eqx.filter(network, eqx.is_inexact_array))
+    for _ in range(20):
+        network, state, value = step(network, state, blind)
+        values.append(float(value))
+    assert np.isfinite(values).all()
+    assert values[-1] < 0.9 * values[0], values

@@ -10,8 +10,10 @@ import pytest
 from edges.scenes import fence, flat_rectangle, plane, two_planes
 from helpers import shared_data
 from photometry.scenes import changed, cross_gains, textured
+from scipy import ndimage
 
 from experiments._crossings import crossing_table, crossings, survive
+from experiments.edge_accuracy import depth_edges
 from mvedge_jax._paths import value_at
 from mvedge_jax.all_views import ViewDepth, ViewDepths
 from mvedge_jax.datasets import load_light_field, synthetic
