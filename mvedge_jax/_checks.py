@@ -132,14 +132,18 @@ def check_finite(views: Any) -> None:
     """
     if isinstance(views, Tracer):
         return
-    # Minimum and maximum do not tell: XLA drops NaN from them in large arrays on some CPUs.
-    finite = jnp.isfinite(views)
-    if not bool(finite.all()):
-        v, u, y, x, _ = (int(i) for i in np.argwhere(~np.asarray(finite))[0])
-        raise ValueError(
-            f"`views` must be finite, got NaN or infinity in {int((~finite).sum())} values, "
-            f"the first of them in view (v, u) = ({v}, {u}) at (x, y) = ({x}, {y})."
-        )
+    # Minimum and maximum do not tell: XLA drops NaN from them in large arrays on some CPUs. Views
+    # that a traced function closes over have values, too.
+    with jax.ensure_compile_time_eval():
+        finite = jnp.isfinite(views)
+        if bool(finite.all()):
+            return
+    places = np.argwhere(~np.asarray(finite))
+    v, u, y, x, _ = (int(i) for i in places[0])
+    raise ValueError(
+        f"`views` must be finite, got NaN or infinity in {len(places)} values, the first of them "
+        f"in view (v, u) = ({v}, {u}) at (x, y) = ({x}, {y})."
+    )
 
 
 def untraced(name: str, value: Any) -> None:

@@ -111,7 +111,10 @@ def _no_light_field(_: Path, name: str) -> None:
 def _spoilt_views(_: Path, function: Any) -> None:
     field = _light_field()
     spoilt = eqx.tree_at(lambda f: f.views, field, field.views.at[0, 1, 2, 3].set(jnp.nan))
-    refuses(lambda: function(spoilt, _model()), "view (v, u) = (0, 1) at (x, y) = (3, 2)")
+    place = "view (v, u) = (0, 1) at (x, y) = (3, 2)"
+    refuses(lambda: function(spoilt, _model()), place)
+    # Closed over by a traced function, they have values, too.
+    refuses(lambda: jax.jit(lambda x: function(spoilt, _model()), static_argnums=0)(1), place)
 
 
 @hostile("{} = 'ColorAndDepth'", ["smoothness", "edges", "sides", "labels", "calibration"])
