@@ -76,7 +76,8 @@ def main() -> None:
             row |= _child("peers", file, arguments.repeats)
         rows.append(row)
         print_table([{"": key, "value": value} for key, value in row.items()], title=f"{size} px")
-    write_json(arguments.out / "sizes.json", rows)
+        # After every size: a run that is stopped leaves what it has.
+        write_json(arguments.out / "sizes.json", rows)
 
 
 def _child(what: str, file: Path, repeats: int, cache: Path | None = None) -> dict[str, Any]:
