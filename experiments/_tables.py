@@ -216,7 +216,7 @@ def sizes(results: Results) -> str:
             line("memory, GiB", ("{}", "peak GiB", 1)),
             line("pixels above 0.07 px", ("{} %", "BP(.07)", 1)),
             line("value and gradient, later calls, s", ("{}", "gradient warm s", 1)),
-            line("memory, GiB", ("{}", "gradient peak GiB", 1)),
+            line("their memory, GiB", ("{}", "gradient peak GiB", 1)),
             line("settings a second, in one call", ("{}", "settings per s", 1)),
             line(
                 "plane sweep, s (pixels above 0.07 px)",
@@ -318,7 +318,7 @@ def codec(results: Results) -> str:
         [
             (
                 row["scene"],
-                f"{row['rms error px']:.4f}",
+                f"{row['rms error px']:.4f}" if row["rms error px"] >= 5e-5 else "< 0.0001",
                 *(f"{row[column]:.0f}" for column in ("bytes", "PNG bytes", "JPEG 2000 bytes")),
             )
             for row in results.rows("codec", "at equal error")
