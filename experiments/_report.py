@@ -115,8 +115,14 @@ def commit() -> str:
 
 
 def command() -> str:
-    """How this process was started, with paths from the top of the repository."""
+    """How this process was started, with paths from the top of the repository.
+
+    Without `--out`: no figure depends on the folder of the results.
+    """
     script, *words = sys.argv
+    if "--out" in words:
+        place = words.index("--out")
+        del words[place : place + 2]
     return shlex.join(
         ["python", _from_the_top(str(Path(script).resolve())), *map(_from_the_top, words)]
     )
