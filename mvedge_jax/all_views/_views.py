@@ -7,7 +7,7 @@ from jax import lax
 from jaxtyping import Array, Float, Int, Int8
 
 from mvedge_jax._checkpoint import checkpoint
-from mvedge_jax._checks import checked_jit, expect, with_numbers
+from mvedge_jax._checks import check_finite, checked_jit, expect, with_numbers
 from mvedge_jax._params import cast
 from mvedge_jax._root import safe_sqrt
 from mvedge_jax.depth import DepthResult
@@ -42,6 +42,7 @@ def _validate(light_field: Any, result: Any, model: Any) -> tuple[Any, ...]:
     """Validates the arguments of `depth_of_views`."""
     order = "the order is (light_field, result, model)"
     expect("light_field", light_field, LightField, order)
+    check_finite(light_field.views)
     expect("result", result, DepthResult, "`depth` makes one, and " + order)
     made = "`ViewDepth.for_light_field(light_field)` makes one, and " + order
     expect("model", model, ViewDepth, made)

@@ -16,7 +16,7 @@ import numpy as np
 from hostile.case import hostile, refuses
 
 from mvedge_jax import EdgeDepth, LightField, describe, multiview_edges
-from mvedge_jax.all_views import ViewDepth
+from mvedge_jax.all_views import ViewDepth, depth_of_views
 from mvedge_jax.depth import estimate_depth
 from mvedge_jax.diffusion import AutoSolver, System, diffuse
 
@@ -113,6 +113,8 @@ def _spoilt_views(_: Path, function: Any) -> None:
     spoilt = eqx.tree_at(lambda f: f.views, field, field.views.at[0, 1, 2, 3].set(jnp.nan))
     place = "view (v, u) = (0, 1) at (x, y) = (3, 2)"
     refuses(lambda: function(spoilt, _model()), place)
+    every: Any = depth_of_views
+    refuses(lambda: every(spoilt, None, None), place)
     # Closed over by a traced function, they have values, too.
     refuses(lambda: jax.jit(lambda x: function(spoilt, _model()), static_argnums=0)(1), place)
 
