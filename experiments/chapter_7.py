@@ -9,7 +9,8 @@ over all views of the crosshair, in RGB, or in features of VGG16 where a file of
 given (`losses.features.load_vgg16`). Q, Z, R and xy take turns of 13 iterations, 5 times. The map
 is that of the lowest loss, whatever other views say of it. `printed` has points of the thesis'
 width, 8 samples along the ray, labels that are not divided by their coverage, and points that hide
-others whatever they weigh; `narrow` has the package's renderer. `preset thesis` is Chapter 6.
+others whatever they weigh; `narrow` has the package's renderer. `preset thesis` is Chapter 6. For
+one light field, `mvedge optimize --preset thesis --loss printed` does the same.
 """
 
 import argparse
@@ -17,62 +18,38 @@ from pathlib import Path
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 from _model import printer, scores
 from _published import published
 from _report import print_table, shared_data, write_csv, write_json
 from _scenes import scenes
 from matplotlib.figure import Figure
 
-from mvedge_jax import lean_jit
 from mvedge_jax.depth import DepthResult, EdgeDepth
 from mvedge_jax.lightfield import LightField
-from mvedge_jax.losses import gather_views
 from mvedge_jax.losses.features import Colours, load_vgg16
 from mvedge_jax.losses.terms import Features
-from mvedge_jax.model import DepthModel, Renderer, Start, render_model, start_from_image
-from mvedge_jax.model.objectives import SelfSupervised, unlimited
-from mvedge_jax.model.optimisation import Rates, begin, one_at_a_time, optimise
+from mvedge_jax.model import Renderer, optimize_edges, start_from_edges
+from mvedge_jax.model.approaches import ByReprojection
+from mvedge_jax.model.optimisation import Rates, one_at_a_time
 from mvedge_jax.plotting import plot_comparison
-from mvedge_jax.splatting import SplatLabels, SplatRaster, SplatWidths
 
-RENDERERS = {
-    "printed": Renderer(
-        SplatLabels(SplatWidths(), SplatRaster(absorption="quadrature")),
-        normalized=False,
-        clears=False,
-    ),
-    "narrow": Renderer.on_raster(1),
-}
-
-
-def points(light_field: LightField, result: DepthResult) -> DepthModel:
-    """Edge points on the sides of their edges as a model, every weight 1."""
-    found = result.points
-    nothing = jnp.zeros_like(found.disparity)
-    place = jnp.where(found.valid[:, None], found.xy + result.surface.offset, 0)
-    flat = jnp.zeros_like(light_field.centre_view[..., 0])
-    model = DepthModel(found.disparity, place, nothing, flat, found.valid)
-    return start_from_image(Start(model, nothing, flat), light_field.centre_view).model
+RENDERERS = {"printed": Renderer.as_printed(), "narrow": Renderer.on_raster(1)}
 
 
 def optimised(
-    model: DepthModel,
     light_field: LightField,
+    depth: DepthResult,
     renderer: Renderer,
     features: Features,
     arguments: argparse.Namespace,
     look: Any,
 ) -> tuple[jax.Array, jax.Array]:
     """The map that the points render, and that of the lowest loss."""
-    render = lean_jit(render_model)
-    first = render(model, renderer).disparity
-    goal = SelfSupervised(
-        gather_views(light_field), unlimited(model), renderer, features=features
-    )  # fmt: skip
+    start = start_from_edges(light_field, depth, renderer)
     routine = one_at_a_time(Rates(), iterations=arguments.iterations, passes=arguments.passes)
-    state, _ = optimise(begin(model, first, key=jax.random.key(0)), routine, goal, progress=look)
-    return first, render(state.best, renderer, start=state.disparity).disparity
+    approach = ByReprojection.as_printed(features)
+    found = optimize_edges(light_field, start, approach, renderer, routine=routine, progress=look)
+    return start.disparity, found.disparity
 
 
 def main() -> None:
@@ -96,11 +73,11 @@ def main() -> None:
         assert truth is not None
         thesis = EdgeDepth.for_light_field(blind, preset="thesis")
         result = thesis(blind, key=jax.random.key(0))
-        model, maps = points(blind, result), {"preset thesis": result.disparity}
+        maps = {"preset thesis": result.disparity}
         for kind in arguments.renderers:
             look = printer(f"{name}, {kind}", light_field, curve)
             renderer = RENDERERS[kind]
-            before, after = optimised(model, blind, renderer, features, arguments, look)
+            before, after = optimised(blind, result, renderer, features, arguments, look)
             maps |= {f"{kind}, start": before, f"{kind}, optimised": after}
         here: list[dict[str, Any]] = [
             {"scene": name, "map": kind, **scores(disparity, light_field)}

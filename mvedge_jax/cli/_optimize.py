@@ -24,6 +24,7 @@ from mvedge_jax.model import (
     fit_edges,
     optimize_edges,
     start_from_depth,
+    start_from_edges,
     start_from_image,
 )
 from mvedge_jax.model.approaches import Approach, ByEvidence, ByReprojection
@@ -50,15 +51,15 @@ def optimize(
     /,
     *,
     supervised: bool = False,
-    loss: Literal["evidence", "reprojection"] = "evidence",
-    routine: Literal["joint", "thesis"] = "joint",
+    loss: Literal["evidence", "reprojection", "printed"] = "evidence",
+    routine: Literal["joint", "thesis"] | None = None,
     iterations: int | None = None,
     features: Literal["colours", "filters", "vgg16"] = "colours",
     vgg16: Path | None = None,
     no_recycle: bool = False,
     grow_points: int = 0,
     subset: int | None = None,
-    raster: Literal[1, 2] = 1,
+    raster: Literal[1, 2] | None = None,
     views: int | None = None,
     scale: float = 1.0,
     state: Path | None = None,
@@ -73,23 +74,28 @@ def optimize(
     by one half of the views is accepted as far as the other half confirms it. `--loss
     reprojection`, (7.15) of the thesis, holds every second view of the crosshair out and drops a
     result that does not lower their error by a tenth. The map is polished (bends within its error
-    are removed). OUT gets before.pfm, disparity.pfm, pictures, points.npz, loss.csv, loss.png,
-    state.eqx and report.json.
+    are removed). `--loss printed` is Chapter 7 to the letter: points of weight 1 and no dense map,
+    all views of the crosshair, the thesis' routine and renderer; nothing is dropped or polished.
+    `--preset thesis` gives it the points of Chapter 4. OUT gets before.pfm, disparity.pfm,
+    pictures, points.npz, loss.csv, loss.png, state.eqx and report.json.
 
     Args:
         scene: folder or file of a light field; `mvedge info` checks it.
         out: folder to write.
         supervised: fit to the scene's ground truth instead of the views.
         loss: the objective, see above.
-        routine: all parameters at once, or the thesis' turns (Q, Z, R, xy; 5 passes).
+        routine: all parameters at once (joint), or the thesis' turns (Q, Z, R, xy; 5 passes), the
+            default of `--loss printed`.
         iterations: total number for `joint`, by default 12 for the evidence and 40 otherwise; per
             parameter and pass for `thesis`, by default 13 as in the thesis.
-        features: image features to compare, for `--loss reprojection`.
+        features: image features to compare, for `--loss reprojection` and `printed`.
         vgg16: an .npz file of VGG16's first two convolutions, for `--features vgg16`.
         no_recycle: with `--supervised`, do not relocate inactive points to pixels of large error.
         grow_points: number of points to add at pixels of large error; needs `--supervised`.
         subset: number of views drawn per iteration of `--loss reprojection`; all by default.
-        raster: raster pixels per pixel and axis; the thesis has 2, which takes four times as long.
+        raster: raster pixels per pixel and axis, of narrow points; by default 1. For `--loss
+            printed`, by default the thesis' wide points on a raster of 2, which takes four times as
+            long.
         views: use the central VIEWS x VIEWS views only; odd.
         scale: shrink the views by this factor, at most 1.
         state: state.eqx of an earlier run with the same options, to resume it.
@@ -101,15 +107,21 @@ def optimize(
     growth = Growth(recycle=not no_recycle, extra=_at_least(0, "--grow-points", grow_points))
     if grow_points and not supervised:
         raise ValueError("--grow-points needs --supervised: without truth no residual is known.")
-    approach = _approach(loss, features, vgg16, subset)
-    fit, renderer = SupervisedFit(), Renderer.on_raster(raster)
+    approach, fit = _approach(loss, features, vgg16, subset), SupervisedFit()
+    printed = loss == "printed"
+    if printed and supervised:
+        raise ValueError("--loss printed reads views alone; leave out --supervised or --loss.")
+    wide = printed and raster is None
+    renderer = Renderer.as_printed() if wide else Renderer.on_raster(raster or 1)
+    routine = routine or ("thesis" if printed else "joint")
     table = _table(routine, iterations, fit if supervised else approach)
     light_field, said = _read(scene, views, scale, needs_truth=supervised)
     earlier = None if state is None else State.load(state)
     running: dict[str, Any] = {"routine": table, "state": earlier, "progress": _tell}
     inputs = [path for path in (scene, vgg16, state) if path is not None]
     with output_folder(out, inputs=inputs, overwrite=overwrite) as folder:
-        start, model, doubts = _start(light_field.without_truth(), options, seed)
+        alone = renderer if printed else None
+        start, model, doubts = _start(light_field.without_truth(), options, seed, alone)
         clock = time.perf_counter()
         with stage("optimising"):
             if supervised and light_field.truth is not None:
@@ -143,6 +155,8 @@ def _approach(
         if vgg16 is None:
             raise ValueError("--features vgg16 needs --vgg16 FILE, an .npz file of its weights.")
         extractor = load_vgg16(vgg16)
+    if loss == "printed":
+        return ByReprojection.as_printed(extractor, subset=subset)
     if loss == "reprojection":
         return ByReprojection(features=extractor, subset=subset)
     return ByEvidence(features=extractor)
@@ -168,14 +182,18 @@ def _read(
 
 
 def _start(
-    blind: LightField, options: ModelOptions, seed: int
+    blind: LightField, options: ModelOptions, seed: int, alone: Renderer | None
 ) -> tuple[Start, EdgeDepth, list[str]]:
-    """The start, its model, and its problems."""
+    """The start, its model, and its problems; `alone` renders the points without a dense map."""
     with stage("estimating depth from edges"):
         model, key = options.model(blind), jax.random.key(seed)
         program = compiled(estimate_depth, blind, model, key=key)
         result = jax.block_until_ready(program(blind, model, key=key))
-        return start_from_depth(blind, result), model, list(result.problems())
+        if alone is None:
+            start = start_from_depth(blind, result)
+        else:
+            start = start_from_edges(blind, result, alone)
+        return start, model, list(result.problems())
 
 
 def _tell(now: Progress) -> None:

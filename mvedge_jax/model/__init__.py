@@ -17,6 +17,7 @@ from ._start import (
     Start as Start,
     StartFit as StartFit,
     start_from_depth as start_from_depth,
+    start_from_edges as start_from_edges,
     start_from_image as start_from_image,
 )
 

@@ -15,7 +15,7 @@ from mvedge_jax._params import accepts_numpy, cast, jax_array, number
 from mvedge_jax._paths import Replaceable
 from mvedge_jax.color import srgb_to_lab
 from mvedge_jax.diffusion import AutoSolver, Pairing, SolveStats, System, diffuse, edge_weights
-from mvedge_jax.splatting import Splat, SplatLabels
+from mvedge_jax.splatting import Splat, SplatLabels, SplatRaster, SplatWidths
 
 # Steps of disparity, px, and of Lab at which a map is rough; and the largest roughness.
 _DEPTH_STEP, _COLOR_STEP, _LARGEST = 0.05, 0.3, 10.0
@@ -109,6 +109,17 @@ class Renderer(Replaceable):
     def thesis() -> "Renderer":
         """The thesis' widths on its raster of 2, with labels divided by their coverage."""
         return Renderer(SplatLabels.thesis())
+
+    @staticmethod
+    def as_printed() -> "Renderer":
+        """The thesis' renderer to the letter.
+
+        As `thesis`, with a quadrature of 8 samples along the ray, labels that are not divided by
+        their coverage, and points that hide others whatever they weigh.
+        """
+        quadrature = SplatRaster(absorption="quadrature")
+        splat = SplatLabels(SplatWidths(), quadrature)
+        return Renderer(splat, normalized=False, clears=False)
 
 
 class Rendered(eqx.Module):

@@ -14,6 +14,7 @@ from mvedge_jax.image import nearest_pixels
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.smoothness import image_roughness
 
+from ._host import compiled_render
 from ._model import DepthModel, Renderer, map_roughness, with_capacity
 from .objectives import Supervised, Trust, unlimited
 from .optimisation._grow import Growth, grow
@@ -80,6 +81,30 @@ def start_from_depth(
         depth.disparity,
         StartFit() if fit is None else fit,
     )
+
+
+def start_from_edges(light_field: LightField, depth: DepthResult, renderer: Renderer) -> Start:
+    """The start of the thesis: edge points of weight 1, and no dense map.
+
+    Args:
+        light_field: the light field of the result.
+        depth: result of `EdgeDepth`; its points on their surfaces are read, its map is not.
+        renderer: renders the first map.
+
+    Returns:
+        The model, with Q from the image gradient, and the map that it renders. The errors of its
+        labels are unknown. On the host; the map is not differentiable.
+
+    Source: Thesis 7.1.5.
+    """
+    points, centre = depth.points, light_field.centre_view
+    there = nearest_pixels(points.xy + depth.surface.offset, (centre.shape[0], centre.shape[1]))
+    valid = points.valid & there.inside
+    place = jnp.where(valid[:, None], points.xy + depth.surface.offset, 0)
+    label, nothing = jnp.where(valid, points.disparity, 0), jnp.zeros_like(centre[..., 0])
+    model = DepthModel(label, place, jnp.zeros_like(label), nothing, valid)
+    start = start_from_image(Start(model, jnp.full_like(label, jnp.inf), nothing), centre)
+    return start._replace(disparity=compiled_render(start.model, renderer).disparity)
 
 
 @accepts_numpy

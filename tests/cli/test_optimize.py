@@ -44,3 +44,21 @@ def test_optimize_writes_everything_and_ends_no_worse(scene, tmp_path, mvedge, o
     for name in ("before.png", "after.png", "after_error.png", "loss.png"):
         assert cv2.imread(str(out / name)) is not None, name
     assert (out / "state.eqx").is_file()
+
+
+@pytest.mark.slow
+def test_chapter_7_as_printed_starts_from_the_points_alone(scene, tmp_path, mvedge):
+    out = tmp_path / "out"
+    words = ("--loss", "printed", "--preset", "edges", "--iterations", 1)
+    mvedge("optimize", scene, out, *words)
+    report = json.loads((out / "report.json").read_text())
+    assert report["iterations"] == 20  # four parameters, five passes
+    assert report["kept the optimised points"]
+    with np.load(out / "points.npz") as points:
+        assert len(points["xy"]) > 20
+    before, after = read_pfm(out / "before.pfm"), read_pfm(out / "disparity.pfm")
+    assert np.median(np.abs(before - 0.4)) < 0.02
+    assert np.median(np.abs(after - 0.4)) < 0.02
+    assert np.abs(after - before).max() > 1e-4
+    failed = mvedge("optimize", scene, tmp_path / "no", *words, "--supervised", code=2)
+    assert "--loss printed reads views alone" in failed.err

@@ -16,7 +16,8 @@ from mvedge_jax.model.approaches import Bending, ByEvidence, ByReprojection, Vie
 from mvedge_jax.model.approaches._approach import explained
 from mvedge_jax.model.approaches._evidence import agreed_correction
 from mvedge_jax.model.approaches._polish import bending
-from mvedge_jax.model.optimisation import Rates, all_at_once
+from mvedge_jax.model.objectives import SelfSupervised
+from mvedge_jax.model.optimisation import Rates, all_at_once, one_at_a_time
 
 SHAPE = (20, 22)
 
@@ -175,6 +176,25 @@ def test_what_the_judges_do_not_confirm_is_dropped_and_the_first_map_polished(ma
     assert float(jnp.abs(change).max()) > 2e-3
     kept = ramp + change if margin < 0 else ramp
     assert_allclose(found.disparity, polish(kept, Bending()), atol=1e-4)
+
+
+def test_the_printed_objective_reads_all_views_and_keeps_what_it_finds():
+    start = level(TRUE + 0.02)
+    approach = ByReprojection.as_printed()
+    objective = approach.prepare(plane(), start, NARROW).objective
+    assert isinstance(objective, SelfSupervised)
+    assert objective.views.steps.shape == (8, 2)  # the crosshair of 5x5 views
+    far = eqx.tree_at(lambda m: (m.disparity, m.xy), start.model, replace_fn=lambda x: x + 9.0)
+    assert float(objective.trust.penalty(far)) == 0
+    assert_allclose(objective.project(far).xy, far.xy)
+    routine = one_at_a_time(approach.rates, passes=1)
+    found = optimize_edges(plane(), start, approach, NARROW, routine=routine)
+    assert found.history.loss.shape == (52,)  # 13 for each of four parameters
+    assert found.verdict is not None
+    assert bool(found.verdict.kept)
+    best = render_model(found.model, NARROW, start=found.state.disparity).disparity
+    assert_allclose(found.disparity, best, atol=1e-4)
+    assert float(jnp.abs(best - TRUE).mean()) < 0.01
 
 
 def test_bad_input_is_named():

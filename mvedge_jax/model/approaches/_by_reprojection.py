@@ -6,7 +6,7 @@ from jaxtyping import Array, Float
 
 from mvedge_jax._params import number
 from mvedge_jax.lightfield import LightField
-from mvedge_jax.losses import LossWeights
+from mvedge_jax.losses import LossWeights, gather_views
 from mvedge_jax.losses.features import Colours
 from mvedge_jax.losses.terms import Features
 
@@ -26,22 +26,26 @@ class ByReprojection(Approach):
 
     The other half validates: unless the optimization lowers their error by `margin`, its result is
     dropped. On cotton every optimization that lowered the error by less than a tenth made the map
-    worse: gloss, blurred image edges and bilinear interpolation cause a bias of that size.
+    worse: gloss, blurred image edges and bilinear interpolation cause a bias of that size. The
+    thesis has neither validation nor prior: `as_printed`.
 
     Attributes:
         fit: fit of the model to the first map, which adds a tenth of the points; None if the
             initial model renders that map already.
-        polish: polishing of the final map.
+        polish: polishing of the final map; None for none.
         weights: weights of the terms of (7.16); that of SSIM is used with `similarity` only.
         features: image features to compare.
         prior: weight of the labels' standard errors, see `Trust`.
         label: largest change of a label, px per view step.
+        position: largest change of a position along each axis, px.
         margin: share by which the held-out error must fall, or the first map is polished instead;
             minus infinity keeps every result.
         rates: learning rates.
         iterations: default number of iterations.
         subset: number of views drawn in every iteration, or None for all.
         similarity: compute the SSIM term, which costs as much as the rest of the loss.
+        held_out: minimize the error of every second view only; otherwise that of all, and nothing
+            validates.
 
     Raises:
         ValueError: `subset` is below 1.
@@ -54,28 +58,53 @@ class ByReprojection(Approach):
     """
 
     fit: StartFit | None = eqx.field(default_factory=StartFit)
-    polish: Bending = eqx.field(default_factory=Bending)
+    polish: Bending | None = eqx.field(default_factory=Bending)
     weights: LossWeights = eqx.field(default_factory=LossWeights)
     features: Features = eqx.field(default_factory=Colours)
     prior: Float[Array, ""] = number(1e-3)
     label: Float[Array, ""] = number(0.05)
+    position: Float[Array, ""] = number(1.0)
     margin: Float[Array, ""] = number(0.1)
     rates: Rates = eqx.field(default_factory=Rates.self_supervised)
     iterations: int = eqx.field(static=True, default=40)
     subset: int | None = eqx.field(static=True, default=None)
     similarity: bool = eqx.field(static=True, default=False)
+    held_out: bool = eqx.field(static=True, default=True)
 
     def __check_init__(self) -> None:
         check_subset(self.subset)
+
+    @classmethod
+    def as_printed(
+        cls, features: Features | None = None, *, subset: int | None = None
+    ) -> "ByReprojection":
+        """The thesis' objective: all views of the crosshair, free points, no validation.
+
+        Args:
+            features: image features to compare; None for the colors.
+            subset: number of views drawn in every iteration, or None for all.
+
+        Returns:
+            The approach, for a `Start` of `start_from_edges` and the routine `one_at_a_time`.
+
+        Source: Thesis 7.1.4, 7.1.5.
+        """
+        free = jnp.asarray(jnp.inf)
+        return cls(
+            fit=None, polish=None, features=Colours() if features is None else features,
+            prior=jnp.asarray(0.0), label=free, position=free, margin=-free, rates=Rates(),
+            subset=subset, held_out=False,
+        )  # fmt: skip
 
     def prepare(self, light_field: LightField, start: Start, renderer: Renderer) -> Prepared:
         """Fits the model to the first map."""
         if self.fit is not None:
             start = fit_to_map(start, self.fit, renderer)
-        trust = trust_labels(start, weight=self.prior, label=self.label)
-        training, _ = crosshair_halves(light_field)
+        limits = {"label": self.label, "position": self.position}
+        trust = trust_labels(start, weight=self.prior, **limits)
+        views = crosshair_halves(light_field)[0] if self.held_out else gather_views(light_field)
         goal = SelfSupervised(
-            training, trust, renderer, self.weights, self.features, self.subset, self.similarity
+            views, trust, renderer, self.weights, self.features, self.subset, self.similarity
         )
         return Prepared(start, start.disparity, start.disparity, goal)
 
@@ -93,4 +122,5 @@ class ByReprojection(Approach):
         error = explained(light_field, before, after, self.features)
         margin = self.margin.astype(error.dtype)
         kept = jnp.isneginf(margin) | (error[1] < (1 - margin) * error[0])
-        return polish(jnp.where(kept, after, before), self.polish), Verdict(error, kept)
+        final = jnp.where(kept, after, before)
+        return final if self.polish is None else polish(final, self.polish), Verdict(error, kept)
