@@ -17,7 +17,9 @@ from ._slurm import slurm_script
 
 def batch(
     paths: Annotated[
-        tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="SCENES... OUT")
+        tuple[Path, ...],
+        tyro.conf.Positional,
+        tyro.conf.arg(metavar="SCENES... OUT", help_behavior_hint="(required)"),
     ],
     /,
     *,

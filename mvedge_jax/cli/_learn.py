@@ -33,7 +33,9 @@ _Fields = Sequence[LightField]
 
 def learn(
     paths: Annotated[
-        tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[SCENES...] OUT")
+        tuple[Path, ...],
+        tyro.conf.Positional,
+        tyro.conf.arg(metavar="[SCENES...] OUT", help_behavior_hint="(OUT is required)"),
     ],
     /,
     *,

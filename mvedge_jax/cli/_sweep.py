@@ -25,7 +25,9 @@ _Words = Annotated[
 
 def sweep(
     paths: Annotated[
-        tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="SCENES... OUT")
+        tuple[Path, ...],
+        tyro.conf.Positional,
+        tyro.conf.arg(metavar="SCENES... OUT", help_behavior_hint="(required)"),
     ],
     /,
     *,

@@ -1,6 +1,7 @@
 """Which pixels of a map are scored: ground truth, masks, crops and bands around depth edges."""
 
 import math
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -10,13 +11,10 @@ from jaxtyping import Array, Bool, Float
 from mvedge_jax._params import accepts_numpy
 
 
-def check_maps(
-    disparity: Float[Array, "..."],
-    truth: Float[Array, "..."],
-    mask: Bool[Array, "..."] | None,
-    crop: int,
-) -> None:
-    """Raises a ValueError that names the argument if the maps do not fit together."""
+def check_maps(disparity: Any, truth: Any, mask: Any, crop: int) -> None:
+    """Raises an error that names the argument if the maps do not fit together, or are none."""
+    for name, given in (("disparity", disparity), ("truth", truth), ("mask", mask)):
+        check_map(name, given)
     if disparity.ndim != 2:
         raise ValueError(f"`disparity` must have the axes [y, x], got shape {disparity.shape}.")
     for name, other in (("truth", truth), ("mask", mask)):
@@ -26,6 +24,15 @@ def check_maps(
                 f"{other.shape}; crop the larger one to its centre first."
             )
     check_crop(disparity.shape, crop)
+
+
+def check_map(name: str, given: Any) -> None:
+    """Raises a TypeError if an argument is not an array, such as a result or a light field."""
+    if given is None or hasattr(given, "shape"):
+        return
+    wish = {"disparity": "`result.disparity`", "truth": "`light_field.truth.disparity`"}
+    hint = f", such as {wish[name]}" if name in wish else ""
+    raise TypeError(f"`{name}` must be a map [y, x]{hint}, got {type(given).__name__}.")
 
 
 def check_crop(shape: tuple[int, ...], crop: int) -> None:

@@ -163,6 +163,16 @@ def test_bad_input_says_what_is_wrong(metric, arguments, options, message):
         inspect.unwrap(metric)(*arguments, **options)  # as users call it: without the type checker
 
 
+@pytest.mark.parametrize("metric", [depth_scores, boundary_scores])
+def test_what_is_no_map_is_named(metric):
+    for maps, message in (
+        ((FIELD, MAP), "`disparity` must be a map .*`result.disparity`, got LightField"),
+        ((MAP, FIELD), "`truth` must be a map .*`light_field.truth.disparity`, got LightField"),
+    ):
+        with pytest.raises(TypeError, match=message):
+            inspect.unwrap(metric)(*maps)
+
+
 def test_what_is_masked_or_not_asked_for_may_be_anything():
     spoilt, mask = MAP.at[3, 4].set(jnp.nan), jnp.ones((4, 5), bool).at[3, 4].set(False)
     assert float(calibration(spoilt, MAP + 1, MAP, mask=mask).within[0]) == 1
