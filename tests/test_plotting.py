@@ -203,7 +203,8 @@ def test_calibration_is_drawn_beside_the_diagonal():
         np.testing.assert_allclose(np.asarray(line.get_ydata()), each.found)
     np.testing.assert_allclose(np.asarray(right.lines[0].get_ydata()), found[0].sparsified)
     labels = [str(line.get_label()) for line in left.lines[1:]]
-    assert labels == [f"{n} ({100 * f.within[1]:.0f} %)" for n, f in zip("ab", found, strict=True)]
+    both = [f"({100 * each.within[1]:.0f} %, {each.ause:.2f})" for each in found]
+    assert labels == [f"a {both[0]}", f"b {both[1]}"]
     with pytest.raises(ValueError, match="names"):
         plotting.plot_calibration(found, names=["a"])
     _draw(figure)

@@ -154,9 +154,9 @@ def plot_calibration(
         left.plot(ends, ends, color="#cccccc", linewidth=0.8, zorder=0)
         for number, (each, name) in enumerate(zip(found, names, strict=True)):
             line, found_error = _line(number), np.maximum(each.found, 1e-5)
-            share, area = f"{name} ({100 * each.within[1]:.0f} %)", f"{name} ({each.ause:.2f})"
-            left.plot(each.predicted, found_error, label=share, **line)
-            right.plot(each.left_out, each.sparsified, label=area, **line)
+            label = f"{name} ({100 * each.within[1]:.0f} %, {each.ause:.2f})"
+            left.plot(each.predicted, found_error, label=label, **line)
+            right.plot(each.left_out, each.sparsified, **line)
             right.plot(each.left_out, each.oracle, color=line["color"], linestyle=":")
         left.set(
             xscale="log",
@@ -167,6 +167,6 @@ def plot_calibration(
         right.set(
             xlim=(0, 1), ylim=(0, None), xlabel="share left out", ylabel="mean error of the rest"
         )
-        left.legend(title="within two", fontsize=6)
-        right.legend(title="area", fontsize=6)
+        # Beside the curves, which fill both axes where there are many maps.
+        figure.legend(loc="outside right center", title="within two, area", fontsize=6)
     return figure
