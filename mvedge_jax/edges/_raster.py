@@ -7,6 +7,7 @@ from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
 from mvedge_jax._params import accepts_numpy
+from mvedge_jax._root import LEAST_DIVISOR
 from mvedge_jax.image import nearest_pixels
 
 
@@ -87,7 +88,8 @@ def share(
 
     Returns:
         Sum of weights and weighted mean of labels per pixel, `[y, x]`; the mean is the map where
-        there is no label. Differentiable in all arguments, positions included.
+        there is no label, and a sum below 1e-9 is none. Differentiable in all arguments, positions
+        included.
     """
     height, width = surface.shape
     whole = jnp.floor(lax.stop_gradient(xy))
@@ -110,5 +112,10 @@ def share(
     change = amount * (jnp.tile(disparity, 4) - surface.reshape(-1)[place])
     both = jnp.zeros((height * width, 2), amount.dtype)
     total, moved = both.at[place].add(jnp.stack([amount, change], axis=1)).T
-    mean = moved / jnp.where(total > 0, total, 1)
+    # The derivative of a mean over smaller weights is not a number in single precision.
+    there = total > LEAST_DIVISOR
+    total, mean = (
+        jnp.where(there, total, 0),
+        jnp.where(there, moved, 0) / jnp.where(there, total, 1),
+    )
     return total.reshape(height, width), surface + mean.reshape(height, width)

@@ -106,7 +106,7 @@ def test_pycolmap_reads_what_we_write_and_we_what_it_writes(model, tmp_path):
 
 
 @pytest.mark.parametrize(
-    "rotations", [Rotation.random(4, rng=np.random.default_rng(0)), Rotation.from_quat(np.eye(4))]
+    "rotations", [Rotation.random(4, np.random.default_rng(0)), Rotation.from_quat(np.eye(4))]
 )
 def test_any_rotation_comes_back(tmp_path, rotations):
     poses = POSES.copy()

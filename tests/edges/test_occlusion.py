@@ -250,6 +250,27 @@ def test_empty_slots_change_nothing_and_have_no_gradient(labels):
     assert not np.asarray(gradient[1])[np.asarray(empty)].any()
 
 
+def test_labels_of_next_to_no_weight_have_finite_derivatives_in_single_precision():
+    # As of a side whose probability is e^-50: the square of its inverse is no number of float32.
+    one = jnp.float32
+    xy = jnp.asarray([[1.25, 1.0], [4.25, 1.0]], one)
+    disparity, surface = jnp.asarray([0.1, 0.4], one), jnp.zeros((3, 6), one)
+
+    def loss(*tree):
+        total, mean = share(*tree)
+        return jnp.sum(total * jnp.sin(mean))
+
+    for least in (1e-22, 1e-37):
+        weight = jnp.asarray([1, least], one)
+        tree = xy, disparity, weight, surface, jnp.asarray(_TOLERANCE, one)
+        for leaf in jax.grad(loss, argnums=tuple(range(5)))(*tree):
+            assert np.isfinite(np.asarray(leaf)).all()
+        total, mean = share(*tree)
+        assert float(total[1, 1]) > 0.1
+        assert not np.asarray(total[:, 4:]).any()
+        assert not np.asarray(mean[:, 4:]).any()
+
+
 def test_derivatives_in_positions_labels_weights_map_and_tolerance(labels):
     xy, disparity, weight, surface = labels
     weight = weight + 0.1

@@ -8,6 +8,7 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from mvedge_jax._product import FULL
+from mvedge_jax._root import LEAST_DIVISOR
 
 from ._brightness import Brightness
 
@@ -144,7 +145,7 @@ def vignettes(
     # Twice its standard error.
     chance = 4 * params.alike * fit.common_variance
     strength = fit.common**2
-    share = jnp.maximum(strength - chance, 0) / jnp.where(strength > 0, strength, 1)
+    share = jnp.maximum(strength - chance, 0) / jnp.maximum(strength, LEAST_DIVISOR)
     spread = float(np.sum(radial(shape).ravel()[1:] ** 2))
     switch = jnp.clip(spread * strength / params.vignette_common**2 - 1, 0, 1)
     common = switch * share * fit.common * jnp.asarray(radial(shape), logs.dtype)
@@ -199,7 +200,7 @@ def _earned(fit: _Fit, least: Float[Array, ""]) -> Float[Array, "s 4 4"]:
     own = jnp.einsum("okl,kl->o", jnp.asarray(_MEMBERS, dtype), power, precision=FULL)
     chance = 2 * jnp.asarray(_MEMBERS.sum((1, 2)), dtype) * jnp.mean(fit.variance)
     over = jnp.maximum(own - chance, 0)
-    share = over / jnp.where(own > 0, own, 1)
+    share = over / jnp.maximum(own, LEAST_DIVISOR)
     # Off up to `least`, on from the square root of 2 times that.
     switch = jnp.clip(jnp.sum(over) / least**2 - 1, 0, 1)
     kept = jnp.einsum("okl,o->kl", jnp.asarray(_MEMBERS, dtype), switch * share, precision=FULL)
