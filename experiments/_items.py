@@ -300,7 +300,8 @@ ITEMS = (
         "learn_taps",
         "learn_parameters.py",
         None,
-        "--what taps --preset edges --learn demo --rate 0.003 --steps 20 --seeds 1 --size 64",
+        "--what taps --preset edges --learn demo --batch 1 --rate 0.003 --steps 20 --seeds 1"
+        " --size 64",
         "Filters learned by gradient",
         120,
     ),
