@@ -244,8 +244,10 @@ class _Run(NamedTuple):
         wrong = [path for path, leaf in slope.items() if not np.isfinite(np.asarray(leaf)).all()]
         if wrong:
             names = [self.scenes.fields[place].name for place in drawn]
+            more = f" and {len(wrong) - 1} more" if wrong[1:] else ""
             raise FloatingPointError(
-                f"step {number}: the gradient by `{wrong[0]}` is not finite on {names}; {advice}."
+                f"step {number}: the gradient by `{wrong[0]}`{more} is not finite on {names}; "
+                f"{advice}."
             )
 
 

@@ -149,7 +149,10 @@ def losses_and_slope(
         value, slope = jax.value_and_grad(of)(values)
         squares = [jnp.sum(leaf * leaf).astype(limit.dtype) for leaf in slope.values()]
         norm = jnp.sqrt(jnp.stack(squares).sum())
-        share = jnp.minimum(limit / jnp.maximum(norm, 1e-30), 1.0)
+        # A number without a derivative is told by its path: it must not spread to the others.
+        share = jnp.where(
+            jnp.isfinite(norm), jnp.minimum(limit / jnp.maximum(norm, 1e-30), 1.0), 1.0
+        )
         return value, {path: share.astype(leaf.dtype) * leaf for path, leaf in slope.items()}
 
     found, slopes = batched(one)(fields, values, model)

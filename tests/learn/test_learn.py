@@ -168,6 +168,17 @@ def test_a_loss_that_is_none_names_the_step_and_the_scene(model, scenes):
 
     with pytest.raises(FloatingPointError, match=r"step 1: the gradient by `level` is not finite"):
         run(model, ["level"], scenes[:2], loss=root, batch=1)
+    with pytest.raises(FloatingPointError, match=r"by `level` and 1 more is not finite"):
+        run(model, ["level", "other"], scenes[:2], loss=root, batch=1)
+
+
+def test_a_number_without_a_derivative_is_named_and_not_those_beside_it(model, scenes):
+    class Rooted(Plane):
+        def __call__(self, light_field: LightField, *, key: Any = None) -> Map:
+            return Map(super().__call__(light_field, key=key).disparity + jnp.sqrt(0 * self.other))
+
+    with pytest.raises(FloatingPointError, match=r"step 1: the gradient by `other` is not finite"):
+        run(Rooted(model.inner), ["level", "other"], scenes)
 
 
 @pytest.mark.parametrize(
