@@ -30,7 +30,7 @@ ITEMS = (
         "--scenes edges --pixels 96 --sizes 12 --methods ours k-means",
         "--scenes demo edges --pixels 128 --sizes 15 25 40",
         "Figures 5.4, 5.8, 5.9, A.5 to A.10: superpixels",
-        300,
+        310,
     ),
     Item(
         "figure_a_1",
@@ -38,7 +38,7 @@ ITEMS = (
         "--scenes edges --pixels 96 --size 12 --methods ours k-means k-means-true --factors 1 4",
         "--scenes edges --pixels 128 --factors 0.25 1 4",
         "Figures A.1 to A.3: weights of the clustering",
-        170,
+        120,
     ),
     Item(
         "figure_a_4",
@@ -46,7 +46,7 @@ ITEMS = (
         None,
         "--scenes edges --pixels 128 --strides 1 2 4 --methods ours k-means",
         "Figure A.4: fewer views, larger disparities",
-        130,
+        120,
     ),
     Item(
         "thesis_steps",
@@ -54,7 +54,7 @@ ITEMS = (
         "--scenes edges --size 96 --only thesis authors",
         "",
         "What each step of Chapters 4 and 6 costs, and the authors' program",
-        400,
+        750,
     ),
     Item(
         "table_edges",
@@ -62,7 +62,7 @@ ITEMS = (
         "--scenes edges --size 64",
         "",
         "What the edges are worth: presets, and parts taken away",
-        700,
+        1370,
     ),
     Item(
         "table_6_1",
@@ -70,7 +70,7 @@ ITEMS = (
         "--scenes edges --size 96",
         "--scenes hci/cotton hci/backgammon",
         "Table 6.1: the centre view's depth beside baselines",
-        450,
+        590,
     ),
     Item(
         "table_6_1_ablations",
@@ -78,7 +78,7 @@ ITEMS = (
         None,
         "--scenes edges --size 128 --methods ours --ablations",
         "Table 6.1: other forms of single steps",
-        110,
+        120,
     ),
     Item(
         "peer_maps",
@@ -86,7 +86,7 @@ ITEMS = (
         "--data {data}",
         "--data {data}",
         "Table 6.1: published maps of others by our metrics",
-        15,
+        10,
     ),
     Item(
         "table_6_2",
@@ -94,7 +94,7 @@ ITEMS = (
         "--scenes edges --size 96",
         "--scenes hci/cotton hci/backgammon",
         "Table 6.2: how the side of an edge is chosen",
-        100,
+        80,
     ),
     Item(
         "table_6_3",
@@ -102,7 +102,7 @@ ITEMS = (
         "--scenes edges --size 96",
         "--scenes hci/cotton hci/backgammon",
         "Table 6.3, Figure 6.4: depth boundaries",
-        90,
+        50,
     ),
     Item(
         "figure_6_10",
@@ -118,7 +118,7 @@ ITEMS = (
         None,
         "--scenes edges demo --size 96 --preset full",
         "Error against hyperparameters of preset full",
-        90,
+        60,
     ),
     Item(
         "every_view",
@@ -126,7 +126,7 @@ ITEMS = (
         "edges --size 96 --views 5 --methods ours naive --repeats 1",
         "{data}/traced/room edges --size 256 --repeats 1",
         "Figures 6.5, 6.6: depth of every view, and its consistency",
-        420,
+        360,
     ),
     Item(
         "every_view_lytro",
@@ -134,7 +134,7 @@ ITEMS = (
         None,
         "{data}/lytro/2067 --views 7 --repeats 1",
         "Figures 6.5, 6.6 of a light field without truth",
-        180,
+        240,
     ),
     Item(
         "figure_6_11",
@@ -142,7 +142,7 @@ ITEMS = (
         "--scenes edges --size 96 --views 5 --methods ours naive",
         "--scenes {data}/traced/room",
         "Figures 6.7, 6.11, B.10: a card put into all views",
-        150,
+        130,
     ),
     Item(
         "figures_b",
@@ -150,7 +150,7 @@ ITEMS = (
         "--scenes edges --size 64 --methods thesis naive --only B.3",
         "--scenes edges --size 128",
         "Figures B.1, B.3 to B.5, B.7: noise in labels, blur, darkness",
-        120,
+        110,
     ),
     Item(
         "table_7_1",
@@ -158,7 +158,7 @@ ITEMS = (
         "--scenes edges --size 64 --methods sweep linear diffusion",
         "--scenes livingroom5 edges --references 1 --scale 0.5 --size 192",
         "Table 7.1: depth from five posed photographs",
-        300,
+        390,
     ),
     Item(
         "table_7_1_dense",
@@ -166,7 +166,7 @@ ITEMS = (
         "--scenes edges --size 64 --methods sweep from_sweep",
         "--scenes edges --size 192 --methods sweep from_sweep",
         "Table 7.1: labels of a dense map, optimised, as Ours-C",
-        120,
+        90,
     ),
     Item(
         "table_7_2",
@@ -174,7 +174,7 @@ ITEMS = (
         None,
         "--scenes hci/cotton hci/backgammon",
         "Table 7.2: self-supervised optimisation",
-        250,
+        230,
     ),
     Item(
         "chapter_7",
@@ -182,7 +182,7 @@ ITEMS = (
         "--scenes edges --size 64 --iterations 3 --passes 2 --renderers narrow",
         "--scenes edges --size 128",
         "Chapter 7 as printed, Figure 7.7: points, turns, nothing thrown away",
-        200,
+        130,
     ),
     Item(
         "figure_7_10",
@@ -190,7 +190,7 @@ ITEMS = (
         "--scenes edges --size 96 --iterations 20",
         "--scenes hci/cotton --iterations 60",
         "Figure 7.10: supervised optimisation",
-        200,
+        210,
     ),
     Item(
         "codec",
@@ -198,7 +198,7 @@ ITEMS = (
         None,
         "--scenes hci/cotton demo edges --size 512 --points 0.002 0.01 0.05",
         "Depth maps as points: rate and distortion",
-        400,
+        350,
     ),
     Item(
         "irregular_views",
@@ -206,7 +206,7 @@ ITEMS = (
         None,
         "--scenes demo",
         "Rows of views at uneven positions, arrays of oblong cells",
-        180,
+        200,
     ),
     Item(
         "table_c_1",
@@ -214,7 +214,7 @@ ITEMS = (
         "--scenes edges --size 96 --views 5 --methods ours",
         "--scenes {data}/lytro/2067",
         "Table C.1: reprojection error without truth",
-        180,
+        250,
     ),
     Item(
         "figure_c_1",
@@ -222,7 +222,7 @@ ITEMS = (
         None,
         "--scene hci/cotton --iterations 40",
         "Figure C.1: noise on points",
-        100,
+        50,
     ),
     Item(
         "figure_c_9",
@@ -230,7 +230,7 @@ ITEMS = (
         None,
         "--scene hci/cotton",
         "Figure C.9: fewer points",
-        120,
+        80,
     ),
     Item(
         "edge_accuracy",
@@ -238,7 +238,7 @@ ITEMS = (
         "synthetic:demo --size 96",
         "cotton --data {data}",
         "Chapter 4: accuracy of the multi-view edges",
-        200,
+        260,
     ),
     Item(
         "edge_accuracy_sweep",
@@ -246,7 +246,7 @@ ITEMS = (
         None,
         "synthetic:demo --size 128 --no-thesis --sweep",
         "Figures A.4, B.3, B.4: edges against noise, blur and fewer views",
-        150,
+        90,
     ),
     Item(
         "robustness",
@@ -254,7 +254,7 @@ ITEMS = (
         "demo --size 96 --changes clean",
         "{data}/hci/cotton demo --size 256",
         "Noise, gain, brightness",
-        250,
+        360,
     ),
     Item(
         "calibration",
@@ -262,7 +262,7 @@ ITEMS = (
         "demo --size 96",
         "--map-only",
         "Are standard errors true?",
-        450,
+        690,
     ),
     Item(
         "secants",
@@ -270,7 +270,7 @@ ITEMS = (
         None,
         "--preset full --scenes edges demo --size 64",
         "Do derivatives mean something?",
-        180,
+        240,
     ),
     Item(
         "secants_edges",
@@ -278,7 +278,7 @@ ITEMS = (
         None,
         "--preset edges --scenes edges demo --size 64",
         "Do derivatives of the edges' chain mean something?",
-        110,
+        140,
     ),
     Item(
         "taps_and_chance",
@@ -286,7 +286,7 @@ ITEMS = (
         None,
         "--rates 0.01",
         "Do learned filters do better than random ones?",
-        140,
+        50,
     ),
     Item(
         "learn_parameters",
@@ -294,7 +294,7 @@ ITEMS = (
         None,
         "--seeds 2 --steps 30 --size 64",
         "Parameters learned by gradient",
-        200,
+        330,
     ),
     Item(
         "learn_taps",
@@ -303,7 +303,7 @@ ITEMS = (
         "--what taps --preset edges --learn demo --batch 1 --rate 0.003 --steps 20 --seeds 1"
         " --size 64",
         "Filters learned by gradient",
-        120,
+        60,
     ),
     Item(
         "learn_bank",
@@ -311,7 +311,7 @@ ITEMS = (
         None,
         "--seeds 2 --size 64",
         "Filters learned by gradient in the thesis' chain",
-        160,
+        260,
     ),
     Item(
         "learn_views",
@@ -319,7 +319,7 @@ ITEMS = (
         None,
         "--loss views --preset edges --seeds 1 --steps 30 --size 64",
         "Parameters learned by gradient from views alone",
-        150,
+        200,
     ),
     Item(
         "learned_smoothness",
@@ -327,7 +327,7 @@ ITEMS = (
         None,
         "--seeds 2 --steps 40 --size 64",
         "A small network that learns where smoothness ends",
-        160,
+        170,
     ),
     Item(
         "learned_parts",
@@ -335,7 +335,7 @@ ITEMS = (
         None,
         "--scenes 40 --held 8 --steps 120",
         "Numbers and networks learned from random scenes",
-        200,
+        410,
     ),
     Item(
         "second_order",
@@ -343,7 +343,7 @@ ITEMS = (
         None,
         "--size 48 --iterations 80 --steps 8",
         "Gauss-Newton against Adam",
-        300,
+        250,
     ),
     Item(
         "hidden_points",
@@ -351,7 +351,7 @@ ITEMS = (
         None,
         "--seeds 2",
         "Points that a neighbour hides",
-        170,
+        80,
     ),
     Item(
         "solver_truth",
@@ -359,7 +359,7 @@ ITEMS = (
         "--sizes 64 --seeds 1",
         "--sizes 64 128 256",
         "Does the solver say the truth?",
-        250,
+        100,
     ),
     Item(
         "benchmark_diffusion",
