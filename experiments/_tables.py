@@ -164,7 +164,7 @@ def views(results: Results) -> str:
     return _table(
         ("`views=`", "labels are measured in", "seconds (README)"),
         [
-            ('`"crosshair"` (default)', "the centre row and column of views", crosshair),
+            ('`"crosshair"` (default)', "the center row and column of views", crosshair),
             (
                 '`"all"`',
                 "these, and in two more solves at the end in all views, but beside depth steps",
