@@ -36,7 +36,7 @@ class Window(NamedTuple):
 
 @dataclass(frozen=True)
 class StoredViews:
-    """The centre row and the centre column of views in the memory of the host.
+    """The center row and the center column of views in the memory of the host.
 
     Colors stay in the 8 or 16 bits of their files, and no memory is kept for other views: of 9x9
     views, a twentieth of what a `LightField` takes.
@@ -75,7 +75,7 @@ class StoredViews:
 
     @property
     def centre(self) -> tuple[int, int]:
-        """`(v_c, u_c)`, the place of the centre view."""
+        """`(v_c, u_c)`, the place of the center view."""
         return self.grid[0] // 2, self.grid[1] // 2
 
     @property
@@ -99,7 +99,7 @@ class StoredViews:
 
     @property
     def centre_view(self) -> Float[np.ndarray, "y x 3"]:
-        """The centre view, sRGB in [0, 1], float32."""
+        """The center view, sRGB in [0, 1], float32."""
         plane = self.planes[self.centre]
         return (plane / _white(plane)).astype(np.float32)
 

@@ -27,7 +27,7 @@ def load_stored_views(
     max_gb: float | None = None,
     **order: Any,
 ) -> StoredViews:
-    """Reads the centre row and the centre column of views, for depth in tiles.
+    """Reads the center row and the center column of views, for depth in tiles.
 
     Args:
         path: a folder or a file, of any layout that `load_light_field` reads.

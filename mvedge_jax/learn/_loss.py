@@ -20,7 +20,7 @@ def robust_loss(
     Errors well above a scale count little more than those near it.
 
     Args:
-        disparity: a map of the centre view, px per view step.
+        disparity: a map of the center view, px per view step.
         light_field: with ground truth, or a ValueError says that it has none.
         scales: px per view step, positive.
 

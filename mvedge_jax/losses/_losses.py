@@ -1,4 +1,4 @@
-"""The losses of the optimisation: self-supervised by the views, or supervised by a map."""
+"""The losses of the optimization: self-supervised by the views, or supervised by a map."""
 
 from typing import NamedTuple
 

@@ -88,7 +88,7 @@ def view_consistency(
     Raises:
         ValueError: if shapes do not fit, the crop leaves nothing or the stride is below 1.
 
-    Source: Thesis 6.2.3, Eq. 6.9 and 6.10 with the normalisation corrected.
+    Source: Thesis 6.2.3, Eq. 6.9 and 6.10 with the normalization corrected.
 
     Example:
         >>> import jax.numpy as jnp

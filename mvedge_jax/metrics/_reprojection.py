@@ -21,7 +21,7 @@ _WORST = {"rgb": 1.0, "lab": 100.0}
 
 
 class Reprojection(NamedTuple):
-    """Colour error between the center view and other views; see `reprojection_error`.
+    """Color error between the center view and other views; see `reprojection_error`.
 
     Attributes:
         error: Mean over the target views: RGB x 100, or the color difference in Lab.
@@ -46,7 +46,7 @@ def reprojection_error(
     crop: int = 0,
     tolerance: float | Float[Array, ""] = 1.0,
 ) -> Reprojection:
-    r"""Colour error of the center view moved to other views by its disparity map.
+    r"""Color error of the center view moved to other views by its disparity map.
 
     Each pixel of the center view is compared with the color that the target view has where the
     disparity puts it (bilinear), if the target sees it (`warping.visible`). RGB: mean absolute

@@ -83,7 +83,7 @@ def plot_epi(
         positions: Where lines cross the center view, `[m]`, px along the EPI.
         disparities: Their disparities, `[m]`, px per view step.
         valid: Which of them to draw, `[m]`; all by default.
-        limits: Colour range of the lines, px per view step.
+        limits: Color range of the lines, px per view step.
         width: Width of the figure, inches.
 
     Returns:
@@ -168,7 +168,7 @@ def plot_edges(
         points: `(x, y)` of the points, `[n, 2]`, px.
         disparity: `[n]`, px per view step.
         valid: Which points to draw, `[n]`; all by default.
-        limits: Colour range, px per view step; by default that of the points.
+        limits: Color range, px per view step; by default that of the points.
         size: Diameter of a point, px of the image.
         name: Title.
         width: Width of the figure, inches.

@@ -61,7 +61,7 @@ def plot_disparity(
     Args:
         maps: One map or several of one scene, `[y, x]` each, px per view step.
         names: A title per map.
-        limits: Colour range, px per view step; by default `disparity_limits` of all maps. Pass the
+        limits: Color range, px per view step; by default `disparity_limits` of all maps. Pass the
             same to every figure of a scene.
         label: Of the color bar.
         width: Width of the figure, inches.
@@ -152,7 +152,7 @@ def plot_comparison(
         names: A title per method.
         captions: A line below each error map, for example its scores.
         image: The center view, sRGB in [0, 1], drawn below the truth.
-        limits: Colour range of disparity; by default that of the truth.
+        limits: Color range of disparity; by default that of the truth.
         width: Width of the figure, inches.
 
     Returns:

@@ -43,7 +43,7 @@ def plot_view_maps(
 def view_frames(
     maps: Float[Numbers, "v u y x"], *, limits: tuple[float, float] | None = None
 ) -> list[UInt8[np.ndarray, "y x 3"]]:
-    """Coloured maps along the border of the grid, once around.
+    """Colored maps along the border of the grid, once around.
 
     Args:
         maps: One per view, `[v, u, y, x]`.

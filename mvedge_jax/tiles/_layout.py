@@ -10,7 +10,7 @@ from mvedge_jax._stored_views import StoredViews, Window
 # Bytes that preset `full` takes on a CPU per pixel of a tile, and for all else: measured with 9x9
 # views and 30 hypotheses, see `experiments/benchmarks/large.py`.
 _PER_PIXEL, _LEAST = 3300, 0.8e9
-# Bytes per pixel of the whole image: its centre view in floating point, and the maps twice.
+# Bytes per pixel of the whole image: its center view in floating point, and the maps twice.
 _WHOLE = 36
 
 

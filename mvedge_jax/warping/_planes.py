@@ -1,4 +1,4 @@
-"""The backward warp of the optimisation: channel planes, value and slope in one pass."""
+"""The backward warp of the optimization: channel planes, value and slope in one pass."""
 
 from functools import partial
 from typing import Any

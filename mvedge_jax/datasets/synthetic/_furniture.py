@@ -44,7 +44,7 @@ class Room(NamedTuple):
     Attributes:
         far: disparity of the wall behind everything, of the rig of `_placing`.
         near: disparity that nothing exceeds.
-        ground: metres of the floor below the cameras; None if there is no floor.
+        ground: meters of the floor below the cameras; None if there is no floor.
         theme: a surface that others may share, so that neighbors have one color.
     """
 
@@ -115,13 +115,13 @@ def background(dice: Dice, far: float, near: float) -> tuple[list[Solid], Room]:
     ground = None
     if dice.chance(0.6):
         # Its front edge is a table's within the picture, and below the picture otherwise.
-        ground = dice.even(0.36, 0.62) * place.metres(1.0, near)
+        ground = dice.even(0.36, 0.62) * place.meters(1.0, near)
         solids.append(place.floor(ground, near, far, material(dice, theme)))
     if dice.chance(0.3):
         sides = (-1.0,) if dice.chance(0.4) else (-1.0, 1.0)
         solids += [_side_wall(dice, side, far, near, material(dice, theme)) for side in sides]
     if dice.chance(0.15):
-        above = dice.even(-0.7, -0.45) * place.metres(1.0, near)
+        above = dice.even(-0.7, -0.45) * place.meters(1.0, near)
         solids.append(place.floor(above, near, far, material(dice, theme)))
     if dice.chance(0.45):
         solids.append(_slope(dice, far, near, material(dice, theme)))
@@ -180,14 +180,14 @@ def _standing(dice: Dice, room: Room, x: float, disparity: float, half: float) -
 
 
 def _ball(dice: Dice, room: Room, x: float, disparity: float) -> list[Solid]:
-    radius = place.metres(dice.log(0.03, 0.2), disparity)
+    radius = place.meters(dice.log(0.03, 0.2), disparity)
     middle = _standing(dice, room, x, disparity, radius)
     return [sphere(middle, radius, axes=_axes(dice, 80.0), material=material(dice, room.theme))]
 
 
 def _chest(dice: Dice, room: Room, x: float, disparity: float) -> list[Solid]:
     """A box, or a pile of up to four."""
-    size = [place.metres(dice.log(0.08, 0.35), disparity) for _ in range(3)]
+    size = [place.meters(dice.log(0.08, 0.35), disparity) for _ in range(3)]
     count = 1 if dice.chance(0.6) else 2 + dice.index(3)
     if count > 1:
         size[1] *= 0.5
@@ -216,7 +216,7 @@ def _screen(dice: Dice, room: Room, x: float, disparity: float) -> list[Solid]:
     options = {
         "axes": rotation(yaw=dice.even(-35.0, 35.0), roll=dice.even(-90.0, 90.0)),
         "cutout": _CUTOUTS[dice.index(len(_CUTOUTS))],
-        "cutout_size": place.metres(dice.log(0.05, 0.2), disparity),
+        "cutout_size": place.meters(dice.log(0.05, 0.2), disparity),
     }
     y, surface = dice.even(-0.4, 0.4), material(dice, room.theme)
     return [place.card(x, y, disparity, size, surface, **options)]
@@ -238,7 +238,7 @@ def _rods(dice: Dice, room: Room, x: float, disparity: float) -> list[Solid]:
 
 def _plant(dice: Dice, room: Room, x: float, disparity: float) -> list[Solid]:
     """A vase with twigs that end in berries."""
-    radius = place.metres(dice.log(0.04, 0.09), disparity)
+    radius = place.meters(dice.log(0.04, 0.09), disparity)
     foot = _standing(dice, room, x, disparity, radius)
     bark, fruit = material(dice, room.theme), material(dice, room.theme)
     found = [sphere(foot, radius, material=material(dice, room.theme))]

@@ -35,7 +35,7 @@ def rotate(axes: Array | np.ndarray, vector: Vector) -> Vector:
 
 
 def _solid_part(kind: Array, size: Array, x: Array, y: Array) -> Array:
-    """Where a cut-out plane is not cut out, in its own coordinates, metres."""
+    """Where a cut-out plane is not cut out, in its own coordinates, meters."""
 
     def none(x: Array, y: Array) -> Array:
         return jnp.ones(x.shape, bool)
@@ -79,7 +79,7 @@ def _hit_box(solids: Solids, i: Array, origin: Vector, direction: Vector) -> Arr
 def _hit_round(solids: Solids, i: Array, origin: Vector, direction: Vector) -> Array:
     """Distance to a sphere or a round-ended bar; infinite where it is missed."""
     radius, reach = solids.half[i, 0], solids.half[i, 2]
-    # Start from the ray's point nearest to the centre: float32 would lose a thin bar to
+    # Start from the ray's point nearest to the center: float32 would lose a thin bar to
     # cancellation between squares of the distance.
     norm = dot(direction, direction)
     shift = -dot(origin, direction) / norm

@@ -148,8 +148,8 @@ def make_scene(
         disparity_range: lowest and highest disparity that a method should look for, px per view
             step.
         focal: focal length over the longer side of the views.
-        gain: px metres; a point at depth `z` metres has the disparity `gain (1 / z - 1 / focus)`.
-        focus: distance of zero disparity, metres.
+        gain: px meters; a point at depth `z` meters has the disparity `gain (1 / z - 1 / focus)`.
+        focus: distance of zero disparity, meters.
         blur: standard deviation of the optics' blur, px, 0 to 3.
         read_noise: standard deviation of the noise in the dark, of sRGB in [0, 1].
         shot_noise: variance that is added per unit of sRGB.

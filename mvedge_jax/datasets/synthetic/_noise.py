@@ -37,7 +37,7 @@ def gradient_noise(point: Vector, seed: Int[Array, "*s"]) -> Float[Array, "*s"]:
     """Perlin's gradient noise in three dimensions, about [-1, 1], one lattice cell per unit.
 
     A random gradient sits on each integer point; the value is the quintic blend of the linear
-    functions of the eight corners: twice continuously differentiable, spectrum centred on one
+    functions of the eight corners: twice continuously differentiable, spectrum centered on one
     cycle per one to two cells. Each seed is another noise.
     """
     dtype = point[0].dtype

@@ -10,12 +10,12 @@ def depth(disparity: float) -> float:
 
 
 def at(x: float, y: float, disparity: float) -> Triple:
-    """The point that the centre view sees at `(x, y)`, in picture widths from its middle."""
+    """The point that the center view sees at `(x, y)`, in picture widths from its middle."""
     z = depth(disparity)
     return x * z / FOCAL, y * z / FOCAL, z
 
 
-def metres(fraction: float, disparity: float) -> float:
+def meters(fraction: float, disparity: float) -> float:
     """Metres that cover a fraction of the picture's width at a disparity."""
     return fraction * depth(disparity) / FOCAL
 
@@ -24,7 +24,7 @@ def card(
     x: float, y: float, disparity: float, size: tuple[float, float], material: Material, **options
 ) -> Solid:
     """A plane placed and sized in picture widths."""
-    extent = (metres(size[0], disparity), metres(size[1], disparity))
+    extent = (meters(size[0], disparity), meters(size[1], disparity))
     return plane(at(x, y, disparity), extent, material=material, **options)
 
 
@@ -34,7 +34,7 @@ def wall(disparity: float, material: Material) -> Solid:
 
 
 def floor(y: float, nearest: float, farthest: float, material: Material) -> Solid:
-    """A level plane `y` metres below the cameras, between two disparities.
+    """A level plane `y` meters below the cameras, between two disparities.
 
     It ends where the scene's disparity range does: an outer view of a small picture sees its edge,
     not something nearer than the range.
@@ -53,4 +53,4 @@ def rod(
 ) -> Solid:
     """A bar between points `(x, y, disparity)`; its width is in picture widths."""
     middle = 0.5 * (start[2] + stop[2])
-    return bar(at(*start), at(*stop), 0.5 * metres(width, middle), material=material)
+    return bar(at(*start), at(*stop), 0.5 * meters(width, middle), material=material)

@@ -76,7 +76,7 @@ def check_grid(shape: tuple[int, ...], samples: int) -> tuple[int, int, int, int
 def grid_pinhole(
     scene: Scene, shape: tuple[int, int, int, int], position: tuple[float, float]
 ) -> Pinhole:
-    """The camera of one view: parallel to the centre's, its sensor shifted."""
+    """The camera of one view: parallel to the center's, its sensor shifted."""
     _, _, height, width = shape
     dtype = np.dtype(scene.world.solids.centre.dtype)
     focal, gain, focus = (float(x) for x in (scene.rig.focal, scene.rig.gain, scene.rig.focus))
@@ -117,7 +117,7 @@ def render(
         shape: view rows, view columns (both odd), height and width in px.
         positions: of the views, see `LightField`; None for a regular grid.
         samples: the image averages `samples**2` rays per pixel, spread like a tent of half width
-            1 px; the ground truth is that of the pixel's centre.
+            1 px; the ground truth is that of the pixel's center.
         progress: called with the number of views that are done and that there are.
         key: draws the sensor's noise; the same key gives the same pictures.
 
@@ -185,7 +185,7 @@ def visibility(
     source: tuple[int, int],
     target: tuple[int, int],
 ) -> Bool[Array, "y x"]:
-    """Which pixel centres of one view another view sees too: the exact occlusion mask.
+    """Which pixel centers of one view another view sees too: the exact occlusion mask.
 
     Args:
         scene: what was rendered.

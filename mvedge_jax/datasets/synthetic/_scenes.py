@@ -64,8 +64,8 @@ def _edges() -> _Recipe:
         place.card(0.02, 0.02, 0.5, (0.24, 0.24), OCHRE, axes=rotation(roll=45.0)),
         place.card(-0.26, 0.25, 0.9, (0.32, 0.24), CHECKS, axes=rotation(roll=-9.0)),
         place.card(0.27, 0.24, 1.4, (0.26, 0.3), STRIPES, axes=rotation(roll=7.0)),
-        sphere(place.at(0.0, 0.33, 1.2), place.metres(0.085, 1.2), material=BLUE),
-        sphere(place.at(-0.03, -0.33, 0.6), place.metres(0.075, 0.6), material=MOSS),
+        sphere(place.at(0.0, 0.33, 1.2), place.meters(0.085, 1.2), material=BLUE),
+        sphere(place.at(-0.03, -0.33, 0.6), place.meters(0.075, 0.6), material=MOSS),
     ]
     return _Recipe(solids, (-1.3, 1.9))
 
@@ -100,10 +100,10 @@ def _textureless() -> _Recipe:
         place.wall(-1.2, wall),
         place.floor(1.02, 2.2, -1.2, paint((0.6, 0.6, 0.58))),
         sphere(
-            place.at(-0.22, 0.12, 0.6), place.metres(0.17, 0.6), material=paint((0.75, 0.35, 0.25))
+            place.at(-0.22, 0.12, 0.6), place.meters(0.17, 0.6), material=paint((0.75, 0.35, 0.25))
         ),
         sphere(
-            place.at(0.1, 0.27, 1.3), place.metres(0.09, 1.3), material=paint((0.92, 0.85, 0.55))
+            place.at(0.1, 0.27, 1.3), place.meters(0.09, 1.3), material=paint((0.92, 0.85, 0.55))
         ),
         box(
             (0.75, 0.4, 4.2),
@@ -124,9 +124,9 @@ def _wide() -> _Recipe:
         place.floor(1.35, 1.2, -3.45, CHECKS),
         place.card(-0.27, -0.1, -2.4, (0.28, 0.5), BRICK),
         box(place.at(0.26, -0.02, -1.2), (1.1, 1.6, 1.1), axes=rotation(yaw=28.0), material=WOOD),
-        sphere(place.at(-0.05, -0.22, 0.0), place.metres(0.12, 0.0), material=BLUE),
+        sphere(place.at(-0.05, -0.22, 0.0), place.meters(0.12, 0.0), material=BLUE),
         place.card(-0.2, 0.22, 1.4, (0.26, 0.22), DOTS, axes=rotation(roll=10.0)),
-        sphere(place.at(0.12, 0.2, 2.3), place.metres(0.1, 2.3), material=MOSS),
+        sphere(place.at(0.12, 0.2, 2.3), place.meters(0.1, 2.3), material=MOSS),
         place.rod((-0.46, -0.46, 3.4), (-0.3, 0.5, 3.0), 0.03, STRIPES),
         place.card(0.36, 0.35, 3.4, (0.18, 0.18), OCHRE, axes=rotation(roll=-14.0)),
     ]
@@ -144,9 +144,9 @@ def _specular() -> _Recipe:
     solids = [
         place.wall(-1.1, PLASTER),
         place.floor(1.02, 2.2, -1.1, replace(WOOD, mirror=0.12)),
-        sphere(place.at(-0.25, 0.12, 0.7), place.metres(0.17, 0.7), material=glossy(BLUE, 0.2)),
-        sphere(place.at(0.1, -0.06, 0.1), place.metres(0.14, 0.1), material=glossy(RED, 0.3)),
-        sphere(place.at(0.1, 0.3, 1.6), place.metres(0.08, 1.6), material=glossy(MARBLE, 0.55)),
+        sphere(place.at(-0.25, 0.12, 0.7), place.meters(0.17, 0.7), material=glossy(BLUE, 0.2)),
+        sphere(place.at(0.1, -0.06, 0.1), place.meters(0.14, 0.1), material=glossy(RED, 0.3)),
+        sphere(place.at(0.1, 0.3, 1.6), place.meters(0.08, 1.6), material=glossy(MARBLE, 0.55)),
         box(
             (0.95, 0.45, 4.1),
             (0.6, 0.9, 0.6),

@@ -1,4 +1,4 @@
-"""What colour a surface has: procedural texture, lamp, surroundings, shadow, highlight."""
+"""What color a surface has: procedural texture, lamp, surroundings, shadow, highlight."""
 
 from typing import NamedTuple
 
@@ -61,7 +61,7 @@ def _scale(vector: Vector, factor: Array) -> Vector:
 
 
 def _pattern(look: _Look, seed: Array, u: Array, v: Array, footprint: Array) -> tuple[Array, Array]:
-    """How much of the accent colour a pattern shows, and the random number of its cell.
+    """How much of the accent color a pattern shows, and the random number of its cell.
 
     Edges are softened over the pixel's footprint, so that they do not alias.
     """
@@ -112,7 +112,7 @@ class _Hit(NamedTuple):
     """Where rays meet solids.
 
     `local` is the point in the solid's own coordinates, where its texture lives; the normal points
-    towards the camera; `u`, `v` is the place on the surface, metres.
+    towards the camera; `u`, `v` is the place on the surface, meters.
     """
 
     local: Float[Array, "3 r"]
@@ -183,7 +183,7 @@ def shade(
 
     Loops over the three components stand where XLA would otherwise fuse the whole of the shading
     into each of them and compute it three times. `distance` and `index` are those of `intersect`,
-    `footprint` is the width of a pixel there, metres, `visible` how much of the lamp's light
+    `footprint` is the width of a pixel there, meters, `visible` how much of the lamp's light
     arrives. Textures are filtered by the slant towards the camera's `axis`, not towards the ray, so
     that the views of a rig agree.
     """

@@ -1,4 +1,4 @@
-"""Makers of solids: planes, boxes, spheres and bars, placed in the centre camera's frame."""
+"""Makers of solids: planes, boxes, spheres and bars, placed in the center camera's frame."""
 
 import numpy as np
 
@@ -26,7 +26,7 @@ def rotation(
         roll: degrees; clockwise in the picture.
 
     Returns:
-        The three orthonormal axes, as rows, in the centre camera's frame.
+        The three orthonormal axes, as rows, in the center camera's frame.
 
     Example:
         >>> rotation()
@@ -52,12 +52,12 @@ def plane(
     """A flat rectangle, perhaps with holes.
 
     Args:
-        centre: metres, in the centre camera's frame (x right, y down, z forward).
-        size: width and height, metres.
+        centre: meters, in the center camera's frame (x right, y down, z forward).
+        size: width and height, meters.
         axes: its orientation, see `rotation`; it faces the camera by default.
         material: its surface.
         cutout: `"holes"` (round, staggered), `"slats"` (vertical gaps) or `"leaves"` (irregular).
-        cutout_size: period of the holes, metres.
+        cutout_size: period of the holes, meters.
         object_id: what the ground truth calls it; 0 numbers it by its place in the list.
 
     Returns:
@@ -79,8 +79,8 @@ def box(
     """A cuboid.
 
     Args:
-        centre: metres, in the centre camera's frame (x right, y down, z forward).
-        size: metres along its own three axes.
+        centre: meters, in the center camera's frame (x right, y down, z forward).
+        size: meters along its own three axes.
         axes: its orientation, see `rotation`.
         material: its surface.
         object_id: what the ground truth calls it; 0 numbers it by its place in the list.
@@ -103,8 +103,8 @@ def sphere(
     """A ball.
 
     Args:
-        centre: metres, in the centre camera's frame (x right, y down, z forward).
-        radius: metres.
+        centre: meters, in the center camera's frame (x right, y down, z forward).
+        radius: meters.
         axes: orientation of its texture, see `rotation`.
         material: its surface.
         object_id: what the ground truth calls it; 0 numbers it by its place in the list.
@@ -128,9 +128,9 @@ def bar(
     """A thin round bar with rounded ends.
 
     Args:
-        start: one end, metres, in the centre camera's frame (x right, y down, z forward).
+        start: one end, meters, in the center camera's frame (x right, y down, z forward).
         stop: the other end.
-        radius: metres.
+        radius: meters.
         material: its surface.
         object_id: what the ground truth calls it; 0 numbers it by its place in the list.
 

@@ -122,7 +122,7 @@ def trace_view(
     tall, wide = -(-height // down), -(-width // across)
     offsets = jnp.asarray(tent(samples), dtype)
     dy, dx = (o.reshape(-1) for o in jnp.meshgrid(offsets, offsets, indexing="ij"))
-    # The truth is that of the pixel's centre: the middle sample, or one more if there is no middle.
+    # The truth is that of the pixel's center: the middle sample, or one more if there is no middle.
     if samples % 2 == 0:
         dy, dx = jnp.pad(dy, (0, 1)), jnp.pad(dx, (0, 1))
     middle = per_pixel // 2 if samples % 2 else per_pixel

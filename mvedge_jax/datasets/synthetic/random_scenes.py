@@ -169,7 +169,7 @@ def _rig(dice: Dice, low: float, high: float) -> tuple[float, float, dict[str, f
 
 
 def _fitted(solid: Solid, front: float, back: float) -> Solid:
-    """A solid between two depths, shrunk around its centre if it reaches beyond them."""
+    """A solid between two depths, shrunk around its center if it reaches beyond them."""
     depths = [abs(axis[2]) for axis in solid.axes]
     if solid.round:
         reach = solid.half[0] + depths[2] * solid.half[2]

@@ -19,21 +19,21 @@ FOCAL, GAIN, FOCUS = 1.4, 20.0, 4.0  # of a rig, unless it says otherwise
 
 @dataclass(frozen=True)
 class Material:
-    """How a surface looks; colours are sRGB in [0, 1].
+    """How a surface looks; colors are sRGB in [0, 1].
 
-    The base colour runs from `dark` to `light` with fractal noise in the solid's own coordinates;
-    a pattern in the colour `accent` is laid over it.
+    The base color runs from `dark` to `light` with fractal noise in the solid's own coordinates;
+    a pattern in the color `accent` is laid over it.
 
     Attributes:
-        dark: colour where the noise is low.
-        light: colour where the noise is high; the same as `dark` for a plain surface.
-        contrast: amplitude of the noise, 0 for none; 1 about fills the range of the two colours.
-        grain: size of the coarsest noise cells, metres.
+        dark: color where the noise is low.
+        light: color where the noise is high; the same as `dark` for a plain surface.
+        contrast: amplitude of the noise, 0 for none; 1 about fills the range of the two colors.
+        grain: size of the coarsest noise cells, meters.
         gain: amplitude of each octave relative to the next coarser one, in (0, 1).
         stretch: how much longer the noise is along the solid's axes (wood, brushed metal).
         pattern: what is laid over the noise.
-        accent: colour of the pattern.
-        size: period of the pattern along the surface, metres.
+        accent: color of the pattern.
+        size: period of the pattern along the surface, meters.
         aspect: width over height of a brick.
         tint: random brightness of the pattern's cells, relative.
         specular: strength of the highlight of a light source; depends on the view.
@@ -62,13 +62,13 @@ class Solid:
     """One object; made by `plane`, `box`, `sphere` or `bar`.
 
     Attributes:
-        centre: where it is, metres, in the centre camera's frame (x right, y down, z forward).
+        centre: where it is, meters, in the center camera's frame (x right, y down, z forward).
         axes: its three orthonormal axes in that frame, as rows.
         half: half its extent along each axis; radius and half length if `round`.
         round: a sphere or a bar with round ends along its third axis, otherwise a box.
         material: its surface.
         cutout: holes through it; for a plane.
-        cutout_size: period of the holes, metres.
+        cutout_size: period of the holes, meters.
         object_id: what the ground truth calls it, 1 or more; 0 numbers it by its place in the list.
     """
 
@@ -86,12 +86,12 @@ class Solids(eqx.Module):
     """`Solid`s as arrays, padded.
 
     Attributes:
-        centre: metres.
+        centre: meters.
         axes: rows, orthonormal.
-        half: half extents, metres.
+        half: half extents, meters.
         round: spheres and bars.
         cutout: which pattern of holes, 0 for none.
-        cutout_size: period of the holes, metres.
+        cutout_size: period of the holes, meters.
         object_id: what the ground truth says.
         count: how many are there; the rest is padding.
     """
@@ -110,9 +110,9 @@ class Surfaces(eqx.Module):
     """How the `Solids` look.
 
     Attributes:
-        table: one column per solid, with all that shading looks up at once: centre (3), axes (9),
+        table: one column per solid, with all that shading looks up at once: center (3), axes (9),
             half (3), round, dark (3), light (3), accent (3), stretch (3), pattern, contrast,
-            frequency (1 / grain), gain, size, aspect, tint, specular, shininess, mirror. Colours in
+            frequency (1 / grain), gain, size, aspect, tint, specular, shininess, mirror. Colors in
             linear light.
         seed: of the noise.
     """
@@ -131,7 +131,7 @@ class Light(eqx.Module):
         ground: light from below, linear.
         softness: half the angle under which the lamp is seen, radians; it blurs shadows.
         shadow: how much of the lamp a solid takes away, 0 for no shadows (and quicker), 1 for all.
-        fills: direction (unit length) and colour (linear) of further lamps, which cast no shadows.
+        fills: direction (unit length) and color (linear) of further lamps, which cast no shadows.
     """
 
     direction: Float[Array, "3"]
@@ -164,8 +164,8 @@ class Rig(eqx.Module):
 
     Attributes:
         focal: focal length over the longer side of the views.
-        gain: `focal_px * baseline`, px metres.
-        focus: distance of zero disparity, metres.
+        gain: `focal_px * baseline`, px meters.
+        focus: distance of zero disparity, meters.
     """
 
     focal: Float[Array, ""]

@@ -83,7 +83,7 @@ def line_visibility(
     With `"crossed"`, lines that no nearer line crosses are seen in all views inside the image, and
     what the test says of the others is cleaned by a median of three along the views.
 
-    Source: Thesis 4.1.5, Eq. 4.4, which is about the centre view; `"crossed"` is the authors'.
+    Source: Thesis 4.1.5, Eq. 4.4, which is about the center view; `"crossed"` is the authors'.
     """
     views = cosine.shape[1]
     steps = view_steps(views, cosine.dtype)

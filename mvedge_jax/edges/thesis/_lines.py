@@ -175,7 +175,7 @@ def _aligned(cosine: Float[Array, "m u"], params: LineSearch) -> Bool[Array, " m
 
 
 def _votes(lines: EpiLines, keep: Array, *, width: int, views: int) -> Array:
-    """The spatial vote of every line, taken on the pixels where lines cross the centre view."""
+    """The spatial vote of every line, taken on the pixels where lines cross the center view."""
     count, dtype = keep.shape[0], lines.disparity.dtype
     column = jnp.clip(jnp.round(lines.position).astype(jnp.int32), 0, width - 1)
     row = jnp.arange(count, dtype=jnp.int32)[:, None]
