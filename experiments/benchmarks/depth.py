@@ -165,7 +165,7 @@ def _stages(measure: Any, light_field: LightField, model: EdgeDepth) -> None:
         lab,
         tried,
         calibration.matching,
-    )
+    ).disparity
     shape = (gray.shape[0], gray.shape[1])
     measure(
         "surface vectors",
