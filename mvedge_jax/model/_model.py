@@ -12,10 +12,10 @@ from jax.core import Tracer
 from jaxtyping import Array, Bool, Float
 
 from mvedge_jax._params import accepts_numpy, cast, jax_array, number
-from mvedge_jax._paths import Replaceable
+from mvedge_jax._paths import Replaceable, replaced
 from mvedge_jax.color import srgb_to_lab
 from mvedge_jax.diffusion import AutoSolver, Pairing, SolveStats, System, diffuse, edge_weights
-from mvedge_jax.splatting import Splat, SplatLabels, SplatRaster, SplatWidths
+from mvedge_jax.splatting import Splat, SplatLabels
 
 # Steps of disparity, px, and of Lab at which a map is rough; and the largest roughness.
 _DEPTH_STEP, _COLOR_STEP, _LARGEST = 0.05, 0.3, 10.0
@@ -117,8 +117,7 @@ class Renderer(Replaceable):
         As `thesis`, with a quadrature of 8 samples along the ray, labels that are not divided by
         their coverage, and points that hide others whatever they weigh.
         """
-        quadrature = SplatRaster(absorption="quadrature")
-        splat = SplatLabels(SplatWidths(), quadrature)
+        splat = replaced(SplatLabels.thesis(), {"raster.absorption": "quadrature"})
         return Renderer(splat, normalized=False, clears=False)
 
 
