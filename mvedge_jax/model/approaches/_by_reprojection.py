@@ -92,8 +92,8 @@ class ByReprojection(Approach):
         free = jnp.asarray(jnp.inf)
         return cls(
             fit=None, polish=None, features=Colours() if features is None else features,
-            prior=jnp.asarray(0.0), label=free, position=free, margin=-free, rates=Rates(),
-            subset=subset, held_out=False,
+            prior=jnp.asarray(0.0), label=free, position=free, rates=Rates(), subset=subset,
+            held_out=False,
         )  # fmt: skip
 
     def prepare(self, light_field: LightField, start: Start, renderer: Renderer) -> Prepared:
@@ -121,6 +121,7 @@ class ByReprojection(Approach):
         after = before + changed - same
         error = explained(light_field, before, after, self.features)
         margin = self.margin.astype(error.dtype)
-        kept = jnp.isneginf(margin) | (error[1] < (1 - margin) * error[0])
+        confirmed = error[1] < (1 - margin) * error[0]
+        kept = confirmed | jnp.isneginf(margin) | (not self.held_out)
         final = jnp.where(kept, after, before)
         return final if self.polish is None else polish(final, self.polish), Verdict(error, kept)
