@@ -8,7 +8,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from mvedge_jax._params import accepts_numpy
 
-from ._region import check_map, check_maps, counted_pixels, cropped, edge_band
+from ._region import check_maps, counted_pixels, cropped, edge_band
 
 
 def _errors(
@@ -241,8 +241,7 @@ def depth_scores(
 
     Source: Thesis 6.2.3, Tables 6.1 and 7.1.
     """
-    check_map("disparity", disparity)
-    check_map("truth", truth)
+    check_maps(disparity, truth, mask, crop)
     return _depth_scores(
         disparity,
         truth,
