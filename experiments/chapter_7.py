@@ -33,7 +33,7 @@ from mvedge_jax.model.approaches import ByReprojection
 from mvedge_jax.model.optimisation import Rates, one_at_a_time
 from mvedge_jax.plotting import plot_comparison
 
-RENDERERS = {"printed": Renderer.as_printed(), "narrow": Renderer.on_raster(1)}
+RENDERERS = {"printed": Renderer.thesis(), "narrow": Renderer.on_raster(1)}
 
 
 def optimised(
@@ -47,7 +47,7 @@ def optimised(
     """The map that the points render, and that of the lowest loss."""
     start = start_from_edges(light_field, depth, renderer)
     routine = one_at_a_time(Rates(), iterations=arguments.iterations, passes=arguments.passes)
-    approach = ByReprojection.as_printed(features)
+    approach = ByReprojection.thesis(features)
     found = optimize_edges(light_field, start, approach, renderer, routine=routine, progress=look)
     return start.disparity, found.disparity
 

@@ -24,6 +24,7 @@ from mvedge_jax.model import DepthModel, Renderer, render_model
 from mvedge_jax.model._model import opacities, splat_model
 from mvedge_jax.model.objectives import SelfSupervised, unlimited
 from mvedge_jax.model.optimisation import Rates, advance, all_at_once, begin
+from mvedge_jax.splatting import SplatLabels
 
 AUTHORS = {700: 2.1, 5000: 5.1, 20000: 18.0, 50000: 36.0}
 
@@ -70,7 +71,7 @@ def main() -> None:
     parser.add_argument("--check", action="store_true", help="fail if a budget is missed")
     parser.add_argument("--out", type=Path, default=Path("results/benchmark_optimise"))
     arguments = parser.parse_args()
-    renderer = Renderer.thesis()
+    renderer = Renderer(SplatLabels.thesis())
     rows = []
     for count in arguments.points:
         model, views = scene(count, arguments.size)

@@ -112,7 +112,7 @@ def optimize(
     if printed and supervised:
         raise ValueError("--loss printed reads views alone; leave out --supervised or --loss.")
     wide = printed and raster is None
-    renderer = Renderer.as_printed() if wide else Renderer.on_raster(raster or 1)
+    renderer = Renderer.thesis() if wide else Renderer.on_raster(raster or 1)
     routine = routine or ("thesis" if printed else "joint")
     table = _table(routine, iterations, fit if supervised else approach)
     light_field, said = _read(scene, views, scale, needs_truth=supervised)
@@ -156,7 +156,7 @@ def _approach(
             raise ValueError("--features vgg16 needs --vgg16 FILE, an .npz file of its weights.")
         extractor = load_vgg16(vgg16)
     if loss == "printed":
-        return ByReprojection.as_printed(extractor, subset=subset)
+        return ByReprojection.thesis(extractor, subset=subset)
     if loss == "reprojection":
         return ByReprojection(features=extractor, subset=subset)
     return ByEvidence(features=extractor)

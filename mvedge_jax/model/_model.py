@@ -107,15 +107,10 @@ class Renderer(Replaceable):
 
     @staticmethod
     def thesis() -> "Renderer":
-        """The thesis' widths on its raster of 2, with labels divided by their coverage."""
-        return Renderer(SplatLabels.thesis())
-
-    @staticmethod
-    def as_printed() -> "Renderer":
         """The thesis' renderer to the letter.
 
-        As `thesis`, with a quadrature of 8 samples along the ray, labels that are not divided by
-        their coverage, and points that hide others whatever they weigh.
+        `SplatLabels.thesis` with a quadrature of 8 samples along the ray, labels that are not
+        divided by their coverage, and points that hide others whatever they weigh.
         """
         splat = replaced(SplatLabels.thesis(), {"raster.absorption": "quadrature"})
         return Renderer(splat, normalized=False, clears=False)

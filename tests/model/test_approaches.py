@@ -180,7 +180,7 @@ def test_what_the_judges_do_not_confirm_is_dropped_and_the_first_map_polished(ma
 
 def test_the_printed_objective_reads_all_views_and_keeps_what_it_finds():
     start = level(TRUE + 0.02)
-    approach = ByReprojection.as_printed()
+    approach = ByReprojection.thesis()
     objective = approach.prepare(plane(), start, NARROW).objective
     assert isinstance(objective, SelfSupervised)
     assert objective.views.steps.shape == (8, 2)  # the crosshair of 5x5 views

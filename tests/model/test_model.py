@@ -106,8 +106,11 @@ def test_initial_roughness_follows_edges():
 def test_one_trace_and_float32():
     traced, traces = count_traces(lambda m, r: render_model(m, r).disparity)
     model = small_model(dtype=np.float32)
-    first = traced(model, Renderer.thesis())
-    traced(eqx.tree_at(lambda m: m.disparity, model, model.disparity + 1), Renderer.thesis())
+    first = traced(model, Renderer(SplatLabels.thesis()))
+    traced(
+        eqx.tree_at(lambda m: m.disparity, model, model.disparity + 1),
+        Renderer(SplatLabels.thesis()),
+    )
     assert traces() == 1
     assert first.dtype == jnp.float32
     wide = render(small_model(), exact()).disparity
@@ -118,7 +121,7 @@ def test_points_that_are_cut_off_are_refused():
     narrow = Renderer.on_raster(1)
     assert "splat.widths.sigma_label = 0.35 raster px" in str(narrow)
     assert Renderer.on_raster(2).splat.widths.sigma_label == 0.7
-    assert Renderer.thesis().splat.widths.sigma_label == 1.3
+    assert Renderer(SplatLabels.thesis()).splat.widths.sigma_label == 1.3
     with pytest.raises(ValueError, match=r"sigma_label` = 1\.3 px .*radius` = 2 px"):
         narrow.replace({"splat.widths": SplatWidths()})
     with pytest.raises(ValueError, match=r"sigma_label` = 0\.7 px .*radius` = 1 px"):

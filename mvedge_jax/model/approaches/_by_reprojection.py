@@ -27,7 +27,7 @@ class ByReprojection(Approach):
     The other half validates: unless the optimization lowers their error by `margin`, its result is
     dropped. On cotton every optimization that lowered the error by less than a tenth made the map
     worse: gloss, blurred image edges and bilinear interpolation cause a bias of that size. The
-    thesis has neither validation nor prior: `as_printed`.
+    thesis has neither validation nor prior, see `thesis`.
 
     Attributes:
         fit: fit of the model to the first map, which adds a tenth of the points; None if the
@@ -75,7 +75,7 @@ class ByReprojection(Approach):
         check_subset(self.subset)
 
     @classmethod
-    def as_printed(
+    def thesis(
         cls, features: Features | None = None, *, subset: int | None = None
     ) -> "ByReprojection":
         """The thesis' objective: all views of the crosshair, free points, no validation.
