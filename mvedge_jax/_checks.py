@@ -15,7 +15,7 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Bool
 
-from ._compiler import LeanJit
+from ._compiler import Halves, LeanJit, SplitJit
 from ._cpu import release_memory
 from ._params import as_number
 from ._paths import replaced, walk
@@ -36,17 +36,29 @@ class CheckedJit:
             the leaves of the parameters made arrays, so that no value compiles anew; raises where
             they cannot be right.
         compiled: the function.
-        traces: how often it was traced, as it is whenever it is compiled.
+        traces: how often it, or a half of it, was traced, as it is whenever it is compiled.
     """
 
-    def __init__(self, check: Callable[..., tuple[Any, ...]], function: Callable[..., Any]):
-        @functools.wraps(function)
-        def traced(*arguments: Any, **options: Any) -> Any:
-            self.traces += 1
-            return function(*arguments, **options)
+    def __init__(
+        self,
+        check: Callable[..., tuple[Any, ...]],
+        function: Callable[..., Any],
+        halves: Halves | None,
+    ):
+        def counted(function: Callable[..., Any]) -> Callable[..., Any]:
+            @functools.wraps(function)
+            def traced(*arguments: Any, **options: Any) -> Any:
+                self.traces += 1
+                return function(*arguments, **options)
+
+            return traced
 
         self.check, self.traces = check, 0
-        self.compiled: Any = LeanJit(traced, function)
+        self.compiled: Any = (
+            LeanJit(counted(function), function)
+            if halves is None
+            else SplitJit(counted(function), function, halves, counted)
+        )
         functools.update_wrapper(self, function)
 
     def __call__(self, *arguments: Any, **options: Any) -> Any:
@@ -108,9 +120,11 @@ class _Ahead:
         return getattr(self._stage, name)
 
 
-def checked_jit(check: Callable[..., tuple[Any, ...]]) -> Callable[[Callable[..., Any]], Any]:
-    """`lean_jit` for functions that check their arguments."""
-    return functools.partial(CheckedJit, check)
+def checked_jit(
+    check: Callable[..., tuple[Any, ...]], halves: Halves | None = None
+) -> Callable[[Callable[..., Any]], Any]:
+    """`lean_jit` for functions that check their arguments, in two programs if halves are given."""
+    return functools.partial(CheckedJit, check, halves=halves)
 
 
 def expect(name: str, value: Any, kind: type, advice: str) -> None:

@@ -66,12 +66,7 @@ def program_key(function: Callable[..., Any], arguments: Any, asked: dict[str, A
             diagnosing, or the package was changed since it was imported: its sources or, in this
             process, what its modules and classes hold.
     """
-    if any(map(_setting, _DIAGNOSTIC)):
-        raise NoKey("JAX is diagnosing")
-    if jax.default_backend() != "cpu":
-        raise NoKey("a device on which no copy of a program was tried")
-    if jax.process_count() > 1 or not jax.sharding.get_abstract_mesh().empty:
-        raise NoKey("several processes, or a mesh")
+    _check_ordinary()
     replaced = replaced_name()
     if replaced is not None:
         raise NoKey(f"{replaced} was replaced")
@@ -87,6 +82,25 @@ def program_key(function: Callable[..., Any], arguments: Any, asked: dict[str, A
     if re.search(r" at 0x[0-9a-f]+>", text):
         raise NoKey("an address of this process")
     return hashlib.blake2b(text.encode("utf-8", "backslashreplace"), digest_size=32).hexdigest()
+
+
+def is_ordinary(arguments: Any) -> bool:
+    """Whether arguments are wherever JAX puts them, on one CPU, and JAX is not diagnosing."""
+    try:
+        _check_ordinary()
+        kinds = [_kind_of_array(x) for x in jax.tree.leaves(arguments) if eqx.is_array(x)]
+    except NoKey:
+        return False
+    return not any("put=True" in kind for kind in kinds)
+
+
+def _check_ordinary() -> None:
+    if any(map(_setting, _DIAGNOSTIC)):
+        raise NoKey("JAX is diagnosing")
+    if jax.default_backend() != "cpu":
+        raise NoKey("a device on which no copy of a program was tried")
+    if jax.process_count() > 1 or not jax.sharding.get_abstract_mesh().empty:
+        raise NoKey("several processes, or a mesh")
 
 
 # What names of the package stood for when they were first looked at, in this process.
@@ -126,18 +140,34 @@ def context() -> str:
 
 
 def _setting(name: str) -> Any:
-    return getattr(jax.config, name, jax.config.values.get(name))
+    try:
+        return getattr(jax.config, name)
+    except AttributeError:  # of these, `values` makes a new dictionary at every look
+        return jax.config.values.get(name)
 
 
 def kind_of(arguments: Any) -> Any:
-    """What decides, within this process, whether arguments share a program; hashable."""
+    """What decides, within this process, whether arguments share a program; hashable.
+
+    A `jax.ShapeDtypeStruct` counts as what a program returns.
+    """
     leaves, structure = jax.tree.flatten(arguments)
-    kinds = ((jax.typeof(x), _place_of(x)) if eqx.is_array(x) else (type(x), x) for x in leaves)
-    return structure, context(), *kinds
+    return structure, context(), *map(_kind_of_leaf, leaves)
 
 
-def _place_of(array: Any) -> Any:
-    return getattr(array, "sharding", None), getattr(array, "committed", None)
+def is_abstract(leaf: Any) -> bool:
+    """Whether it stands for an array that a program will return, on the default device."""
+    return isinstance(leaf, jax.ShapeDtypeStruct)
+
+
+def _kind_of_leaf(leaf: Any) -> Any:
+    if is_abstract(leaf):
+        place: Any = SingleDeviceSharding(jax.devices()[0]), False
+    elif eqx.is_array(leaf):
+        place = getattr(leaf, "sharding", None), getattr(leaf, "committed", None)
+    else:
+        return type(leaf), leaf
+    return leaf.shape, leaf.dtype, getattr(leaf, "weak_type", False), place
 
 
 @functools.cache
@@ -194,7 +224,7 @@ def described(value: Any, *, static: bool = False) -> str:
         return f"{type(value).__name__} {value!r}"
     if isinstance(value, np.generic) and static:
         return f"{value.dtype} {value!r}"
-    if isinstance(value, jax.Array | np.ndarray | np.generic):
+    if isinstance(value, jax.Array | np.ndarray | np.generic | jax.ShapeDtypeStruct):
         if static:
             raise NoKey("an array among static fields")
         return _kind_of_array(value)
@@ -225,9 +255,13 @@ def _contents(value: Any, static: bool) -> Iterator[str]:
 
 def _kind_of_array(array: Any) -> str:
     kind = f"{array.dtype}{list(array.shape)}"
+    default = jax.devices()[:1]
+    if is_abstract(array):
+        memory = SingleDeviceSharding(default[0]).memory_kind
+        return f"array {kind} weak={array.weak_type} put=False memory={memory}"
     if not isinstance(array, jax.Array):
         return f"numpy {kind}"
-    sharding, default = array.sharding, jax.devices()[:1]
+    sharding = array.sharding
     here = isinstance(sharding, SingleDeviceSharding) and list(sharding.device_set) == default
     if not here or _setting("jax_default_device") is not None:
         raise NoKey("not on the default device")

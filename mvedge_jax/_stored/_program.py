@@ -1,6 +1,5 @@
 """A program that was compiled ahead, or read from a file."""
 
-import enum
 import functools
 import pickle
 import threading
@@ -15,16 +14,10 @@ from jax.experimental import serialize_executable
 from jax.extend.core import ClosedJaxpr, Jaxpr
 
 from ._files import ProgramFiles
-from ._key import NoKey, described, program_key
+from ._key import NoKey, context, described, is_abstract, program_key
 
 # Seconds of tracing and compiling that are worth a file, as for JAX's own cache.
 _WORTH = 0.3
-
-
-class _Place(enum.Enum):
-    """Stands for an array in what a program returns."""
-
-    ARRAY = 0
 
 
 class Program:
@@ -32,19 +25,57 @@ class Program:
 
     Args:
         executable: maps the list of arrays among the arguments to that of the results.
-        results: what the function returns, with `_Place.ARRAY` for every array.
+        results: what the function returns, with a `jax.ShapeDtypeStruct` for every array.
     """
 
     def __init__(self, executable: jax.stages.Compiled, results: Any):
-        self._executable = executable
+        self._executable, self.results = executable, results
         self._leaves, self._structure = jax.tree.flatten(results)
 
     def __call__(self, arguments: Any) -> Any:
         """Runs it on arguments of the kind that it is for."""
         arrays = iter(self._executable(_arrays(arguments)))
         return self._structure.unflatten(
-            next(arrays) if leaf is _Place.ARRAY else leaf for leaf in self._leaves
+            next(arrays) if is_abstract(leaf) else leaf for leaf in self._leaves
         )
+
+    def compile(self) -> "Program":
+        """Itself."""
+        return self
+
+
+class Lowered:
+    """A program that was traced and can be compiled, in another thread as well.
+
+    Attributes:
+        results: see `Program`.
+    """
+
+    def __init__(
+        self,
+        lowered: jax.stages.Lowered,
+        results: Any,
+        start: float,
+        keep: Callable[[jax.stages.Compiled, Any], None] | None,
+    ):
+        self._lowered, self.results, self._start, self._keep = lowered, results, start, keep
+        self._context = context()
+
+    def compile(self) -> Program | None:
+        """The program, also written to its file if it has one.
+
+        Returns:
+            None in a thread where other settings of JAX hold than where it was traced.
+        """
+        if context() != self._context:
+            return None
+        _listen()
+        before = _counts.requests, _counts.hits
+        executable = self._lowered.compile()
+        long = time.perf_counter() - self._start >= _WORTH
+        if self._keep is not None and long and _copyable(*before):
+            self._keep(executable, self.results)
+        return Program(executable, self.results)
 
 
 def obtain(
@@ -67,27 +98,58 @@ def obtain(
         The program; None if it can't be kept in a file, as it calls back to Python, or depends on
         something that has no name beyond this process.
     """
-    key = _key(original, arguments, asked)
-    if key is None:
+    if _key(original, arguments, asked) is None:
         return None
-    data = files.read(key)
-    if data is not None:
-        try:
-            return _loaded(data, len(_arrays(arguments)))
-        except Exception:  # whatever a file from an account's own past may hold
-            files.drop(key)
-    _listen()
-    start, before = time.perf_counter(), (_counts.requests, _counts.hits)
-    compiled = _compiled(function, arguments, asked)
-    if compiled is None:
-        return None
-    executable, results = compiled
-    if time.perf_counter() - start >= _WORTH and _copyable(*before):
-        data = _dumped(executable, results)
-        # Nothing that the program depends on may have changed while it was traced.
-        if data is not None and key == _key(original, arguments, asked):
-            files.write(key, data)
-    return Program(executable, results)
+    found = prepared(function, original, arguments, asked, files)
+    return None if found is None else found.compile()
+
+
+def prepared(
+    function: Callable[..., Any],
+    original: Callable[..., Any],
+    arguments: Any,
+    asked: dict[str, Any],
+    files: ProgramFiles | None,
+) -> Program | Lowered | None:
+    """Reads a program from its file, or traces it.
+
+    Args:
+        function: see `obtain`.
+        original: see `obtain`.
+        arguments: positional ones and those by name; a `jax.ShapeDtypeStruct` stands for an array
+            that another program will return.
+        asked: compiler options.
+        files: where programs are kept; None for nowhere. What can't be kept is not.
+
+    Returns:
+        The program or what is to be compiled; None if it calls back to Python.
+    """
+    start, keep = time.perf_counter(), None
+    asking = functools.partial(_key, original, arguments, asked)
+    key = None if files is None else asking()
+    if files is not None and key is not None:
+        data = files.read(key)
+        if data is not None:
+            try:
+                return _loaded(data, len(_arrays(arguments)))
+            except Exception:  # whatever a file from an account's own past may hold
+                files.drop(key)
+        keep = functools.partial(_write, files, key, asking)
+    traced = _traced(function, arguments, asked)
+    return None if traced is None else Lowered(*traced, start, keep)
+
+
+def _write(
+    files: ProgramFiles,
+    key: str,
+    asking: Callable[[], str | None],
+    executable: jax.stages.Compiled,
+    results: Any,
+) -> None:
+    data = _dumped(executable, results)
+    # Nothing that the program depends on may have changed while it was traced.
+    if data is not None and key == asking():
+        files.write(key, data)
 
 
 class _Counts(threading.local):
@@ -129,31 +191,42 @@ def _key(function: Callable[..., Any], arguments: Any, asked: dict[str, Any]) ->
         return None
 
 
-def _compiled(
+def _traced(
     function: Callable[..., Any], arguments: Any, asked: dict[str, Any]
-) -> tuple[jax.stages.Compiled, Any] | None:
-    """The executable and the structure of its results; None if it calls back to Python."""
+) -> tuple[jax.stages.Lowered, Any] | None:
+    """The lowered function and its results; None if it calls back to Python."""
     leaves, structure = jax.tree.flatten(arguments)
     results: Any = None
 
     def flat(arrays: list[Any]) -> list[Any]:
         nonlocal results
         given = iter(arrays)
-        filled = (next(given) if eqx.is_array(leaf) else leaf for leaf in leaves)
+        filled = (next(given) if _is_array(leaf) else leaf for leaf in leaves)
         positional, named = structure.unflatten(filled)
         found = function(*positional, **named)
-        results = jax.tree.map(lambda x: _Place.ARRAY if eqx.is_array(x) else x, found)
+        results = jax.tree.map(_abstract, found)
         return _arrays(found)
 
     flat.__name__ = function.__name__
     traced = jax.jit(flat, compiler_options=asked).trace(_arrays(arguments))
     if traced.jaxpr.effects or any("callback" in name for name in _primitives(traced.jaxpr.jaxpr)):
         return None
-    return traced.lower().compile(), results
+    return traced.lower(), results
 
 
 def _arrays(tree: Any) -> list[Any]:
-    return [leaf for leaf in jax.tree.leaves(tree) if eqx.is_array(leaf)]
+    return [leaf for leaf in jax.tree.leaves(tree) if _is_array(leaf)]
+
+
+def _is_array(leaf: Any) -> bool:
+    return eqx.is_array(leaf) or is_abstract(leaf)
+
+
+def _abstract(leaf: Any) -> Any:
+    if not eqx.is_array(leaf):
+        return leaf
+    kind = jax.typeof(leaf)
+    return jax.ShapeDtypeStruct(kind.shape, kind.dtype, weak_type=kind.weak_type)
 
 
 def _primitives(program: Jaxpr) -> Iterator[str]:
@@ -182,7 +255,7 @@ def _dumped(executable: jax.stages.Compiled, results: Any) -> bytes | None:
 def _loaded(data: bytes, count: int) -> Program:
     executable, results = pickle.loads(data)
     given = jax.tree.structure((([0] * count,), {}))
-    arrays = sum(leaf is _Place.ARRAY for leaf in jax.tree.leaves(results))
+    arrays = len(_arrays(results))
     returned = jax.tree.structure([0] * arrays)
     load = serialize_executable.deserialize_and_load
     return Program(load(executable, given, returned, None, jax.devices()[:1]), results)

@@ -6,27 +6,25 @@ from typing import Any, Literal
 import equinox as eqx
 import jax.numpy as jnp
 import lineax as lx
-from jaxtyping import Array, Bool, PRNGKeyArray
+from jaxtyping import PRNGKeyArray
 
 from mvedge_jax._checks import check_finite, checked_jit, expect, sound, with_numbers
-from mvedge_jax._cpu import checkpoint_stage
+from mvedge_jax._compiler import Halves
 from mvedge_jax._params import cast
 from mvedge_jax._paths import described, replaced
 from mvedge_jax.edges import EdgeDetector, Edges
 from mvedge_jax.edges.sides import SideChoice
-from mvedge_jax.image import gradient_magnitude
 from mvedge_jax.lightfield import LightField
-from mvedge_jax.photometry import Calibration, Evidence, gather_evidence
+from mvedge_jax.photometry import Calibration, gather_evidence
 from mvedge_jax.photometry.measuring import Measurement
 from mvedge_jax.smoothness import Smoothness
-from mvedge_jax.warping import outline
 
 from . import _presets
 from ._dense import DenseLabels
+from ._halves import Front, diffuse_labels, find_labels, found_edges
 from ._labels import PointLabels
-from ._refine import Given, Map, Parts, Refine
-from ._result import DepthResult, DepthStats
-from .solves import refine_disparity
+from ._refine import Parts, Refine
+from ._result import DepthResult
 
 Preset = Literal["full", "edges", "thesis"]
 _MAKERS = "`load_light_field` reads one, `LightField(views)` makes one of an array [v, u, y, x, c]"
@@ -193,16 +191,27 @@ def _validate(light_field: Any, model: Any, **options: Any) -> tuple[Any, ...]:
     return (light_field.bare(), with_numbers(model)), options
 
 
-@checked_jit(_validate)
+def _halves(
+    light_field: LightField, model: EdgeDepth, *, key: PRNGKeyArray | None = None
+) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
+    """Arguments of `find_labels`, and those of `diffuse_labels` besides its result."""
+    refine = model.refine
+    parts = model.calibration, model.measurement, model.edges, model.sides, model.labels
+    front = Front(*parts, refine.precision, model.searched, model.dense is not None)
+    return (light_field, front, key), (Parts(model.dense, model.smoothness, model.solver, refine),)
+
+
+@checked_jit(_validate, Halves(_halves, find_labels, diffuse_labels))
 def estimate_depth(
     light_field: LightField, model: EdgeDepth, *, key: PRNGKeyArray | None = None
 ) -> DepthResult:
     """Runs the chain: what calling an `EdgeDepth` does.
 
-    Every light-field shape and every combination of static fields is a program of its own, with
-    some 1300 memory maps (2500 without `compiler_options`). The compiler crashes beyond the 65530
-    maps that Linux allows, so a process that compiles more than about 25 programs should call
-    `jax.clear_caches()` now and then.
+    Outside of JAX's transforms it is two programs, compiled side by side: up to the labels, and
+    their diffusion. Either is compiled for every shape of a light field and every combination of
+    static fields that it reads. Both have some 1300 memory maps (2500 without `compiler_options`).
+    The compiler crashes beyond the 65530 maps that Linux allows, so a process that compiles more
+    than about 25 chains should call `jax.clear_caches()` now and then.
 
     Args:
         light_field: the crosshair of views is read, or all of them (`Measurement.views`); ground
@@ -228,43 +237,8 @@ def estimate_depth(
 
     Source: Thesis 6.1, 4.2.2 and 4.3; docs/differences.md lists the differences and their reasons.
     """
-    model = cast(model, light_field.views.dtype)
-    fine = sound(model)
-    evidence = _evidence(model, light_field)
-    edges = _found_edges(model, evidence, key)
-    sides = model.sides(edges.points, evidence)
-    labels = model.labels(edges.points, sides, evidence, model.refine.precision)
-
-    views, measured = evidence.calibrated, evidence.measured
-    searched = jnp.asarray(model.searched, views.lab.dtype)
-    given = Given(
-        labels,
-        evidence.prepared,
-        views.lab,
-        views.guide,
-        searched[1] - searched[0],
-        sides.edge,
-        views.lit,
-    )
-    first = sides.initial if model.dense is None or measured is None else measured.disparity
-    parts = Parts(model.dense, model.smoothness, model.solver, model.refine)
-    found = refine_disparity(given, first, parts)
-
-    disparity, error = _outlined(found, evidence, model.refine, fine)
-    stats = DepthStats(
-        edges.stats,
-        jnp.sum(labels.weight > 0),
-        jnp.sum(edges.points.valid & (sides.surface.score != 0)),
-        jnp.concatenate([sides.iterations, found.iterations]),
-        found.converged & fine,
-        views.noise,
-        views.exposure,
-        fine,
-        searched,
-    )
-    # With a label at every pixel, the map itself is the best source of depth edges.
-    edge = sides.edge if model.dense is None else gradient_magnitude(disparity)
-    return DepthResult(disparity, error, edge, edges.points, sides.surface, stats)
+    first, rest = _halves(light_field, model, key=key)
+    return diffuse_labels(find_labels(*first), *rest)
 
 
 @checked_jit(_validate)
@@ -294,36 +268,11 @@ def multiview_edges(
         0
     """
     model = cast(model, light_field.views.dtype)
-    evidence = _evidence(model, light_field)
-    edges = _found_edges(model, evidence, key)
+    evidence = gather_evidence(light_field, model.calibration, model.measurement, model.searched)
+    edges = found_edges(model.edges, evidence, key)
     read = model.calibration, model.measurement, model.edges
     fine = jnp.all(jnp.stack([sound(part) for part in read if part is not None]))
     # `where` hides NaN parameters, so NaN is propagated explicitly.
     disparity = edges.points.disparity
     disparity = jnp.where(fine, disparity, jnp.asarray(jnp.nan, disparity.dtype))
     return eqx.tree_at(lambda found: found.points.disparity, edges, disparity)
-
-
-def _evidence(model: EdgeDepth, light_field: LightField) -> Evidence:
-    return gather_evidence(light_field, model.calibration, model.measurement, model.searched)
-
-
-def _found_edges(model: EdgeDepth, evidence: Evidence, key: PRNGKeyArray | None) -> Edges:
-    return checkpoint_stage(lambda evidence, edges: edges(evidence, key=key))(evidence, model.edges)
-
-
-def _outlined(
-    found: Map, evidence: Evidence, refine: Refine, fine: Bool[Array, ""]
-) -> tuple[Array, Array]:
-    """Disparity and standard error after each pixel beside a step has taken one surface."""
-    views = evidence.calibrated
-    disparity, error = found.disparity, found.error
-    if refine.outline is not None:
-        shown = outline(disparity, views.guide, views.noise.deviation, refine.outline)
-        disparity, error = (jnp.ravel(a)[shown] for a in (disparity, error))
-    # `where` hides NaN parameters, so NaN is propagated explicitly.
-    unknown = jnp.asarray(jnp.nan, disparity.dtype)
-    hypotheses = views.hypotheses
-    around = None if hypotheses is None else hypotheses.variance_around(disparity)
-    error = refine.error(error, disparity, around)
-    return jnp.where(fine, disparity, unknown), jnp.where(fine, error, unknown)

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from mvedge_jax._compiler import lean_jit
+from mvedge_jax._compiler import Halves, SplitJit, lean_jit
 
 TRACES = []
 
@@ -80,3 +80,30 @@ def same(a, b):
 
 
 X = jnp.linspace(-1.0, 1.0, 7)
+
+
+def split(x, part, *, key=None):
+    return (x, part.weight, key), (part.power,)
+
+
+def scaled(x, weight, key):
+    TRACES.append("first")
+    noise = 0 if key is None else jax.random.normal(key, x.shape, x.dtype)
+    return Found(weight * x + noise, "scaled", None, "said"), {"sum": x.sum(), "weak": 2 * weight}
+
+
+def raised(found, power):
+    TRACES.append("second")
+    first, also = found
+    # As a Python number in the program itself, a weak type stays one between the halves.
+    return {"a": first.power**power if isinstance(power, int) else power(first.power)} | also
+
+
+def chain(x, part, *, key=None):
+    first, rest = split(x, part, key=key)
+    return raised(scaled(*first), *rest)
+
+
+def split_jit():
+    """As in a new process."""
+    return SplitJit(chain, chain, Halves(split, scaled, raised), lambda half: half)
