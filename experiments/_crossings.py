@@ -11,7 +11,7 @@ The definition, for the EPI of an image row:
 - It *survives* if there is a point in this row for either line: within 1.5 px of its position,
   and within 0.07 px per view of its disparity (the outlier threshold of the point stage).
 
-Edges that the centre view shows are looked for in the points of the centre view. Those that it does
+Edges that the center view shows are looked for in the points of the center view. Those that it does
 not show are looked for in the points of the view a quarter of the way in from either end, which
 are found from half of the EPI's views: points belong to the view that shows them.
 """
@@ -132,25 +132,25 @@ def crossing_table(
     """How many crossings of a light field with full truth survive.
 
     Args:
-        light_field: with the truth of every view; the horizontal EPIs of its centre row are used.
-        find: the method: a light field without truth in, points of its centre view out.
+        light_field: with the truth of every view; the horizontal EPIs of its center row are used.
+        find: the method: a light field without truth in, points of its center view out.
 
     Returns:
-        One row for far edges that the centre view shows, one for those that it does not.
+        One row for far edges that the center view shows, one for those that it does not.
     """
     truth = light_field.truth
     assert truth is not None
     assert truth.view_disparity is not None
     assert truth.view_ids is not None
-    row, centre = light_field.centre
+    row, center = light_field.center
     arm = np.asarray(light_field.horizontal_arm)
     surfaces, disparity = np.asarray(truth.view_ids[row]), np.asarray(truth.view_disparity[row])
     blind = light_field.without_truth()
-    half = centre // 2
+    half = center // 2
     groups: dict[str, list[tuple[int, slice, tuple[int, ...]]]]
-    groups = {"shown by the centre view": [(centre, slice(None), ())]}
-    groups["hidden from the centre view"] = [
-        (view, slice(view - half, view + half + 1), (centre,)) for view in (half, centre + half)
+    groups = {"shown by the center view": [(center, slice(None), ())]}
+    groups["hidden from the center view"] = [
+        (view, slice(view - half, view + half + 1), (center,)) for view in (half, center + half)
     ]
     rows = []
     for name, tasks in groups.items():

@@ -67,7 +67,7 @@ def _reprojection(model: EdgeDepth) -> ReprojectionSides:
     return ReprojectionSides(radius=model.measurement.radius)
 
 
-_QUANTISED, _BLURRED = ({"refine.sharpen.mode": mode} for mode in ("quantised", "none"))
+_QUANTIZED, _BLURRED = ({"refine.sharpen.mode": mode} for mode in ("quantized", "none"))
 OURS = chain("ours")
 EVERY = chain("ours, all views", views="all")
 SWEEP = Method("plane sweep", sweep)
@@ -80,9 +80,9 @@ SPARSE = (
     pointwise("edges only, naive", lambda _: NoSides()),
 )
 ABLATIONS = (
-    chain("ours, quantised median", choices=_QUANTISED),
+    chain("ours, quantized median", choices=_QUANTIZED),
     chain("ours, no sharpening", choices=_BLURRED),
-    pointwise("edges only, quantised median", _bidirectional, choices=_QUANTISED),
+    pointwise("edges only, quantized median", _bidirectional, choices=_QUANTIZED),
     pointwise("edges only, no sharpening", _bidirectional, choices=_BLURRED),
     pointwise("edges only, unit weights", _bidirectional, gain=0.0),
 )

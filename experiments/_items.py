@@ -69,7 +69,7 @@ ITEMS = (
         "table_6_1.py",
         "--scenes edges --size 96",
         "--scenes hci/cotton hci/backgammon",
-        "Table 6.1: the centre view's depth beside baselines",
+        "Table 6.1: the center view's depth beside baselines",
         590,
     ),
     Item(
@@ -165,7 +165,7 @@ ITEMS = (
         "table_7_1.py",
         "--scenes edges --size 64 --methods sweep from_sweep",
         "--scenes edges --size 192 --methods sweep from_sweep",
-        "Table 7.1: labels of a dense map, optimised, as Ours-C",
+        "Table 7.1: labels of a dense map, optimized, as Ours-C",
         90,
     ),
     Item(
@@ -173,7 +173,7 @@ ITEMS = (
         "table_7_2.py",
         None,
         "--scenes hci/cotton hci/backgammon",
-        "Table 7.2: self-supervised optimisation",
+        "Table 7.2: self-supervised optimization",
         230,
     ),
     Item(
@@ -189,7 +189,7 @@ ITEMS = (
         "figure_7_10.py",
         "--scenes edges --size 96 --iterations 20",
         "--scenes hci/cotton --iterations 60",
-        "Figure 7.10: supervised optimisation",
+        "Figure 7.10: supervised optimization",
         210,
     ),
     Item(
@@ -350,7 +350,7 @@ ITEMS = (
         "hidden_points.py",
         None,
         "--seeds 2",
-        "Points that a neighbour hides",
+        "Points that a neighbor hides",
         80,
     ),
     Item(
@@ -402,11 +402,11 @@ ITEMS = (
         70,
     ),
     Item(
-        "benchmark_optimise",
-        "benchmarks/optimise.py",
+        "benchmark_optimize",
+        "benchmarks/optimize.py",
         None,
         "--points 700 20000 --repeats 3",
-        "Seconds of a step of the optimisation",
+        "Seconds of a step of the optimization",
         100,
     ),
     Item(
@@ -414,7 +414,7 @@ ITEMS = (
         "benchmarks/depth.py",
         "--settings --repeats 1",
         "--repeats 3",
-        "Seconds and memory of the centre view's depth",
+        "Seconds and memory of the center view's depth",
         100,
     ),
     Item(

@@ -132,7 +132,7 @@ def plot_learning(
     *,
     over: tuple[str, str] = ("step of Adam", "loss of the mini-batch"),
 ) -> Figure:
-    """The loss curve, and two scores before and after per scene; a seed has one colour."""
+    """The loss curve, and two scores before and after per scene; a seed has one color."""
     figure = Figure(figsize=(15, 4.2), layout="constrained")
     curve, *axes = figure.subplots(1, 3)
     # What was not learned comes first.

@@ -20,7 +20,7 @@ from mvedge_jax.model import (
     start_from_image,
 )
 from mvedge_jax.model.approaches import Approach, ByEvidence
-from mvedge_jax.model.optimisation import FixedPoints, Progress, Strategy, all_at_once
+from mvedge_jax.model.optimization import FixedPoints, Progress, Strategy, all_at_once
 
 
 def first_map(light_field: LightField) -> Start:
@@ -29,9 +29,9 @@ def first_map(light_field: LightField) -> Start:
     return start_from_depth(blind, EdgeDepth.for_light_field(blind)(blind))
 
 
-def plain(start: Start, centre: jax.Array) -> Start:
+def plain(start: Start, center: jax.Array) -> Start:
     """The thesis' start: equal weights, Q from the image gradient."""
-    start = start_from_image(start, centre)
+    start = start_from_image(start, center)
     equal = jnp.zeros_like(start.model.log_weight)
     return start._replace(model=eqx.tree_at(lambda m: m.log_weight, start.model, equal))
 

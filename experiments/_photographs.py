@@ -23,7 +23,7 @@ Maps = dict[str, np.ndarray]
 
 
 def from_dense(photographs: Photographs, reference: Reference, depth: np.ndarray) -> np.ndarray:
-    """The thesis' Ours-C: labels of a dense map at edges of the image, optimised in turns.
+    """The thesis' Ours-C: labels of a dense map at edges of the image, optimized in turns.
 
     Args:
         photographs: of which one is the reference.
@@ -31,7 +31,7 @@ def from_dense(photographs: Photographs, reference: Reference, depth: np.ndarray
         depth: of the reference, in the unit of the poses; 0 or not finite where unknown.
 
     Returns:
-        The depth after optimisation; without any label at an edge, no pixel has one.
+        The depth after optimization; without any label at an edge, no pixel has one.
     """
     index = int(reference.index)
     gray = np.asarray(srgb_to_gray(photographs.images[index]))

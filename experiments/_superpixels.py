@@ -106,17 +106,17 @@ def torn(labels: np.ndarray, disparity: np.ndarray) -> float:
     return cut / max(total, 1)
 
 
-def plot_wrong(labels: np.ndarray, ids: np.ndarray, centre: tuple[int, int]) -> Figure:
-    """Fig. 5.8: objects in grey, and in red what has the label of another object's superpixel."""
+def plot_wrong(labels: np.ndarray, ids: np.ndarray, center: tuple[int, int]) -> Figure:
+    """Fig. 5.8: objects in gray, and in red what has the label of another object's superpixel."""
     labels = _compact(labels)
     names, objects = labels.ravel(), np.unique(ids, return_inverse=True)[1].reshape(ids.shape)
     kinds = objects.max() + 1
     table = np.bincount(names * kinds + objects.ravel(), minlength=(names.max() + 1) * kinds)
     best = table.reshape(-1, kinds).argmax(axis=1)
-    truth = objects[centre]
-    wrong = best[labels[centre]] != truth
-    grey = 0.35 + 0.6 * truth / max(kinds - 1, 1)
-    picture = np.where(wrong[..., None], [0.85, 0.1, 0.1], np.stack([grey] * 3, axis=-1))
+    truth = objects[center]
+    wrong = best[labels[center]] != truth
+    gray = 0.35 + 0.6 * truth / max(kinds - 1, 1)
+    picture = np.where(wrong[..., None], [0.85, 0.1, 0.1], np.stack([gray] * 3, axis=-1))
     figure = Figure(figsize=(5, 5 * truth.shape[0] / truth.shape[1]), layout="constrained")
     axes = figure.add_subplot()
     axes.imshow(picture, interpolation="nearest")

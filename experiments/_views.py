@@ -40,7 +40,7 @@ def with_truth(light_field: LightField, file: Path) -> LightField:
     if known is None or disparity.shape != light_field.views.shape[:4]:
         raise ValueError(
             f"{file} has maps of the shape {disparity.shape}, expected that of the views, "
-            f"{light_field.views.shape[:4]}, beside a centre map."
+            f"{light_field.views.shape[:4]}, beside a center map."
         )
     every = jnp.asarray(disparity, light_field.views.dtype)
     truth = GroundTruth(known.disparity, known.valid, known.object_ids, every, None)
@@ -48,12 +48,12 @@ def with_truth(light_field: LightField, file: Path) -> LightField:
 
 
 class Regions(NamedTuple):
-    """Pixels of every view whose true surface the centre view does not show, `[v, u, y, x]`.
+    """Pixels of every view whose true surface the center view does not show, `[v, u, y, x]`.
 
     Attributes:
-        covered: something nearer is there in the centre view.
+        covered: something nearer is there in the center view.
         outside: beyond its frame.
-        seam: something farther is there: the pixel lies between two of the centre view's.
+        seam: something farther is there: the pixel lies between two of the center view's.
     """
 
     covered: np.ndarray
@@ -67,13 +67,13 @@ class Regions(NamedTuple):
 
 
 def regions(truth: np.ndarray) -> Regions:
-    """Finds what the centre view does not show by the true maps `[v, u, y, x]`.
+    """Finds what the center view does not show by the true maps `[v, u, y, x]`.
 
     A pixel of view (v, u) with the true disparity d lies at `(x, y) + (u - u_c, v - v_c) d` in the
-    centre view; the nearest pixel there tells.
+    center view; the nearest pixel there tells.
     """
     rows, columns, height, width = truth.shape
-    centre = truth[rows // 2, columns // 2]
+    center = truth[rows // 2, columns // 2]
     y, x = np.mgrid[:height, :width]
     found = Regions(*(np.zeros(truth.shape, bool) for _ in range(3)))
     for v, u in np.ndindex(rows, columns):
@@ -83,7 +83,7 @@ def regions(truth: np.ndarray) -> Regions:
         b = np.floor(y + (v - rows // 2) * d + 0.5).astype(int)
         a = np.floor(x + (u - columns // 2) * d + 0.5).astype(int)
         inside = (a >= 0) & (a < width) & (b >= 0) & (b < height)
-        there = centre[b.clip(0, height - 1), a.clip(0, width - 1)]
+        there = center[b.clip(0, height - 1), a.clip(0, width - 1)]
         found.outside[v, u] = ~inside
         found.covered[v, u] = inside & (there > d + SAME)
         found.seam[v, u] = inside & (there < d - SAME)
@@ -91,9 +91,9 @@ def regions(truth: np.ndarray) -> Regions:
 
 
 def scores(maps: jax.Array, truth: jax.Array, known: Regions) -> dict[str, float]:
-    """MSE x 100 and BP(.07): means over views, of corners, of hidden pixels, of the centre.
+    """MSE x 100 and BP(.07): means over views, of corners, of hidden pixels, of the center.
 
-    Hidden ones are pooled over the off-centre views that have some: a mean over views.
+    Hidden ones are pooled over the off-center views that have some: a mean over views.
     """
     rows, columns = truth.shape[:2]
     middle = (rows // 2, columns // 2)
@@ -109,14 +109,14 @@ def scores(maps: jax.Array, truth: jax.Array, known: Regions) -> dict[str, float
     corners = [i for i, (v, u) in enumerate(grid) if v in (0, rows - 1) and u in (0, columns - 1)]
     off = [i for i, at in enumerate(grid) if at != middle]
     parts = {
-        "centre": each[grid.index(middle)],
+        "center": each[grid.index(middle)],
         "mean": each.mean(0),
         "corners": each[corners].mean(0),
         "hidden": np.nanmean(hidden[off], 0) if known.hidden.any() else np.full(2, np.nan),
     }
     row = {f"{part} {kind}": float(v) for part, two in parts.items()
            for kind, v in zip(("MSE", "BP"), two, strict=True)}  # fmt: skip
-    return {**row, "off/centre": float(each[off, 0].mean() / max(parts["centre"][0], 1e-12))}
+    return {**row, "off/center": float(each[off, 0].mean() / max(parts["center"][0], 1e-12))}
 
 
 def error_consistency(maps: jax.Array, truth: jax.Array, *, stride: int = 3) -> ViewConsistency:

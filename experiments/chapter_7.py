@@ -1,4 +1,4 @@
-"""Chapter 7 as printed, on a light field: edge points, splatted, diffused, optimised in turns.
+"""Chapter 7 as printed, on a light field: edge points, splatted, diffused, optimized in turns.
 
     python experiments/chapter_7.py --scenes hci/cotton --out results/chapter_7
     python experiments/chapter_7.py --scenes hci/cotton --vgg16 vgg16.npz
@@ -26,17 +26,17 @@ from matplotlib.figure import Figure
 
 from mvedge_jax.depth import DepthResult, EdgeDepth
 from mvedge_jax.lightfield import LightField
-from mvedge_jax.losses.features import Colours, load_vgg16
+from mvedge_jax.losses.features import Colors, load_vgg16
 from mvedge_jax.losses.terms import Features
 from mvedge_jax.model import Renderer, optimize_edges, start_from_edges
 from mvedge_jax.model.approaches import ByReprojection
-from mvedge_jax.model.optimisation import Rates, one_at_a_time
+from mvedge_jax.model.optimization import Rates, one_at_a_time
 from mvedge_jax.plotting import plot_comparison
 
 RENDERERS = {"printed": Renderer.thesis(), "narrow": Renderer.on_raster(1)}
 
 
-def optimised(
+def optimized(
     light_field: LightField,
     depth: DepthResult,
     renderer: Renderer,
@@ -53,7 +53,7 @@ def optimised(
 
 
 def main() -> None:
-    """Optimises every scene with every renderer."""
+    """Optimizes every scene with every renderer."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, default=Path("results/chapter_7"))
     parser.add_argument("--data", type=Path, default=shared_data())
@@ -65,7 +65,7 @@ def main() -> None:
     parser.add_argument("--renderers", nargs="+", choices=list(RENDERERS), default=list(RENDERERS))
     arguments = parser.parse_args()
     arguments.out.mkdir(parents=True, exist_ok=True)
-    features = Colours() if arguments.vgg16 is None else load_vgg16(arguments.vgg16)
+    features = Colors() if arguments.vgg16 is None else load_vgg16(arguments.vgg16)
     rows: list[dict[str, Any]] = []
     curve: list[dict[str, Any]] = []
     for name, light_field in scenes(arguments.data, arguments.scenes, size=arguments.size):
@@ -77,8 +77,8 @@ def main() -> None:
         for kind in arguments.renderers:
             look = printer(f"{name}, {kind}", light_field, curve)
             renderer = RENDERERS[kind]
-            before, after = optimised(blind, result, renderer, features, arguments, look)
-            maps |= {f"{kind}, start": before, f"{kind}, optimised": after}
+            before, after = optimized(blind, result, renderer, features, arguments, look)
+            maps |= {f"{kind}, start": before, f"{kind}, optimized": after}
         here: list[dict[str, Any]] = [
             {"scene": name, "map": kind, **scores(disparity, light_field)}
             for kind, disparity in maps.items()

@@ -1,6 +1,6 @@
 """Rate-distortion of a depth map as points and cuts (8.1.1), beside PNG and JPEG 2000.
 
-The known map of each scene is coded. PNG is lossless: its rates are those of fewer grey levels, 16
+The known map of each scene is coded. PNG is lossless: its rates are those of fewer gray levels, 16
 bits at most. JPEG 2000 codes 16 bits at several rates. The error is that of what is decoded: root
 of the mean square, and pixels that are off by more than a hundredth.
 

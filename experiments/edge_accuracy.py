@@ -145,7 +145,7 @@ def steps(light_field: LightField, *, thesis: bool):
     keep = np.asarray(points.valid)
     px, py = np.clip(np.rint(at[keep]).astype(int).T, 0, np.array(truth.shape[::-1])[:, None] - 1)
     sigmas = (jnp.float32(sigma) for sigma in (5.0, 0.1, 0.5))
-    smooth = joint_filter(points.xy, points.disparity, points.valid, blind.centre_view, *sigmas)
+    smooth = joint_filter(points.xy, points.disparity, points.valid, blind.center_view, *sigmas)
     filtered = score(truth, px, py, np.asarray(smooth)[keep])
     table.append({"step": "    + joint filter (4.6)", **filtered})
     return table, points
@@ -235,7 +235,7 @@ def main(
             print_table(met, title=f"{name}: lines that cross in horizontal EPIs")
             write_csv(out / f"{name.replace(':', '_').replace('/', '_')}_crossings.csv", met)
         figure = plotting.plot_edges(
-            light_field.centre_view,
+            light_field.center_view,
             points.xy,
             points.disparity,
             valid=points.valid,

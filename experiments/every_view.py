@@ -4,11 +4,11 @@
     python experiments/every_view.py ../shared/data/lytro/2067 --views 7 --out results/lytro
 
 Scenes are folders, names of the development data, or of synthetic scenes (rendered at --size).
-All methods start from the same map of the centre view; its seconds are not in theirs, those of
+All methods start from the same map of the center view; its seconds are not in theirs, those of
 finding the thesis' guides are. Per method and scene, MSE x 100 and share of pixels off by more than
-.07 px: mean over the views, mean of the corner views, pixels whose true surface the centre view
-does not show (mean over the off-centre views), and the centre view itself. `off/centre` is the MSE
-of the off-centre views over that of the centre. `cons` is the variance of map - truth between the
+.07 px: mean over the views, mean of the corner views, pixels whose true surface the center view
+does not show (mean over the off-center views), and the center view itself. `off/center` is the MSE
+of the off-center views over that of the center. `cons` is the variance of map - truth between the
 views that truly see a point, x 100; `agree` is `metrics.view_consistency`, which knows no truth,
 x 100: a constant map agrees. `6.10` is that equation as the thesis prints it, x 100, see
 `peers.printed_consistency`; the true maps have `truth 6.10`. A scene without truth in all
@@ -49,12 +49,12 @@ def ours(light_field: LightField, result: DepthResult) -> jax.Array:
 
 
 def naive(light_field: LightField, result: DepthResult) -> jax.Array:
-    """The centre view's map moved, holes filled from behind."""
+    """The center view's map moved, holes filled from behind."""
     return reproject_views(result.disparity, light_field.steps)
 
 
 def thesis(light_field: LightField, result: DepthResult) -> jax.Array:
-    """The centre view's map, projected and diffused in EPIs, guided by the thesis' points."""
+    """The center view's map, projected and diffused in EPIs, guided by the thesis' points."""
     choices = {"edges.hidden": True, "edges.lines.visibility": "crossed"}
     model = EdgeDepth.for_light_field(light_field, preset="thesis", choices=choices)
     points = multiview_edges(light_field, model, key=jax.random.key(0)).points
@@ -145,9 +145,9 @@ def compared(
         row |= {"agree": 100 * float(agree), "6.10": 100 * float(printed[-1].mean)}
         rows.append({**row, "seconds": seconds.best, "first call": seconds.first})
         plot_view_maps(maps).savefig(arguments.out / f"{name}_{method}.png")
-        slices[method] = np.asarray(maps[light_field.centre[0]][:, light_field.views.shape[2] // 2])
+        slices[method] = np.asarray(maps[light_field.center[0]][:, light_field.views.shape[2] // 2])
     if truth is not None:
-        slices["truth"] = np.asarray(truth[light_field.centre[0], :, truth.shape[2] // 2])
+        slices["truth"] = np.asarray(truth[light_field.center[0], :, truth.shape[2] // 2])
     _slices(slices).savefig(arguments.out / f"figure_b_2_{name}.png")
     figures = {"": errors, "_printed": printed}
     for end, found in figures.items():
@@ -170,7 +170,7 @@ def _slices(maps: dict[str, np.ndarray]) -> Figure:
 
 
 def _scatter(rows: list[dict[str, Any]], column: str, label: str) -> Figure:
-    """Seconds against consistency, a mark per scene and a colour per method (Fig. 6.6)."""
+    """Seconds against consistency, a mark per scene and a color per method (Fig. 6.6)."""
     figure = Figure(figsize=(4.5, 3.4), layout="constrained")
     axes = figure.subplots()
     for method in dict.fromkeys(row["method"] for row in rows):

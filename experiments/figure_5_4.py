@@ -13,7 +13,7 @@ python experiments/figure_5_4.py --scenes demo --methods ours --repeats 3 (warm 
 Published values are drawn dotted; what the authors' program scores on our scenes of 512 px is a
 row. --noise disturbs one view, from the depth on, and tells how many labels change.
 A scene is a folder, or a name of a synthetic scene or of one under --data. Depth is ours, estimated
-once per scene and kept under --out. Where only the centre view has true ids, that view is scored.
+once per scene and kept under --out. Where only the center view has true ids, that view is scored.
 """
 
 import argparse
@@ -54,7 +54,7 @@ SWEPT: dict[str, Any] = {
 
 
 class Case(NamedTuple):
-    """A scene with what is known of it, `ids` and `truth` of all views or of the centre view."""
+    """A scene with what is known of it, `ids` and `truth` of all views or of the center view."""
 
     light_field: LightField
     depths: ViewDepths
@@ -203,7 +203,7 @@ def _depths(light_field: LightField) -> ViewDepths:
 
 
 def _scene(arguments: Any, name: str) -> tuple[LightField, np.ndarray, np.ndarray]:
-    """A light field, the true ids and disparities of its views or of its centre view."""
+    """A light field, the true ids and disparities of its views or of its center view."""
     folder = stored(name, arguments.data)
     light_field = find_scene(name, arguments.data, size=arguments.pixels)
     if folder is not None and (folder / "truth.npz").exists():
@@ -222,7 +222,7 @@ def _scene(arguments: Any, name: str) -> tuple[LightField, np.ndarray, np.ndarra
 def cut(method: str, case: Case, size: float, params: AnyParams) -> Array:
     """Labels of all views."""
     light_field, depths = case.light_field, case.depths
-    centre = depths.disparity[light_field.centre]
+    center = depths.disparity[light_field.center]
     if method.startswith("thesis"):
         chosen = params if isinstance(params, LfspParams) else LfspParams()
         bugs = tuple(method.split(", ")[1:])
@@ -230,11 +230,11 @@ def cut(method: str, case: Case, size: float, params: AnyParams) -> Array:
     if method in ("k-means", TRUE):
         if method == TRUE:
             rows, columns = case.truth.shape[:2]
-            centre = case.truth[rows // 2, columns // 2]
+            center = case.truth[rows // 2, columns // 2]
         weights = params if isinstance(params, KMeansParams) else KMeansParams()
-        return kmeans_superpixels(light_field, centre, weights, KMeansSizes(size=round(size)))
+        return kmeans_superpixels(light_field, center, weights, KMeansSizes(size=round(size)))
     if method == "SLIC projected":
-        return _projected(_slic(light_field.centre_view, size), centre, light_field.steps)
+        return _projected(_slic(light_field.center_view, size), center, light_field.steps)
     if method == "grid and true ids":
         return _perfect(case, size)
     choices = params if isinstance(params, dict) else {}
@@ -260,7 +260,7 @@ def _slic(image: Array, size: float) -> Array:
 
 @lean_jit
 def _projected(labels: Array, disparity: Array, steps: Array) -> Array:
-    """Labels of the centre view moved to all views by its map; holes go on from behind."""
+    """Labels of the center view moved to all views by its map; holes go on from behind."""
 
     def one(step: Array) -> Array:
         moved = forward_warp(labels[..., None].astype(disparity.dtype), disparity, step)
@@ -272,7 +272,7 @@ def _projected(labels: Array, disparity: Array, steps: Array) -> Array:
 
 
 def _perfect(case: Case, size: float) -> Array:
-    """Square cells in the centre view's coordinates times true objects."""
+    """Square cells in the center view's coordinates times true objects."""
     rows, columns, height, width = case.truth.shape
     y, x = (a.astype(case.truth.dtype) for a in jnp.indices((height, width)))
     v, u = (a.astype(case.truth.dtype)[..., None, None] for a in jnp.indices((rows, columns)))
@@ -287,7 +287,7 @@ def _perfect(case: Case, size: float) -> Array:
 def score(labels: Array, case: Case) -> dict[str, float]:
     """All forms of the metrics, and the share of torn superpixels."""
     if case.ids.shape != labels.shape:
-        labels = labels[case.light_field.centre][None, None]
+        labels = labels[case.light_field.center][None, None]
     scores = superpixel_scores(labels, case.ids, case.truth)
     known = {name: float(value) for name, value in scores._asdict().items()}
     known |= code_scores(*map(np.asarray, (labels, case.ids, case.truth)))
@@ -299,11 +299,11 @@ def _disturbed(arguments: Any, name: str) -> list[dict]:
     case, size = case_of(arguments, name, 1), arguments.sizes[0]
     params, rows = {"size": size}, []
     before = np.asarray(cut("ours", case, size, params))
-    vc, uc = case.light_field.centre
+    vc, uc = case.light_field.center
     for where, view in (
-        ("in the centre row", (vc, 0)),
+        ("in the center row", (vc, 0)),
         ("in the corner", (0, 0)),
-        ("centre", (vc, uc)),
+        ("center", (vc, uc)),
     ):
         noise = arguments.noise * jax.random.normal(jax.random.key(0), before.shape[2:] + (3,))
         views = case.light_field.views.at[view].add(noise).clip(0, 1)
@@ -324,7 +324,7 @@ def _draw(folder: Path, name: str, labels: Array, case: Case) -> None:
     if case.truth.shape == labels.shape:
         counts = labels_per_pixel(labels, case.truth)
         plotting.plot_labels_per_pixel(counts).savefig(folder / f"{name}-labels.png")
-        wrong = plot_wrong(np.asarray(labels), np.asarray(case.ids), case.light_field.centre)
+        wrong = plot_wrong(np.asarray(labels), np.asarray(case.ids), case.light_field.center)
         wrong.savefig(folder / f"{name}-accuracy.png")
 
 

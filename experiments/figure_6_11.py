@@ -3,10 +3,10 @@
     python experiments/figure_6_11.py --scenes room edges --out results/figure_6_11
     python experiments/figure_6_11.py --scenes lytro/2067 --views 7
 
-The depth of every view tells which of its pixels hide the card: ours, the centre view's map moved,
+The depth of every view tells which of its pixels hide the card: ours, the center view's map moved,
 and the thesis' maps, see `every_view.py`. The card stands where the first map has the largest steps
 (6.11) and where it has the next (B.10), in the middle of the two surfaces. Where the truth of all
-views is known, `wrong %` are the pixels of the off-centre views that differ from the card put in by
+views is known, `wrong %` are the pixels of the off-center views that differ from the card put in by
 the truth, as a share of the card's own area.
 """
 
@@ -98,12 +98,12 @@ def main() -> None:
 def _scores(
     name: str, figure: str, edited: dict[str, jax.Array], blind: LightField
 ) -> list[dict[str, Any]]:
-    """Wrong pixels over those of the true card, in the off-centre views."""
+    """Wrong pixels over those of the true card, in the off-center views."""
     truth = edited.get("truth")
     if truth is None:
         return []
     off = np.ones(truth.shape[:2], bool)
-    off[blind.centre] = False
+    off[blind.center] = False
 
     def differs(one: jax.Array, other: jax.Array) -> int:
         return int((np.abs(np.asarray(one - other)).max(-1) > _DIFFERS)[off].sum())

@@ -1,4 +1,4 @@
-"""Figure 7.10: supervised optimisation over iterations (error against bytes: `codec.py`).
+"""Figure 7.10: supervised optimization over iterations (error against bytes: `codec.py`).
 
 python experiments/figure_7_10.py --data ../shared/data --scenes hci/cotton
 python experiments/figure_7_10.py --scenes edges slanted --size 512
@@ -14,7 +14,7 @@ from _scenes import find_scene
 from matplotlib.figure import Figure
 
 from mvedge_jax.lightfield import LightField
-from mvedge_jax.model.optimisation import Growth
+from mvedge_jax.model.optimization import Growth
 
 COLUMNS = {
     "mse": "MSE $\\times$ 100",
@@ -29,7 +29,7 @@ def curve(name: str, light_field: LightField, arguments: argparse.Namespace) -> 
 
     All runs start from the detected points, and the first two keep their number.
     """
-    start = plain(first_map(light_field), light_field.centre_view)
+    start = plain(first_map(light_field), light_field.center_view)
     rows: list[dict] = []
     pixels = light_field.views.shape[2] * light_field.views.shape[3]
     added = int(arguments.grow * pixels)

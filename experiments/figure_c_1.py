@@ -1,10 +1,10 @@
-"""Figure C.1: noise on half of the points, and what the optimisation recovers.
+"""Figure C.1: noise on half of the points, and what the optimization recovers.
 
     python experiments/figure_c_1.py --data ../shared/data --scene hci/cotton
     python experiments/figure_c_1.py --scene hci/cotton --loss evidence
 
 "Recovered" is (noisy - after) / (noisy - clean), of the MSE of the rendered maps. The views'
-evidence is linearised around the map and reaches 0.1 px: what is farther off takes a few rounds.
+evidence is linearized around the map and reaches 0.1 px: what is farther off takes a few rounds.
 It measures nothing beside depth steps, which first move to image edges for either kind of noise.
 """
 
@@ -28,7 +28,7 @@ from peers.relocation import StepRelocation, relocate_steps
 from mvedge_jax import lean_jit
 from mvedge_jax.model import DepthModel, Renderer, Start, render_model
 from mvedge_jax.model.approaches import ByEvidence, ByReprojection
-from mvedge_jax.model.optimisation import Rates
+from mvedge_jax.model.optimization import Rates
 
 
 def noisy(
@@ -84,7 +84,7 @@ def main() -> None:
         options = {"raster": arguments.raster, "iterations": arguments.iterations, "look": look}
         loose = Start(model, jnp.full_like(start.error, 0.1), rendered)
         if arguments.loss == "evidence":
-            planes = jnp.moveaxis(light_field.centre_view, -1, 0)
+            planes = jnp.moveaxis(light_field.center_view, -1, 0)
             near_edges = relocate_steps(loose.disparity, planes, StepRelocation())
             loose = loose._replace(disparity=near_edges)
             for _ in range(arguments.rounds):

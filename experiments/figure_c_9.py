@@ -34,7 +34,7 @@ def main() -> None:
     light_field = find_scene(arguments.scene, arguments.data, size=128)
     start = first_map(light_field)
     if not arguments.self_supervised:
-        start = plain(start, light_field.centre_view)
+        start = plain(start, light_field.center_view)
     run = run_self_supervised if arguments.self_supervised else run_supervised
     order = jax.random.uniform(jax.random.key(2), (start.model.valid.size,))
     rows, curve = [], []

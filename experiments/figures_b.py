@@ -7,7 +7,7 @@ error (`reprojection`, B.7), and with labels that stay on their edges, at the we
 of the first (`naive`, B.1); and preset `full`. B.3: Gaussian noise in the disparity of every edge
 point; `full` also has labels that are no edge points, which stay. B.4: all views are blurred. B.5:
 all views are darkened and stored with 8 bits, so that texture is left in a few gray levels. Curves
-are MSE x 100 and Q25 x 100 of the centre view's map, full frame; pictures have the maps and errors
+are MSE x 100 and Q25 x 100 of the center view's map, full frame; pictures have the maps and errors
 without disturbance.
 """
 

@@ -33,11 +33,11 @@ from mvedge_jax.superpixels import SuperpixelClustering, superpixels
 _SHOTS: dict[str, dict[str, Any]] = {
     "field": {"mode": "F", "at": [42, 118], "focus": 0.0},
     "refocus": {"mode": "F", "aperture": 4, "focus": 0.6},
-    "overlay": {"mode": "F", "aperture": 0, "colour": "standard error", "opacity": 0.9, "u": 3},
+    "overlay": {"mode": "F", "aperture": 0, "color": "standard error", "opacity": 0.9, "u": 3},
     "geometry": {"mode": "G", "u": 0, "yaw": 0.25},
     "uncertain": {
         "mode": "G",
-        "colours": "standard error",
+        "colors": "standard error",
         "byError": True,
         "normals": True,
         "hidden": False,
@@ -102,7 +102,7 @@ def pictures(
     yield (
         "edges",
         plotting.plot_edges(
-            light_field.centre_view, points.xy, points.disparity, valid=points.valid, limits=limits
+            light_field.center_view, points.xy, points.disparity, valid=points.valid, limits=limits
         ),
     )
     yield (
@@ -114,11 +114,11 @@ def pictures(
     yield (
         "comparison",
         plotting.plot_comparison(
-            [swept, result.disparity], truth, names=names, image=light_field.centre_view
+            [swept, result.disparity], truth, names=names, image=light_field.center_view
         ),
     )
     yield "error", plotting.plot_error(result.disparity, truth, kind="signed")
-    gray = srgb_to_gray(light_field.centre_view)
+    gray = srgb_to_gray(light_field.center_view)
     passes = bidirectional(points, gray, DirectionalDiffusion())
     yield (
         "passes",

@@ -1,12 +1,12 @@
-"""Points that a nearer neighbour hides: what brings them back into the optimisation.
+"""Points that a nearer neighbor hides: what brings them back into the optimization.
 
     python experiments/hidden_points.py
 
 A square stands in front of a plane. Some of the points on it and beside it are given a label that
 is too near, so that they hide the right ones around them, which get next to no gradient. The
-supervised optimisation is run with all points opaque as in the thesis, with opacities that fall
+supervised optimization is run with all points opaque as in the thesis, with opacities that fall
 with the weight (`Renderer.clears`), with hidden points recycled (`grow`), with both, and with
-points that are too narrow to hide their neighbours (`SplatLabels.on_raster`).
+points that are too narrow to hide their neighbors (`SplatLabels.on_raster`).
 """
 
 import argparse
@@ -27,8 +27,8 @@ from mvedge_jax.model import (
     fit_edges,
     render_model,
 )
-from mvedge_jax.model.optimisation import FixedPoints, Growth, Rates, all_at_once
-from mvedge_jax.model.optimisation._grow import usefulness
+from mvedge_jax.model.optimization import FixedPoints, Growth, Rates, all_at_once
+from mvedge_jax.model.optimization._grow import usefulness
 from mvedge_jax.splatting import SplatLabels, SplatRaster, SplatWidths
 
 SHAPE = (32, 40)
@@ -105,7 +105,7 @@ def main() -> None:
             }
         )
         print(rows[-1], flush=True)
-    print_table(rows, title="points that a nearer neighbour hides")
+    print_table(rows, title="points that a nearer neighbor hides")
     write_csv(arguments.out / "hidden_points.csv", rows)
     write_json(arguments.out / "hidden_points.json", rows)
 

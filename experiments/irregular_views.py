@@ -30,7 +30,7 @@ from mvedge_jax.datasets import load_light_field, synthetic
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.metrics import depth_scores
 
-# Millimetres from one camera to the next, for the names.
+# Millimeters from one camera to the next, for the names.
 _PITCH = 60.0
 
 

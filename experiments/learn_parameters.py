@@ -105,7 +105,7 @@ def _every_number(path: str) -> bool:
 
 def _held_out(result: DepthResult, field: LightField) -> jax.Array:
     """Reprojection error of the views that the crosshair's map was not made from."""
-    vc, uc = field.centre
+    vc, uc = field.center
     away = [(v, u) for v, u in np.ndindex(field.available.shape) if v != vc and u != uc]
     views = gather_views(field, choice=away)
     return self_supervised_loss(result.disparity, views, _ERROR_ALONE)[0]

@@ -1,4 +1,4 @@
-"""A contact sheet of random scenes: centre views and their true disparity, and what they cost.
+"""A contact sheet of random scenes: center views and their true disparity, and what they cost.
 
 python experiments/random_scenes.py --out results/random_scenes
 """
@@ -61,7 +61,7 @@ def main() -> None:
 
 
 def _sheet(fields: list[LightField], columns: int = 8) -> Figure:
-    """Pairs of a centre view and its disparity below it."""
+    """Pairs of a center view and its disparity below it."""
     rows = -(-len(fields) // columns)
     figure = Figure(figsize=(1.7 * columns, 3.4 * rows), layout="constrained")
     axes = figure.subplots(2 * rows, columns, squeeze=False)
@@ -71,7 +71,7 @@ def _sheet(fields: list[LightField], columns: int = 8) -> Figure:
         row, column = divmod(number, columns)
         assert field.truth is not None
         disparity = np.asarray(field.truth.disparity)
-        axes[2 * row, column].imshow(np.asarray(field.centre_view))
+        axes[2 * row, column].imshow(np.asarray(field.center_view))
         axes[2 * row, column].set_title(str(number), fontsize=6)
         axes[2 * row + 1, column].imshow(disparity, cmap="turbo")
         text = f"{disparity.min():.2f} .. {disparity.max():.2f} px"

@@ -56,7 +56,7 @@ def changed(light_field: LightField, change: Change, *, every: bool = False) -> 
     The crosshair is drawn first: horizontal arm, then the rest of the vertical one, with seed 0, so
     that figures compare with those of other programs and do not depend on `every`.
     """
-    vc, uc = light_field.centre
+    vc, uc = light_field.center
     rows, columns = light_field.views.shape[:2]
     cross = [(vc, u) for u in range(columns)] + [(v, uc) for v in range(rows) if v != vc]
     rest = [place for place in np.ndindex(rows, columns) if place not in cross] if every else []
@@ -150,8 +150,8 @@ def main() -> None:
             rows.append(row.figures)
             print(json.dumps(row.figures), flush=True)
             maps = [as_image(m, truth.disparity) for m in (row.ours, row.sweep)]
-            centre = changed(light_field, CHANGES[label]).centre_view
-            picture = np.round(255 * np.asarray(centre)).astype(np.uint8)[..., ::-1]
+            center = changed(light_field, CHANGES[label]).center_view
+            picture = np.round(255 * np.asarray(center)).astype(np.uint8)[..., ::-1]
             strips.append(np.concatenate([picture, *maps], axis=1)[::2, ::2])
             # After every change: a run that is stopped leaves what it has.
             write_json(arguments.out / f"{title}.json", {"scene": title, "rows": rows})

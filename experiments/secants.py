@@ -74,7 +74,7 @@ def main() -> None:
     gradient, value = lean_jit(jax.grad(loss)), lean_jit(loss)
     report = {}
     for name, field in fields.items():
-        slopes, centre = gradient(start, field), float(value(start, field))
+        slopes, center = gradient(start, field), float(value(start, field))
         rows = []
         for path, direction, reach in _directions(start, slopes, arguments):
             slope = _dot(slopes, direction)
@@ -86,11 +86,11 @@ def main() -> None:
                     "derivative": slope,
                     "secant": secant,
                     "same sign": slope * secant > 0,
-                    "matters": max(abs(slope), abs(secant)) > arguments.matters * centre,
+                    "matters": max(abs(slope), abs(secant)) > arguments.matters * center,
                 }
             )
-        report[name] = {"loss": centre, **_shares(rows), "rows": rows}
-        print_table(rows, title=f"{name}, loss {centre:.4f}: {_shares(rows)}")
+        report[name] = {"loss": center, **_shares(rows), "rows": rows}
+        print_table(rows, title=f"{name}, loss {center:.4f}: {_shares(rows)}")
         kind = arguments.preset + ("" if arguments.sharpened else "_unsharpened")
         write_json(arguments.out / f"secants_{kind}.json", report)
 

@@ -3,7 +3,7 @@
 Three objectives: the known map (`fit_edges`), what all views hold against the first map
 (`ByEvidence`), and the reprojection error of half of the crosshair (`ByReprojection`). Adam has
 the rates and the schedule of the package; Levenberg-Marquardt solves each step by conjugate
-gradients through forward mode (`minimise_least_squares`). Seconds are without compilation.
+gradients through forward mode (`minimize_least_squares`). Seconds are without compilation.
 
     python experiments/second_order.py --out results/second_order
 """
@@ -20,18 +20,18 @@ from _model import first_map, plain
 from _report import print_table, write_json
 from _scenes import find_scene
 from matplotlib.figure import Figure
-from peers.least_squares import minimise_least_squares
+from peers.least_squares import minimize_least_squares
 
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.model import Renderer, SupervisedFit
 from mvedge_jax.model.approaches import ByEvidence, ByReprojection
 from mvedge_jax.model.objectives import Supervised, unlimited
-from mvedge_jax.model.optimisation import (
+from mvedge_jax.model.optimization import (
     FixedPoints,
     Rates,
     all_at_once,
     begin,
-    optimise,
+    optimize,
 )
 
 # Below these errors, px, absolute ones are squares: corrections by the evidence are thousandths.
@@ -71,7 +71,7 @@ def objective(kind: str, light_field: LightField) -> tuple[Any, Any, jax.Array, 
     """Start, objective, a first map and the rates of Adam."""
     start, renderer = first_map(light_field), Renderer.on_raster(1)
     if kind == "supervised":
-        start, truth = plain(start, light_field.centre_view), light_field.truth
+        start, truth = plain(start, light_field.center_view), light_field.truth
         assert truth is not None
         fit = SupervisedFit()
         goal = Supervised(
@@ -89,9 +89,9 @@ def adam(
     """Losses before every iteration, and warm seconds of all."""
     routine = all_at_once(rates, iterations=iterations)
     whole, state = FixedPoints(piece=iterations), begin(model, first, key=jax.random.key(0))
-    optimise(state, routine, goal, strategy=whole)
+    optimize(state, routine, goal, strategy=whole)
     before = time.perf_counter()
-    _, history = optimise(state, routine, goal, strategy=whole)
+    _, history = optimize(state, routine, goal, strategy=whole)
     losses = history.loss.tolist()
     return losses, time.perf_counter() - before
 
@@ -101,7 +101,7 @@ def newton(
 ) -> tuple[list[float], list[float]]:
     """Losses before the first step and after every one, and seconds at each of them."""
     moments = []
-    found = minimise_least_squares(
+    found = minimize_least_squares(
         model,
         goal,
         first,

@@ -75,11 +75,11 @@ def cells(case: Case) -> System:
         share = random.uniform(size=a.shape) if mixed else 1.0
         return np.where(a == b, 1.0, case.cut**share)
 
-    labelled = random.uniform(size=cell.shape) < case.density
-    labelled[random.integers(size), random.integers(size)] = True
+    labeled = random.uniform(size=cell.shape) < case.density
+    labeled[random.integers(size), random.integers(size)] = True
     share = random.uniform(size=cell.shape) if mixed else 1.0
     maps = (
-        np.where(labelled, case.weight**share, 0.0),
+        np.where(labeled, case.weight**share, 0.0),
         height,
         edges(cell[:, 1:], cell[:, :-1]),
         edges(cell[1:], cell[:-1]),
@@ -88,7 +88,7 @@ def cells(case: Case) -> System:
 
 
 def exact(system: System) -> np.ndarray:
-    """The solution by sparse factorisation, refined by residuals from differences."""
+    """The solution by sparse factorization, refined by residuals from differences."""
     factors = scipy.sparse.linalg.splu(
         system.to_scipy().tocsc(),
         permc_spec="MMD_AT_PLUS_A",

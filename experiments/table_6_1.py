@@ -1,4 +1,4 @@
-"""Table 6.1: accuracy and time of the centre view's depth, with every baseline and ablation.
+"""Table 6.1: accuracy and time of the center view's depth, with every baseline and ablation.
 
 What the thesis prints, what the authors' program scores and, where their maps are there, what
 others score (`peer_maps.py`) stands beside ours.

@@ -6,7 +6,7 @@
 `--colmap` has the depth maps of COLMAP's dense reconstruction, `NAME.geometric.bin` or
 `NAME.photometric.bin` for a photograph NAME, of the size and in the unit of the photographs: the
 rows "COLMAP" and "ours-C", which starts from 2808 of its labels at edges of the image and is
-optimised like the sparse points. COLMAP's dense part needs a GPU and is not run here. What stands
+optimized like the sparse points. COLMAP's dense part needs a GPU and is not run here. What stands
 in for it, with `--methods from_sweep`, is our posed plane sweep: row "ours-C, of the sweep".
 
 Errors are in three forms. As they are; after one fit of a scale at 500 pixels (`scaled`); and as in
@@ -88,7 +88,7 @@ def linear(photographs: Photographs, reference: Reference) -> Maps:
 
 
 def diffusion(photographs: Photographs, reference: Reference) -> Maps:
-    """Inverse depths of the points, diffused between the image's edges (7.2), not optimised."""
+    """Inverse depths of the points, diffused between the image's edges (7.2), not optimized."""
     xy, depth = pixels_of_points(photographs, reference)
     image = photographs.images[int(reference.index)]
     shape = image.shape[:2]
@@ -151,7 +151,7 @@ def _pair(photographs: Photographs, reference: Reference, other: int) -> np.ndar
     unit = focal * length / float(reference.scale(photographs))
     least = int(np.floor(low * unit)) - 1
     span = 16 * max(1, int(np.ceil((high * unit + 1 - least) / 16)))
-    # Textbook settings for colour images and windows of 5 px.
+    # Textbook settings for color images and windows of 5 px.
     matcher = cv2.StereoSGBM.create(
         minDisparity=least, numDisparities=span, blockSize=5, P1=8 * 3 * 25, P2=32 * 3 * 25,
         disp12MaxDiff=1, uniquenessRatio=5, speckleWindowSize=100, speckleRange=2,
@@ -171,10 +171,10 @@ def _pair(photographs: Photographs, reference: Reference, other: int) -> np.ndar
     return np.where(inverse > 0, inverse, np.nan)
 
 
-def optimised(photographs: Photographs, reference: Reference) -> Maps:
-    """The thesis' method: the points diffused, and optimised with more at the image's edges."""
+def optimized(photographs: Photographs, reference: Reference) -> Maps:
+    """The thesis' method: the points diffused, and optimized with more at the image's edges."""
     found = sparse_stereo(photographs, reference, SparseStereoDepth(), key=jax.random.key(0))
-    return {"points, optimised (7.2.2)": np.asarray(found.depth)}
+    return {"points, optimized (7.2.2)": np.asarray(found.depth)}
 
 
 def from_sweep(photographs: Photographs, reference: Reference) -> Maps:
@@ -185,7 +185,7 @@ def from_sweep(photographs: Photographs, reference: Reference) -> Maps:
 
 METHODS = {
     method.__name__: method
-    for method in (ours, sweep, semiglobal, linear, diffusion, optimised, from_sweep)
+    for method in (ours, sweep, semiglobal, linear, diffusion, optimized, from_sweep)
 }
 # The stand-in for COLMAP is asked for by name: it takes as long as all others.
 DEFAULT = [name for name in METHODS if name != "from_sweep"]

@@ -1,9 +1,9 @@
-"""Table 7.2: self-supervised optimisation, before and after.
+"""Table 7.2: self-supervised optimization, before and after.
 
     python experiments/table_7_2.py --data ../shared/data --scenes hci/cotton hci/backgammon
 
 The thesis' figures are printed beside ours. The map is what `mvedge optimize` writes; `--loss
-reprojection` minimises (7.15) instead and keeps the change if views that it never saw speak for it.
+reprojection` minimizes (7.15) instead and keeps the change if views that it never saw speak for it.
 The reprojection error serves scenes without truth. The curve has the rendered model itself. One
 set of constants serves all scenes, but it was chosen while looking at cotton, backgammon and the
 synthetic scenes edges and slanted; the other synthetic scenes are the fair test.
@@ -29,7 +29,7 @@ from mvedge_jax.model.approaches import ByEvidence, ByReprojection
 def outermost(light_field: LightField) -> tuple[tuple[int, int], ...]:
     """The corner views, or the ends of the crosshair where there are no others."""
     rows, columns = light_field.views.shape[:2]
-    v, u = light_field.centre
+    v, u = light_field.center
     corners = ((0, 0), (0, columns - 1), (rows - 1, 0), (rows - 1, columns - 1))
     ends = ((v, 0), (v, columns - 1), (0, u), (rows - 1, u))
     available = np.asarray(light_field.available)

@@ -1,4 +1,4 @@
-"""Table C.1: reprojection error of light fields without truth, from the centre to the corner views.
+"""Table C.1: reprojection error of light fields without truth, from the center to the corner views.
 
     python experiments/table_c_1.py --scenes lytro/2067 --views 7 --out results/table_c_1
     python experiments/table_c_1.py --scenes STANFORD_FOLDER --views 17
@@ -28,14 +28,14 @@ from mvedge_jax.metrics import reprojection_error
 from mvedge_jax.plotting import plot_disparity
 
 
-def optimised(light_field: LightField) -> jax.Array:
+def optimized(light_field: LightField) -> jax.Array:
     """What `mvedge optimize` makes of our map: Chapter 7."""
     start = first_map(light_field)
     return run_self_supervised(start, light_field, raster=1, iterations=30)
 
 
 METHODS = (
-    OURS, chain("edges", preset="edges"), THESIS, SWEEP, Method("optimised", optimised),
+    OURS, chain("edges", preset="edges"), THESIS, SWEEP, Method("optimized", optimized),
 )  # fmt: skip
 
 

@@ -65,7 +65,7 @@ METHODS = (
     but("6.3: standard errors, too", {"labels": NearestLabels(PointWeight())}),
     but("6.1: smoothness by the image", {"smoothness": ImageGradient()}),
     but("6.1: by color and depth, twice", {"smoothness": ColorAndDepth()}, refine__solves=2),
-    but("6.1: quantised median", refine__sharpen__mode="quantised", refine__sharpen__levels=256),
+    but("6.1: quantized median", refine__sharpen__mode="quantized", refine__sharpen__levels=256),
     but("6.1: no median", refine__sharpen__mode="none"),
     Method("authors", authors),
 )

@@ -39,7 +39,7 @@ if _typing.TYPE_CHECKING:
     )
     from .datasets import load_light_field as load_light_field
     from .model import (
-        Optimised as Optimised,
+        Optimized as Optimized,
         Renderer as Renderer,
         Start as Start,
         SupervisedFit as SupervisedFit,
@@ -49,11 +49,11 @@ if _typing.TYPE_CHECKING:
         start_from_image as start_from_image,
     )
     from .model.approaches import ByEvidence as ByEvidence, ByReprojection as ByReprojection
-    from .model.optimisation import Growth as Growth
+    from .model.optimization import Growth as Growth
 
 _LATER = {
     "load_light_field": "datasets",
-    "Optimised": "model",
+    "Optimized": "model",
     "Renderer": "model",
     "Start": "model",
     "SupervisedFit": "model",
@@ -63,7 +63,7 @@ _LATER = {
     "start_from_image": "model",
     "ByEvidence": "model.approaches",
     "ByReprojection": "model.approaches",
-    "Growth": "model.optimisation",
+    "Growth": "model.optimization",
 }
 _FOLDERS = ("datasets", "losses", "model", "plotting", "posed")
 

@@ -25,7 +25,7 @@ class Arm(NamedTuple):
     available: Bool[Array, " s"]
 
     @property
-    def centre(self) -> int:
+    def center(self) -> int:
         """Index of the center view."""
         return self.planes.shape[0] // 2
 
@@ -37,9 +37,9 @@ class Crosshair(NamedTuple):
     vertical: Arm
 
     @property
-    def centre(self) -> Float[Array, "c y x"]:
+    def center(self) -> Float[Array, "c y x"]:
         """The view that both have in common."""
-        return self.horizontal.planes[self.horizontal.centre]
+        return self.horizontal.planes[self.horizontal.center]
 
     def mapped(self, function: Callable[[Array], Array]) -> "Crosshair":
         """The same with a function applied to the planes of both arms."""
@@ -61,7 +61,7 @@ def crosshair(light_field: LightField) -> Crosshair:
     Views are read as if they were on the center row and column; `LightField` sees to it that they
     are not far beside them.
     """
-    (vc, uc), steps = light_field.centre, light_field.steps
+    (vc, uc), steps = light_field.center, light_field.steps
     horizontal = jnp.transpose(light_field.horizontal_arm, (0, 3, 1, 2))
     vertical = jnp.transpose(light_field.vertical_arm, (0, 3, 2, 1))
     return Crosshair(

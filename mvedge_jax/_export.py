@@ -92,7 +92,7 @@ def _plain(name: str, value: Any) -> Any:
         names = [field.name for field in dataclasses.fields(value)]
         return {kind: {field: _plain(f"{name}.{field}", getattr(value, field)) for field in names}}
     raise TypeError(
-        f"A program whose arguments hold `{name}` = {value!r} cannot be serialised: static fields "
+        f"A program whose arguments hold `{name}` = {value!r} cannot be serialized: static fields "
         "may be text, numbers, truth values, None, tuples and this package's dataclasses of them. "
         "Close over this argument, or pass its arrays alone."
     )

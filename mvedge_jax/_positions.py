@@ -34,7 +34,7 @@ def check_positions(positions: Float[np.ndarray, "v u 2"]) -> None:
     vc, uc = positions.shape[0] // 2, positions.shape[1] // 2
     if (positions[vc, uc] != 0).any():
         raise ValueError(
-            f"`positions` must be (0, 0) for the centre view, (v, u) = ({vc}, {uc}), got "
+            f"`positions` must be (0, 0) for the center view, (v, u) = ({vc}, {uc}), got "
             f"{positions[vc, uc]}."
         )
     for name, number, axis in (("columns", 0, 1), ("rows", 1, 0)):
@@ -50,13 +50,13 @@ def check_positions(positions: Float[np.ndarray, "v u 2"]) -> None:
         low, high = _SPACINGS
         if apart.size and not low <= np.median(apart) <= high:
             raise ValueError(
-                f"`positions` must be in view steps, to which disparities refer: neighbouring "
+                f"`positions` must be in view steps, to which disparities refer: neighboring "
                 f"{name} about 1 apart ({low:g} to {high:g}), got {np.median(apart):.4g}."
             )
     if np.abs(positions).max() > _WIDEST:
         v, u, _ = (int(i) for i in np.argwhere(np.abs(positions) > _WIDEST)[0])
         raise ValueError(
-            f"`positions` must be within {_WIDEST:g} view steps of the centre view, got "
+            f"`positions` must be within {_WIDEST:g} view steps of the center view, got "
             f"{positions[v, u]} for view (v, u) = ({v}, {u})."
         )
     beside = {"row": np.abs(positions[vc, :, 1]), "column": np.abs(positions[:, uc, 0])}
@@ -65,7 +65,7 @@ def check_positions(positions: Float[np.ndarray, "v u 2"]) -> None:
             at = int(away.argmax())
             place = (vc, at) if name == "row" else (at, uc)
             raise ValueError(
-                f"`positions` must have the views of the centre {name} on a straight {name}, at "
+                f"`positions` must have the views of the center {name} on a straight {name}, at "
                 f"most {_BESIDE:g} view steps beside it, got {away.max():.3g} for view (v, u) = "
                 f"{place}."
             )

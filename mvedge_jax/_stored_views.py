@@ -61,7 +61,7 @@ class StoredViews:
     def of(light_field: LightField) -> "StoredViews":
         """The crosshair of a light field, without a copy where it is in the host's memory."""
         views, there = np.asarray(light_field.views), np.asarray(light_field.available)
-        vc, uc = light_field.centre
+        vc, uc = light_field.center
         places = [(v, u) for v, u in np.argwhere(there).tolist() if v == vc or u == uc]
         known, positions = light_field.disparity_range, light_field.positions
         return StoredViews(
@@ -74,14 +74,14 @@ class StoredViews:
         )
 
     @property
-    def centre(self) -> tuple[int, int]:
+    def center(self) -> tuple[int, int]:
         """`(v_c, u_c)`, the place of the center view."""
         return self.grid[0] // 2, self.grid[1] // 2
 
     @property
     def shape(self) -> tuple[int, int, int, int]:
         """Rows and columns of views, their height and width in px."""
-        height, width = self.planes[self.centre].shape[:2]
+        height, width = self.planes[self.center].shape[:2]
         return *self.grid, height, width
 
     @property
@@ -98,9 +98,9 @@ class StoredViews:
         return there
 
     @property
-    def centre_view(self) -> Float[np.ndarray, "y x 3"]:
+    def center_view(self) -> Float[np.ndarray, "y x 3"]:
         """The center view, sRGB in [0, 1], float32."""
-        plane = self.planes[self.centre]
+        plane = self.planes[self.center]
         return (plane / _white(plane)).astype(np.float32)
 
     def window(self, window: Window) -> LightField:

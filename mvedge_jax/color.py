@@ -26,7 +26,7 @@ _LAB_DELTA = 6.0 / 29.0
 def _require_rgb(image: Array, name: str) -> None:
     if image.ndim < 1 or image.shape[-1] != 3:
         raise ValueError(
-            f"`{name}` must have three colour channels on its last axis, got shape {image.shape}."
+            f"`{name}` must have three color channels on its last axis, got shape {image.shape}."
         )
 
 

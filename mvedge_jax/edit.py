@@ -84,7 +84,7 @@ def paint(
     light_field: LightField,
     disparities: Float[Array, "v u y x"],
     mask: Float[Array, "y x"],
-    colour: Float[Array, "3"] | Float[Array, "y x 3"],
+    color: Float[Array, "3"] | Float[Array, "y x 3"],
     *,
     shaded: bool = True,
 ) -> LightField:
@@ -97,7 +97,7 @@ def paint(
         light_field: the views, sRGB.
         disparities: of all views, px per view step.
         mask: how far each pixel of the center view is painted, 0..1.
-        colour: sRGB, one or a picture of the center view's size.
+        color: sRGB, one or a picture of the center view's size.
         shaded: keep the brightness of the surface relative to its mean under the mask, and so its
             texture and shading.
 
@@ -105,16 +105,16 @@ def paint(
         The edited light field. Differentiable in views, mask and color.
     """
     dtype = light_field.views.dtype
-    vc, uc = light_field.centre
-    centre = light_field.centre_view
-    paint_on, mask = jnp.broadcast_to(colour.astype(dtype), centre.shape), mask.astype(dtype)
+    vc, uc = light_field.center
+    center = light_field.center_view
+    paint_on, mask = jnp.broadcast_to(color.astype(dtype), center.shape), mask.astype(dtype)
     total = jnp.maximum(jnp.sum(mask), jnp.finfo(dtype).tiny)
-    mean = jnp.maximum(jnp.sum(mask * jnp.mean(centre, axis=-1)) / total, 1e-3)
+    mean = jnp.maximum(jnp.sum(mask * jnp.mean(center, axis=-1)) / total, 1e-3)
     layers = jnp.concatenate([paint_on, mask[..., None]], axis=-1)
 
     def one(item: tuple[Array, Array, Array]) -> Array:
         view, depth, step = item
-        x, y = _in_centre(depth, step)
+        x, y = _in_center(depth, step)
         seen = _shows(disparities[vc, uc], depth, x, y)
         # What the center view does not show is painted as the same surface is beside it.
         beside = holes(depth, seen).behind
@@ -153,16 +153,16 @@ def remove(
     Returns:
         The edited light field. Differentiable in the views.
     """
-    vc, uc = light_field.centre
+    vc, uc = light_field.center
     rows, columns, height, width = disparities.shape
-    centre = disparities[vc, uc]
+    center = disparities[vc, uc]
     steps = light_field.steps.reshape(-1, 2)
     dtype = light_field.views.dtype
 
     def marked(depth: Array, step: Array) -> Array:
-        x, y = _in_centre(depth, step)
+        x, y = _in_center(depth, step)
         there = _between(mask[..., None].astype(dtype), x, y, beyond="edge")[..., 0] > 0
-        return margin(there & _shows(centre, depth, x, y), radius=radius)
+        return margin(there & _shows(center, depth, x, y), radius=radius)
 
     maps = disparities.reshape(-1, height, width)
     gone = lax.map(lambda item: marked(*item), (maps, steps))
@@ -220,7 +220,7 @@ def _edited(light_field: LightField, views: Array) -> LightField:
     return eqx.tree_at(lambda field: field.views, light_field.without_truth(), views)
 
 
-def _in_centre(depth: Array, step: Array) -> tuple[Array, Array]:
+def _in_center(depth: Array, step: Array) -> tuple[Array, Array]:
     """Where the pixels of a view lie in the center view."""
     height, width = depth.shape
     x = jnp.arange(width, dtype=depth.dtype)[None] - step[0] * depth

@@ -48,7 +48,7 @@ class LightField(eqx.Module):
     Example:
         >>> import jax.numpy as jnp
         >>> light_field = LightField(jnp.zeros((3, 3, 8, 8, 3)))
-        >>> light_field.centre
+        >>> light_field.center
         (1, 1)
         >>> light_field.horizontal_epis().shape
         (8, 3, 8, 3)
@@ -103,13 +103,13 @@ class LightField(eqx.Module):
                 "suffice; `views.astype(jnp.float32)` will do."
             )
         if views.shape[-1] != 3:
-            raise ValueError(f"`views` must have three colour channels, got {views.shape[-1]}.")
+            raise ValueError(f"`views` must have three color channels, got {views.shape[-1]}.")
         if min(views.shape) < 1:
             raise ValueError(f"`views` must not be empty, got shape {views.shape}.")
         if grid[0] % 2 == 0 or grid[1] % 2 == 0:
             raise ValueError(
                 "`views` must have an odd number of view rows and columns, so that there is a "
-                f"centre view, got a grid of {grid[0]}x{grid[1]}; crop it (for example `views=7`)."
+                f"center view, got a grid of {grid[0]}x{grid[1]}; crop it (for example `views=7`)."
             )
         if self.available.shape != grid:
             raise ValueError(
@@ -136,16 +136,16 @@ class LightField(eqx.Module):
 
     def _check_values(self) -> None:
         available = np.asarray(self.available)
-        vc, uc = self.centre
+        vc, uc = self.center
         if not available[vc, uc]:
             raise ValueError(
-                f"`available` must include the centre view, (v, u) = ({vc}, {uc}), which is "
+                f"`available` must include the center view, (v, u) = ({vc}, {uc}), which is "
                 "missing."
             )
         if available.size > 1 and available[vc].sum() + available[:, uc].sum() == 2:
             raise ValueError(
-                "`available` must include a view of the crosshair, the centre row and column of "
-                f"views, besides the centre view; all {sum(available.shape) - 2} are missing."
+                "`available` must include a view of the crosshair, the center row and column of "
+                f"views, besides the center view; all {sum(available.shape) - 2} are missing."
             )
         if self.positions is not None:
             check_positions(np.asarray(self.positions))
@@ -168,14 +168,14 @@ class LightField(eqx.Module):
                 raise ValueError("`truth.disparity` must be finite where `truth.valid` is set.")
 
     @property
-    def centre(self) -> tuple[int, int]:
+    def center(self) -> tuple[int, int]:
         """`(v_c, u_c)`, the indices of the center view."""
         return self.views.shape[0] // 2, self.views.shape[1] // 2
 
     @property
-    def centre_view(self) -> Float[Array, "y x c"]:
+    def center_view(self) -> Float[Array, "y x c"]:
         """The center view, sRGB in [0, 1]."""
-        vc, uc = self.centre
+        vc, uc = self.center
         return self.views[vc, uc]
 
     @property
@@ -186,7 +186,7 @@ class LightField(eqx.Module):
         """
         if self.positions is not None:
             return 0 - self.positions
-        vc, uc = self.centre
+        vc, uc = self.center
         dv, du = np.mgrid[vc : vc - self.views.shape[0] : -1, uc : uc - self.views.shape[1] : -1]
         return jnp.asarray(np.stack([du, dv], axis=-1), self.views.dtype)
 
@@ -199,17 +199,17 @@ class LightField(eqx.Module):
         Raises:
             TypeError: the positions are traced.
         """
-        return max(self.centre) if self.positions is None else farthest(self.positions)
+        return max(self.center) if self.positions is None else farthest(self.positions)
 
     @property
     def horizontal_arm(self) -> Float[Array, "u y x c"]:
         """The center row of views."""
-        return self.views[self.centre[0]]
+        return self.views[self.center[0]]
 
     @property
     def vertical_arm(self) -> Float[Array, "v y x c"]:
         """The center column of views."""
-        return self.views[:, self.centre[1]]
+        return self.views[:, self.center[1]]
 
     def horizontal_epis(self) -> Float[Array, "y u x c"]:
         """One epipolar-plane image per image row `y`: `E[u, x] = views[v_c, u, y, x]`."""
@@ -267,7 +267,7 @@ class LightField(eqx.Module):
                     f"`{label}` must be odd and between 1 and the {have} views there are, got "
                     f"{count}."
                 )
-        vc, uc = self.centre
+        vc, uc = self.center
         window = (
             slice(vc - rows // 2, vc + rows // 2 + 1),
             slice(uc - columns // 2, uc + columns // 2 + 1),

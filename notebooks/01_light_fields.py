@@ -49,16 +49,16 @@ plotting.plot_views(light_field, width=4.5)
 # %% [markdown]
 # ## Disparity
 #
-# A point at $(x, y)$ of the centre view is at $(x + (u_c - u)\,d,\; y + (v_c - v)\,d)$ in view
+# A point at $(x, y)$ of the center view is at $(x + (u_c - u)\,d,\; y + (v_c - v)\,d)$ in view
 # $(v, u)$. Disparity $d$ is in pixels per view step, and **larger is nearer**. `light_field.steps`
-# holds $(u_c - u, v_c - v)$, so warping a corner view to the centre is one call; with the sign
+# holds $(u_c - u, v_c - v)$, so warping a corner view to the center is one call; with the sign
 # turned round the same call makes a mess, which is how a wrong convention shows.
 
 # %%
 corner = light_field.views[0, 0]
 for sign in (1, -1):
     warped, inside = backward_warp(corner, sign * truth, light_field.steps[0, 0])
-    difference = jnp.abs(warped - light_field.centre_view).mean(-1)[inside]
+    difference = jnp.abs(warped - light_field.center_view).mean(-1)[inside]
     print(f"{sign:+d} x disparity: median error {255 * float(jnp.median(difference)):.2f}/255")
 
 # %% [markdown]
@@ -67,14 +67,14 @@ for sign in (1, -1):
 #
 # ## Epipolar-plane images
 #
-# Stack one image row of all views of the centre row of the grid, and every scene point draws a
+# Stack one image row of all views of the center row of the grid, and every scene point draws a
 # straight line, $x(u) = x_c + (u_c - u)\,d$: depth has become slope. Where two lines cross, the
 # steeper-leaning (nearer) one covers the other. Lines end only there, so a line that is found in
 # an epipolar-plane image is an edge that many views agree on.
 
 # %%
 row = 80
-change = np.abs(np.diff(np.asarray(light_field.centre_view)[row].mean(-1)))
+change = np.abs(np.diff(np.asarray(light_field.center_view)[row].mean(-1)))
 columns = np.flatnonzero(change > 0.06)
 disparity = np.maximum(np.asarray(truth)[row, columns], np.asarray(truth)[row, columns + 1])
 plotting.plot_epi(light_field, row=row, positions=columns + 0.5, disparities=disparity)
@@ -95,7 +95,7 @@ plotting.plot_comparison(
     truth,
     names=["plane sweep"],
     captions=[caption],
-    image=light_field.centre_view,
+    image=light_field.center_view,
     width=6.0,
 )
 
@@ -122,7 +122,7 @@ print("the holes masked out          ", mae(holes, truth, mask=jnp.isfinite(hole
 # %% [markdown]
 # ## Files
 #
-# `load_light_field` recognises the HCI benchmark, the old HCI archive, Stanford, Lytro and any
+# `load_light_field` recognizes the HCI benchmark, the old HCI archive, Stanford, Lytro and any
 # folder of numbered images, and turns all of them into the convention above.
 
 # %%

@@ -90,7 +90,7 @@ print(f"{keep.sum()} points, median standard error {error:.4f} px")
 # time gives two maps. Where the label was pushed onto its own surface, the step stays clean.
 
 # %%
-passes = bidirectional(points, srgb_to_gray(blind.centre_view), DirectionalDiffusion())
+passes = bidirectional(points, srgb_to_gray(blind.center_view), DirectionalDiffusion())
 plotting.plot_disparity(
     [truth, passes.forward, passes.backward], names=["truth", "+ normal", "- normal"]
 )
@@ -98,7 +98,7 @@ plotting.plot_disparity(
 # %% [markdown]
 # ## Dense depth
 #
-# Labels weighted by their standard errors, smoothness that ends where a colour step and a depth
+# Labels weighted by their standard errors, smoothness that ends where a color step and a depth
 # step meet, and a weighted median for the steps that are left blurred.
 
 # %%
@@ -128,7 +128,7 @@ plotting.plot_disparity(
 #
 # Points, hypotheses and sides are chosen; everything computed from the choice is differentiable.
 # `jax.grad` reaches every number and every pixel of the views that are read: by default those of
-# the centre row and column, with `views="all"` all of them. In views that are not read, it is
+# the center row and column, with `views="all"` all of them. In views that are not read, it is
 # exactly 0. These are the numbers, by part:
 
 # %%

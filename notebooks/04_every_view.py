@@ -16,7 +16,7 @@
 # %% [markdown]
 # # Depth of every view, and edits that occlude
 #
-# A map of the centre view says nothing of what the centre view does not show. Edits need it: a
+# A map of the center view says nothing of what the center view does not show. Edits need it: a
 # thing that is put into the scene has to be hidden by what is in front of it in every view, and
 # what is taken away leaves behind what only other views have seen.
 
@@ -47,7 +47,7 @@ found = depth_of_views(blind, result, ViewDepth.for_light_field(blind))
 
 
 def moved(step):
-    """The centre view's map in another view; holes go on with the surface behind."""
+    """The center view's map in another view; holes go on with the surface behind."""
     warped = forward_warp(result.disparity[..., None], result.disparity, step)
     return warped.disparity.ravel()[holes(warped.disparity, warped.hit).behind]
 
@@ -55,11 +55,11 @@ def moved(step):
 naive = jax.vmap(jax.vmap(moved))(blind.steps)
 
 # %% [markdown]
-# ## What the centre view does not show
+# ## What the center view does not show
 #
-# The pixels of the centre view are moved to every view. What is left open is measured in the
+# The pixels of the center view are moved to every view. What is left open is measured in the
 # corner views, and shared: every pixel of every map is one of a common set of samples. `source`
-# says which: 0, seen by the centre view; 1, by other views only; 2, by none, and continued from
+# says which: 0, seen by the center view; 1, by other views only; 2, by none, and continued from
 # the surface behind.
 
 # %%
@@ -88,7 +88,7 @@ for name, maps in (("moved", naive), ("ours", found.disparity)):
 # %% [markdown]
 # ## All maps
 #
-# What is gained is gained at the edges and behind them; where the centre view's map is off by a
+# What is gained is gained at the edges and behind them; where the center view's map is off by a
 # little, as on the wall of so small a scene, all maps are.
 #
 # How much the maps of the views disagree about the same point is a score that knows no truth, and
@@ -119,7 +119,7 @@ plotting.plot_views(edited)
 # %% [markdown]
 # ## Paint, and something gone
 #
-# Paint on a surface of the centre view follows it into all views, and goes on where the centre
+# Paint on a surface of the center view follows it into all views, and goes on where the center
 # view does not show it. What is removed leaves what other views saw behind it; `radius` takes along
 # the pixels around it that blend with it.
 

@@ -170,8 +170,8 @@ for name, chosen in (("defaults", model), ("sweep", swept), ("learned", learned)
 # %% [markdown]
 # ## A part of one's own
 #
-# A smoothness is any `equinox.Module` that is called with the centre view, the map of the previous
-# diffusion and the depth-edge confidence, and returns weights of the edges between neighbouring
+# A smoothness is any `equinox.Module` that is called with the center view, the map of the previous
+# diffusion and the depth-edge confidence, and returns weights of the edges between neighboring
 # pixels.
 # This one scales those of the default by what a convolution sees. It is trained through the chain
 # of preset `"edges"`, in which the labels of edge points are all there is.

@@ -53,19 +53,19 @@ print(f"{int(found.number)} superpixels, {80 * 80 / 10**2:.0f} aimed at")
 # %% [markdown]
 # ## The same patches in all views
 #
-# In the centre view and the corner views, outlined and in one colour per label.
+# In the center view and the corner views, outlined and in one color per label.
 
 # %%
 plotting.plot_superpixels(blind.views, found.labels)
 
 # %%
-colours = plotting.label_colours(int(found.number))
-plotting.plot_superpixels(blind.views, found.labels, colours=colours)
+colors = plotting.label_colors(int(found.number))
+plotting.plot_superpixels(blind.views, found.labels, colors=colors)
 
 # %% [markdown]
 # ## What is known of a patch
 #
-# Place, plane, mean colour, area in the centre view, what it touches, and the least label of the
+# Place, plane, mean color, area in the center view, what it touches, and the least label of the
 # surface that it is part of.
 
 # %%
@@ -74,7 +74,7 @@ label = int(found.labels[1, 1, y, x])
 row = label - 1
 print(f"label {label}: {int(found.area[row])} px around {np.asarray(found.xy[row]).round(1)}")
 print(f"disparity {float(found.plane[row, 0]):.3f} px, slopes {np.asarray(found.plane[row, 1:])}")
-pairs = np.asarray(found.neighbours)
+pairs = np.asarray(found.neighbors)
 touching = pairs[(pairs == label).any(1)]
 print(f"touches {sorted(set(touching.ravel()) - {label})}, parent {int(found.parents[row])}")
 
@@ -91,7 +91,7 @@ for name in ("accuracy", "recall", "undersegmentation_once", "compactness", "lab
 # %% [markdown]
 # ## One click, all views
 #
-# The patch under a pixel of the centre view, recoloured in every view.
+# The patch under a pixel of the center view, recolored in every view.
 
 # %%
 mask = (found.labels[1, 1] == label).astype(blind.views.dtype)
@@ -102,13 +102,13 @@ plotting.plot_views(paint(blind, exact, mask, jnp.array([0.9, 0.1, 0.1])))
 #
 # `soft_superpixels` says how much each pixel belongs to the nine superpixels around it, and has
 # gradients in the views and in the disparity. What is lost by describing the picture with one
-# colour per superpixel, and what would reduce it?
+# color per superpixel, and what would reduce it?
 
 
 # %%
 def loss(disparity):
     soft = soft_superpixels(blind, depths._replace(disparity=disparity), model)
-    return jnp.mean((through_superpixels(soft, blind.centre_view) - blind.centre_view) ** 2)
+    return jnp.mean((through_superpixels(soft, blind.center_view) - blind.center_view) ** 2)
 
 
 value, gradient = eqx.filter_jit(jax.value_and_grad(loss))(exact)

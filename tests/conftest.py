@@ -32,7 +32,7 @@ def pytest_configure(config):
     # Tests neither read what the user has compiled nor leave anything there.
     os.environ["MVEDGE_CACHE"] = "off"
     if config.getoption("markexpr") == "not slow":
-        # Compiling is nearly all of the fast tier's time, and unoptimised programs compile faster;
+        # Compiling is nearly all of the fast tier's time, and unoptimized programs compile faster;
         # so they do by the emitters of fusions that the package's own programs are made with.
         jax.config.update("jax_disable_most_optimizations", True)
         os.environ["JAX_DISABLE_MOST_OPTIMIZATIONS"] = "1"  # of the processes that tests start
@@ -67,7 +67,7 @@ def _share_programs(folder: str) -> None:
 
 
 @pytest.fixture(scope="module")
-def optimised():
+def optimized():
     """Programs as users have them, where tests wait for them rather than for the compiler."""
     name = "jax_disable_most_optimizations"
     before = jax.config.read(name)

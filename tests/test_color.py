@@ -1,4 +1,4 @@
-"""Colour spaces against scikit-image, OpenCV and closed forms."""
+"""Color spaces against scikit-image, OpenCV and closed forms."""
 
 import cv2
 import jax
@@ -37,7 +37,7 @@ def test_gradients():
 
 
 def test_wrong_channels_are_refused():
-    with pytest.raises(ValueError, match=r"three colour channels.*\(4, 4\)"):
+    with pytest.raises(ValueError, match=r"three color channels.*\(4, 4\)"):
         color.srgb_to_lab(jnp.zeros((4, 4)))
 
 
@@ -80,7 +80,7 @@ def test_the_slope_of_a_solution_is_that_of_the_inverse():
             np.testing.assert_allclose(a, b, rtol=1e-8, atol=1e-8 * float(jnp.abs(b).max()))
 
 
-def test_slopes_of_flat_colours_stay_in_single_precision():
+def test_slopes_of_flat_colors_stay_in_single_precision():
     # No intermediate is more than the inverse squared.
     moments = [jnp.asarray(0.0, jnp.float32)] * 6
     floor = jnp.asarray(1e-6, jnp.float32)

@@ -50,7 +50,7 @@ def test_a_compiler_that_does_not_know_them_is_not_asked(monkeypatch):
 
 
 @pytest.mark.parametrize("asked", [True, False])
-def test_who_wants_no_optimisations_gets_none(asked):
+def test_who_wants_no_optimizations_gets_none(asked):
     if not compiler_options():
         pytest.skip("this compiler knows none of them")
     before = jax.config.read("jax_disable_most_optimizations")

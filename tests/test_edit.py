@@ -14,7 +14,7 @@ _NEAR, _FAR = 1, -1
 
 
 def _cards(shape=(3, 3, 24, 32)):
-    """A card at disparity 1 before a wall at -1, with their colours and depth in every view."""
+    """A card at disparity 1 before a wall at -1, with their colors and depth in every view."""
     rows, columns, height, width = shape
     rng = np.random.default_rng(1)
     wall = rng.uniform(0.5, 1, (height + 8, width + 8, 3))
@@ -67,7 +67,7 @@ def test_half_transparent_pictures_mix():
     )
 
 
-def test_paint_goes_on_where_the_centre_view_does_not_show_the_surface():
+def test_paint_goes_on_where_the_center_view_does_not_show_the_surface():
     field, depth, _ = _cards()
     wall = np.asarray(depth == _FAR)
     mask = jnp.asarray(wall[1, 1], field.views.dtype)
@@ -97,7 +97,7 @@ def test_what_is_removed_shows_what_other_views_saw():
 def test_what_blends_with_what_is_removed_goes_with_it_in_every_view():
     field, depth, _ = _cards((5, 5, 24, 32))
     on = np.asarray(depth == _NEAR)
-    # A rim of the card's colour all around it, in every view.
+    # A rim of the card's color all around it, in every view.
     rim = ndimage.binary_dilation(on, np.ones((1, 1, 3, 3), bool)) & ~on
     views = jnp.where(rim[..., None], jnp.asarray([0.3, 0.1, 0.1]), field.views)
     found = remove(LightField(views), depth, depth[2, 2] == _NEAR, radius=2)
@@ -105,7 +105,7 @@ def test_what_blends_with_what_is_removed_goes_with_it_in_every_view():
 
 
 def _wall(disparity, shape=(3, 3, 12, 14)):
-    """A wall of one colour between whole disparities."""
+    """A wall of one color between whole disparities."""
     return LightField(jnp.full((*shape, 3), 0.4)), jnp.full(shape, disparity)
 
 
@@ -121,7 +121,7 @@ def test_nothing_from_beyond_the_frame_mixes_in():
 
 
 def test_paint_stays_at_its_end_of_the_wall():
-    """A view's corner that no row or column of the centre view reaches is not the other corner."""
+    """A view's corner that no row or column of the center view reaches is not the other corner."""
     field, depth = _wall(2.0)
     corner = jnp.zeros((12, 14)).at[:6, :6].set(1.0)
     found = paint(field, depth, corner, jnp.ones(3), shaded=False)

@@ -71,7 +71,7 @@ def test_static_choices_are_kept(part):
 
 
 def test_every_public_type_is_registered():
-    for kind in (mv.LightField, ColorAndDepth, mv.ViewDepths, mv.System, mv.Optimised, Superpixels):
+    for kind in (mv.LightField, ColorAndDepth, mv.ViewDepths, mv.System, mv.Optimized, Superpixels):
         assert kind in _export._registered
 
 
@@ -84,5 +84,5 @@ def test_a_static_field_that_is_no_plain_value_is_named():
 
     _export._register_module(Holder, "test.Holder")
     exported = export.export(jax.jit(lambda h: h.leaf))(Holder(jnp.ones(2), jnp.sin))
-    with pytest.raises(TypeError, match=r"hold `test.Holder.rule` = .* cannot be serialised"):
+    with pytest.raises(TypeError, match=r"hold `test.Holder.rule` = .* cannot be serialized"):
         exported.serialize()

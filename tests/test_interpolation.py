@@ -35,7 +35,7 @@ def test_flat_values_of_any_size_have_finite_derivatives(size):
 
 
 def test_nearly_equal_values_have_no_steep_vertex():
-    # Views of 8 bits tie exactly; a step of an optimiser leaves them this far apart.
+    # Views of 8 bits tie exactly; a step of an optimizer leaves them this far apart.
     for bend in (0.0, 1e-9, 1e-7, 1e-5, 1e-3):
         values = [jnp.asarray(1 + x) for x in (-bend, 0.0, -1.5 * bend)]
         slopes = jax.grad(lambda v: vertex(*v))(values)

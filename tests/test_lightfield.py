@@ -72,7 +72,7 @@ def test_what_else_is_known_compiles_nothing_anew():
     for a, b in zip(jax.tree.leaves(named), jax.tree.leaves(known), strict=True):
         assert a is b
     traces = []
-    run = jax.jit(lambda f: traces.append(f) or f.centre_view.sum())
+    run = jax.jit(lambda f: traces.append(f) or f.center_view.sum())
     for field in (known, named, known.without_truth(), _random(name="a")):
         bare = field.bare()
         assert (bare.truth, bare.camera, bare.disparity_range) == (None, None, None)
@@ -85,38 +85,38 @@ def test_what_else_is_known_compiles_nothing_anew():
     np.testing.assert_array_equal(gradient, 1)
 
 
-GREY = np.full((3, 3, 4, 4, 3), 0.5, np.float32)
+GRAY = np.full((3, 3, 4, 4, 3), 0.5, np.float32)
 TRUE = jnp.ones((4, 4), bool)
 
 
 @pytest.mark.parametrize(
     ("views", "options", "message"),
     [
-        (GREY[0], {}, r"axes \[v, u, y, x, c\].*\(3, 4, 4, 3\)"),
-        (GREY[:, :2], {}, "odd number of view rows and columns.*3x2"),
+        (GRAY[0], {}, r"axes \[v, u, y, x, c\].*\(3, 4, 4, 3\)"),
+        (GRAY[:, :2], {}, "odd number of view rows and columns.*3x2"),
         (np.zeros((3, 3, 4, 4, 3), np.uint8), {}, "floating point.*uint8"),
-        (GREY.astype("f2"), {}, "must be float32 or float64, got float16"),
-        (GREY.astype("c8"), {}, "floating point.*complex64"),
-        (np.zeros((3, 3, 4, 4, 4)), {}, "three colour channels, got 4"),
-        (GREY[:, :, :0], {}, "must not be empty"),
-        (255 * GREY, {}, "from 127.5 to 127.5"),
-        (GREY, {"disparity_range": (1.0, -1.0)}, "low < high"),
-        (GREY, {"disparity_range": (np.nan, 1.0)}, "disparity_range"),
-        (GREY, {"disparity_range": (-np.inf, 1.0)}, "disparity_range"),
-        (GREY, {"disparity_range": (1.0, 2.0, 3.0)}, "pair"),
-        (GREY, {"available": jnp.ones((3, 5))}, "shape of the view grid"),
+        (GRAY.astype("f2"), {}, "must be float32 or float64, got float16"),
+        (GRAY.astype("c8"), {}, "floating point.*complex64"),
+        (np.zeros((3, 3, 4, 4, 4)), {}, "three color channels, got 4"),
+        (GRAY[:, :, :0], {}, "must not be empty"),
+        (255 * GRAY, {}, "from 127.5 to 127.5"),
+        (GRAY, {"disparity_range": (1.0, -1.0)}, "low < high"),
+        (GRAY, {"disparity_range": (np.nan, 1.0)}, "disparity_range"),
+        (GRAY, {"disparity_range": (-np.inf, 1.0)}, "disparity_range"),
+        (GRAY, {"disparity_range": (1.0, 2.0, 3.0)}, "pair"),
+        (GRAY, {"available": jnp.ones((3, 5))}, "shape of the view grid"),
         (
-            GREY,
+            GRAY,
             {"available": jnp.ones((3, 3)).at[1, 1].set(0)},
-            r"the centre view, \(v, u\) = \(1, 1\), which is missing",
+            r"the center view, \(v, u\) = \(1, 1\), which is missing",
         ),
         (
             jnp.zeros((3, 5, 4, 4, 3)),
             {"available": jnp.zeros((3, 5)).at[0].set(1).at[0, 2].set(0).at[1, 2].set(1)},
             "a view of the crosshair.*all 6 are missing",
         ),
-        (GREY, {"truth": GroundTruth(jnp.zeros((4, 5)), jnp.ones((4, 5), bool))}, "size of the"),
-        (GREY, {"truth": GroundTruth(jnp.full((4, 4), jnp.nan), TRUE)}, "finite where"),
+        (GRAY, {"truth": GroundTruth(jnp.zeros((4, 5)), jnp.ones((4, 5), bool))}, "size of the"),
+        (GRAY, {"truth": GroundTruth(jnp.full((4, 4), jnp.nan), TRUE)}, "finite where"),
     ],
 )
 def test_bad_input_is_refused(views, options, message):
@@ -173,13 +173,13 @@ _BENT = _places() + 0.3 * (np.arange(5) == 4)[None, :, None] * [0, 1]
     ("positions", "message"),
     [
         (_places() * np.nan, r"must be finite, .*got \[nan nan\] .*\(v, u\) = \(0, 0\)"),
-        (_places() + 1, r"must be \(0, 0\) for the centre view, .*\(1, 2\), got \[1. 1.\]"),
+        (_places() + 1, r"must be \(0, 0\) for the center view, .*\(1, 2\), got \[1. 1.\]"),
         (_places()[:, ::-1] * [1, 1], r"columns that increase to the right, got 2 .* and 1.4"),
         (_places() * [1, -1], r"rows that increase down, got 1.5 .* and -0 for \(1, 0\)"),
         (_places((-1350, -1, 0, 1, 2)), r"within 1000 view steps .* got \[-1350. +-1.5\] for"),
         (60 * _places(), r"in view steps, .* columns about 1 apart \(0.1 to 10\), got 60"),
         (_places()[:2], r"of shape \(3, 5, 2\), got \(2, 5, 2\)"),
-        (_BENT, r"centre row on a straight row, at most 0.25 .* got 0.3 .*\(v, u\) = \(1, 4\)"),
+        (_BENT, r"center row on a straight row, at most 0.25 .* got 0.3 .*\(v, u\) = \(1, 4\)"),
     ],
 )
 def test_positions_are_those_of_rows_and_columns(positions, message):
@@ -194,4 +194,4 @@ def test_a_plane_moves_as_the_convention_says():
     field = LightField(views)
     du = field.steps[1, 0, 0]
     there = np.interp(x[8:20] + float(du) * 1.5, x, np.asarray(field.views[1, 0, 0, :, 0]))
-    np.testing.assert_allclose(there, field.centre_view[0, 8:20, 0], atol=0.02)
+    np.testing.assert_allclose(there, field.center_view[0, 8:20, 0], atol=0.02)

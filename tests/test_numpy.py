@@ -97,7 +97,7 @@ CALLS = {
     "sharpen": lambda: Sharpen(radius=2, levels=8)(MAP, PLANES),
     "median": lambda: weighted_median(MAP, PLANES, ONE, radius=2, levels=8),
     "color": lambda: (color.srgb_to_lab(RGB), color.srgb_to_gray(RGB), color.planes_to_lab(PLANES)),
-    "raster": lambda: edges.rasterise(XY, LABEL, VALID, (Y, X)),
+    "raster": lambda: edges.rasterize(XY, LABEL, VALID, (Y, X)),
     "share": lambda: edges.share(XY, LABEL, LABEL, MAP, ONE),
     "sides": lambda: sides.surface_vectors(points(), None, MAP, sides.SideVote(), shape=(Y, X)),
     "paint": lambda: edit.paint(light_field(), MAPS, MAP, some(3)),

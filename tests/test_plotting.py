@@ -19,7 +19,7 @@ def _array(artist: Any) -> Any:
 
 
 def _draw(figure):
-    """Rasterises a figure: constrained layout and colour bars run only then."""
+    """Rasterizes a figure: constrained layout and color bars run only then."""
     figure.savefig(io.BytesIO(), format="png", dpi=40)
 
 
@@ -44,7 +44,7 @@ def test_views_are_where_their_labels_say():
     pixels = _array(mosaic)
     assert pixels.shape == (3 * 16 - 4, 5 * 21 - 4, 3)
     np.testing.assert_allclose(pixels[16:28, 21:38], scene.views[1, 1])
-    assert (pixels[:12, :17] == pixels[0, 0]).all()  # the missing view is one flat grey
+    assert (pixels[:12, :17] == pixels[0, 0]).all()  # the missing view is one flat gray
     assert 0 < pixels[0, 0].min() < 1
     assert [label.get_text() for label in figure.axes[0].get_xticklabels()] == list("01234")
     _draw(figure)
@@ -69,9 +69,9 @@ def test_epi_lines_have_the_slope_of_the_convention(along):
     collections = [c for c in lower.collections if isinstance(c, LineCollection)]
     segments = collections[-1].get_segments()
     assert len(segments) == 2
-    centre = 2 if along == "row" else 1
+    center = 2 if along == "row" else 1
     for segment, at, d in zip(segments, (4.0, 9.0), (1.0, -0.5), strict=True):
-        np.testing.assert_allclose(segment[:, 0], at + (centre - segment[:, 1]) * d)
+        np.testing.assert_allclose(segment[:, 0], at + (center - segment[:, 1]) * d)
     _draw(figure)
 
 
@@ -90,7 +90,7 @@ def test_an_epi_that_is_not_there_is_refused(options, message):
         plotting.plot_epi(_scene(), **options)
 
 
-def test_edges_are_coloured_by_disparity_and_near_ones_are_on_top():
+def test_edges_are_colored_by_disparity_and_near_ones_are_on_top():
     image = np.random.default_rng(2).random((12, 17, 3))
     points = jnp.array([[3.0, 4.0], [10.0, 2.0], [5.0, 5.0]])
     depth, valid = jnp.array([0.5, -0.5, 9.0]), jnp.array([True, True, False])
@@ -104,7 +104,7 @@ def test_edges_are_coloured_by_disparity_and_near_ones_are_on_top():
     _draw(figure)
 
 
-def test_maps_of_a_scene_share_range_colours_and_bar():
+def test_maps_of_a_scene_share_range_colors_and_bar():
     truth, maps = _maps()
     maps[0][3, 4] = np.nan
     figure = plotting.plot_disparity([truth, *maps], names=["truth", "a", "b"])
@@ -157,7 +157,7 @@ def test_comparison_has_a_column_per_method():
         maps, truth, names=["a", "b"], captions=["1", "2"], image=image
     )
     assert [axes.get_title() for axes in figure.axes[:3]] == ["ground truth", "a", "b"]
-    assert [axes.get_xlabel() for axes in figure.axes[3:6]] == ["centre view", "1", "2"]
+    assert [axes.get_xlabel() for axes in figure.axes[3:6]] == ["center view", "1", "2"]
     limits = {image.get_clim() for axes in figure.axes[:3] for image in axes.images}
     assert limits == {(-1.0, 1.0)}
     np.testing.assert_allclose(_array(figure.axes[5].images[0]), np.abs(maps[1] - truth))
@@ -214,29 +214,29 @@ def test_calibration_is_drawn_beside_the_diagonal():
 
 
 def _superpixels():
-    """Grey views of two superpixels, and a pixel of none."""
+    """Gray views of two superpixels, and a pixel of none."""
     labels = np.ones((3, 3, 8, 9), int)
     labels[..., 4:] = 2
     labels[..., 0, 0] = 0
     return np.full((3, 3, 8, 9, 3), 0.2), labels
 
 
-def test_superpixels_are_outlined_or_filled_with_their_colours():
+def test_superpixels_are_outlined_or_filled_with_their_colors():
     views, labels = _superpixels()
     outlined = plotting.superpixel_picture(views[1, 1], labels[1, 1], outline=(1.0, 0.0, 0.0))
     red = (outlined == [255, 0, 0]).all(-1)
     assert red[:, 4].all()
     assert red.sum() == 8 + 2  # and around the pixel without a label
-    colours = plotting.label_colours(200)
-    assert len(np.unique(np.round(255 * colours), axis=0)) > 190
-    filled = plotting.superpixel_picture(views[1, 1], labels[1, 1], colours=colours, outline=None)
-    expected = [*np.round(255 * colours[:2]), [51, 51, 51]]
+    colors = plotting.label_colors(200)
+    assert len(np.unique(np.round(255 * colors), axis=0)) > 190
+    filled = plotting.superpixel_picture(views[1, 1], labels[1, 1], colors=colors, outline=None)
+    expected = [*np.round(255 * colors[:2]), [51, 51, 51]]
     np.testing.assert_array_equal([filled[3, 2], filled[3, 7], filled[0, 0]], expected)
 
 
 def test_superpixels_of_all_views_and_labels_per_pixel_are_drawn():
     views, labels = _superpixels()
-    figure = plotting.plot_superpixels(views, labels, colours=plotting.label_colours(2))
+    figure = plotting.plot_superpixels(views, labels, colors=plotting.label_colors(2))
     assert len(_images(figure)) == 5
     _draw(figure)
     assert len(plotting.superpixel_frames(views, labels)) == 8

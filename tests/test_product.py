@@ -35,7 +35,7 @@ _VIEWS = np.broadcast_to(_IMAGE, (3, 3, *_IMAGE.shape))
 
 
 def _chain(views):
-    """All that becomes of the views: centre view, every view, superpixels."""
+    """All that becomes of the views: center view, every view, superpixels."""
     with jax.ensure_compile_time_eval():
         blank = LightField(jnp.asarray(_VIEWS), disparity_range=(-1.0, 1.0))
         chain, model = EdgeDepth.for_light_field(blank), ViewDepth.for_light_field(blank)
@@ -73,7 +73,7 @@ _PROGRAMS = {
     "bank": (_gradient(_bank), _IMAGE),
     "points": (_gradient(_splat), np.ones((40, 2), np.float32)),
     "photographs": (_gradient(_posed), np.eye(4, dtype=np.float32)),
-    "colours": (_gradient(lambda x: (srgb_to_lab(x), srgb_to_gray(x))), _IMAGE),
+    "colors": (_gradient(lambda x: (srgb_to_lab(x), srgb_to_gray(x))), _IMAGE),
     "features": (_gradient(FilterBank()), _PLANES),
     "similarity": (_gradient(lambda x: ssim(x, x * x)), _PLANES),
 }

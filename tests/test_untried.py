@@ -10,26 +10,26 @@ from mvedge_jax import EdgeDepth, LightField
 from mvedge_jax.all_views import ViewDepth, depth_of_views
 from mvedge_jax.model import Renderer, optimize_edges, start_from_depth
 from mvedge_jax.model.approaches import ByEvidence
-from mvedge_jax.model.optimisation import all_at_once
+from mvedge_jax.model.optimization import all_at_once
 from mvedge_jax.posed import Photographs, StereoDepth, reference_of, stereo
 from mvedge_jax.superpixels import SuperpixelClustering, soft_superpixels, superpixels
 
 pytestmark = pytest.mark.slow  # half a minute of compilation each
 
-COLOURS = {"black": (0.0, 0.0, 0.0), "constant": (0.5, 0.4, 0.6), "saturated": (1.0, 1.0, 1.0)}
-NAMES = (*COLOURS, "two colours")
+COLORS = {"black": (0.0, 0.0, 0.0), "constant": (0.5, 0.4, 0.6), "saturated": (1.0, 1.0, 1.0)}
+NAMES = (*COLORS, "two colors")
 SMALL = [(1, 1), (1, 40), (40, 1)]
 
 
 def _field(name, shape=(16, 16)):
-    image = np.full((*shape, 3), COLOURS.get(name, (0.2, 0.2, 0.2)))
-    if name == "two colours":
+    image = np.full((*shape, 3), COLORS.get(name, (0.2, 0.2, 0.2)))
+    if name == "two colors":
         image[shape[0] // 2 :, shape[1] // 2 :] = (0.9, 0.6, 0.1)
     views = np.broadcast_to(image, (3, 3, *image.shape))
     return LightField(jnp.asarray(views, jnp.float32), disparity_range=(-1.0, 2.0))
 
 
-def _centre(field):
+def _center(field):
     choices = {"refine.sharpen.levels": 4, "refine.sharpen.radius": 2}
     return EdgeDepth.for_light_field(field, choices=choices)(field)
 
@@ -43,11 +43,11 @@ def _finite(tree):
 
 @pytest.mark.parametrize(
     ("name", "shape"),
-    [*((name, (16, 16)) for name in NAMES), *(("two colours", shape) for shape in SMALL)],
+    [*((name, (16, 16)) for name in NAMES), *(("two colors", shape) for shape in SMALL)],
 )
-def test_views_superpixels_and_optimisation(name, shape):
+def test_views_superpixels_and_optimization(name, shape):
     field = _field(name, shape)
-    result = _centre(field)
+    result = _center(field)
     maps = depth_of_views(field, result, ViewDepth.for_light_field(field))
     _finite((maps.disparity, maps.error))
     assert bool((maps.error >= 0).all())
@@ -55,8 +55,8 @@ def test_views_superpixels_and_optimisation(name, shape):
     model = SuperpixelClustering.for_depths(maps, choices={"size": 4.0})
     labels = superpixels(field, maps, model).labels
     assert labels.shape == field.views.shape[:4]
-    assert bool((labels[field.centre] > 0).all())
-    assert len(np.unique(labels[field.centre])) <= max(1, 2 * shape[0] * shape[1] // 4)
+    assert bool((labels[field.center] > 0).all())
+    assert len(np.unique(labels[field.center])) <= max(1, 2 * shape[0] * shape[1] // 4)
 
     routine = all_at_once(ByEvidence().rates, iterations=2)
     start = start_from_depth(field, result)
@@ -67,7 +67,7 @@ def test_views_superpixels_and_optimisation(name, shape):
 @pytest.mark.parametrize("name", NAMES)
 def test_gradients_of_every_view_and_of_soft_superpixels(name):
     field = _field(name)
-    result, every = _centre(field), ViewDepth.for_light_field(field)
+    result, every = _center(field), ViewDepth.for_light_field(field)
     model = SuperpixelClustering(capacity=32, margin=2, rounds=2).replace(size=6.0)
 
     @jax.jit
@@ -97,7 +97,7 @@ def _photographs(name, shape):
     [
         *((name, (16, 16)) for name in NAMES),
         # The smallest that photographs may be.
-        *(("two colours", shape) for shape in ((8, 8), (8, 40), (40, 8))),
+        *(("two colors", shape) for shape in ((8, 8), (8, 40), (40, 8))),
     ],
 )
 def test_photographs_and_their_gradients(name, shape):
@@ -119,4 +119,4 @@ def test_photographs_and_their_gradients(name, shape):
 @pytest.mark.parametrize("shape", SMALL)
 def test_photographs_of_a_single_row_are_refused(shape):
     with pytest.raises(ValueError, match=f"at least 8 px a side, got {shape[0]}x{shape[1]}"):
-        _photographs("two colours", shape)
+        _photographs("two colors", shape)

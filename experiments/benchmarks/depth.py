@@ -1,4 +1,4 @@
-"""Time and memory of the centre view's depth, stage by stage.
+"""Time and memory of the center view's depth, stage by stage.
 
     python experiments/benchmarks/depth.py --scene SCENE --out results/benchmark_depth
 
@@ -153,9 +153,9 @@ def _stages(measure: Any, light_field: LightField, model: EdgeDepth) -> None:
     assert isinstance(sides, MapSides)
     assert measurement is not None
     points = measure("multi-view edges", multiview_edges, light_field, model).points
-    gray = srgb_to_gray(light_field.centre_view)
-    lab = jnp.moveaxis(srgb_to_lab(light_field.centre_view), -1, 0)
-    guide = jnp.moveaxis(light_field.centre_view, -1, 0)
+    gray = srgb_to_gray(light_field.center_view)
+    lab = jnp.moveaxis(srgb_to_lab(light_field.center_view), -1, 0)
+    guide = jnp.moveaxis(light_field.center_view, -1, 0)
     arms = crosshair(light_field)
     tried = jnp.linspace(*model.searched, calibration.hypotheses, dtype=gray.dtype)
     first = measure(

@@ -79,8 +79,8 @@ def generate(size: int, contrast: float, *, seed: int = 0) -> System:
     gradient = np.hypot(scipy.ndimage.sobel(picture, 0), scipy.ndimage.sobel(picture, 1))
     steepness = np.clip(gradient / np.quantile(gradient, 0.99), 0, 1)
     smoothness = contrast**-steepness
-    labelled = (steepness > 0.3) & (random.uniform(size=picture.shape) < 0.3)
-    weight = np.where(labelled, 1.0, 0.0)
+    labeled = (steepness > 0.3) & (random.uniform(size=picture.shape) < 0.3)
+    weight = np.where(labeled, 1.0, 0.0)
     arrays = (jnp.asarray(a, jnp.float32) for a in (weight, depth, smoothness))
     weight, label, smoothness = arrays
     return System(weight, label, *edge_weights(smoothness))

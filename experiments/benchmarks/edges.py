@@ -34,18 +34,18 @@ def textured(size: int, views: int = 9) -> LightField:
     base = np.clip(0.5 + 0.5 * base, 0, 1).astype(np.float32)
     y, x = np.mgrid[0:size, 0:size].astype(np.float32)
     image = np.zeros((views, views, size, size, 3), np.float32)
-    centre = views // 2
+    center = views // 2
     slope = 2.0 / size
     for v, u in np.ndindex(views, views):
-        if centre not in (v, u):
+        if center not in (v, u):
             continue
         # Solve x' = x + (u_c - u) d(x) for the plane d = slope * (x - size / 2).
-        source = (x + (centre - u) * slope * size / 2) / (1 + (centre - u) * slope)
+        source = (x + (center - u) * slope * size / 2) / (1 + (center - u) * slope)
         d = slope * (source - size / 2)
-        at_y = y - (centre - v) * d
+        at_y = y - (center - v) * d
         image[v, u] = cv2.remap(base, source + 40, at_y + 40, cv2.INTER_CUBIC)
     available = np.zeros((views, views), bool)
-    available[centre] = available[:, centre] = True
+    available[center] = available[:, center] = True
     return LightField(
         jnp.asarray(np.clip(image, 0, 1)), available=available, disparity_range=(-1.2, 1.2)
     )

@@ -58,9 +58,9 @@ def render_stored(
     rows, columns, height, width = check_grid(shape, samples)
     mode = mode_of(scene, (height, width), samples)
     gain, focus = float(scene.rig.gain), float(scene.rig.focus)
-    centre = rows // 2, columns // 2
+    center = rows // 2, columns // 2
     cross = [
-        (v, u) for v in range(rows) for u in range(columns) if centre[0] == v or centre[1] == u
+        (v, u) for v in range(rows) for u in range(columns) if center[0] == v or center[1] == u
     ]
     planes, truth = {}, np.empty((height, width), np.float32)
     for v, u in cross:
@@ -68,7 +68,7 @@ def render_stored(
         number = np.asarray(v * columns + u, np.int32)
         image, depth, _ = trace_view(scene.world, scene.sensor, pinhole, key, number, mode=mode)
         planes[v, u] = np.round(255 * np.asarray(image)).astype(np.uint8)
-        if (v, u) == centre:
+        if (v, u) == center:
             truth[...] = gain / np.asarray(depth) - gain / focus
     low, high = (float(end) for end in scene.disparity_range)
     stored = StoredViews(

@@ -4,7 +4,7 @@
 
 The crosshair of 9x9 views of a rendered scene, 8 bits. First calls, calls from the cache and peak
 memory are those of a process of its own; importing and rendering are not counted. In the same run:
-the plane sweep of the same views, OpenCV's SGBM of the centre view and the outermost one to its
+the plane sweep of the same views, OpenCV's SGBM of the center view and the outermost one to its
 right, and one diffusion of the labels of `diffusion.py` by this library and by PyAMG (classical
 coarsening, conjugate gradients, set-up included), both to the same residual. Gradients and batches
 are measured up to `--gradient` and `--batch` px.
@@ -182,7 +182,7 @@ def _peers(light_field: LightField, truth: np.ndarray, repeats: int) -> dict[str
 
 def _semi_global(light_field: LightField) -> np.ndarray:
     """Disparity, px per view step; what OpenCV leaves out takes the value to its left."""
-    row, column = light_field.centre
+    row, column = light_field.center
     left, right = (
         np.round(255 * np.asarray(light_field.views[row, u])).astype(np.uint8)
         for u in (column, light_field.views.shape[1] - 1)

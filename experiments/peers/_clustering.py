@@ -4,7 +4,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
-# Features that are compared with all centres at a time.
+# Features that are compared with all centers at a time.
 _BLOCK = 512
 # Pixels that look around themselves at a time.
 _CHUNK = 512
@@ -39,22 +39,22 @@ def seed_grid(height: int, width: int, size: int) -> tuple[Int[Array, " r"], Int
 def k_means(
     features: Float[Array, "n 6"], seeds: Float[Array, "k 6"], *, rounds: int
 ) -> Int[Array, " n"]:
-    """Clusters features with all centres tried for each; the first of equals wins.
+    """Clusters features with all centers tried for each; the first of equals wins.
 
     Args:
         features: from `weighted`.
-        seeds: first centres.
+        seeds: first centers.
         rounds: of assignment.
 
     Returns:
-        The centre of each, from 0 on.
+        The center of each, from 0 on.
     """
     count = features.shape[0]
     blocks = jnp.pad(features, ((0, -count % _BLOCK), (0, 0))).reshape(-1, _BLOCK, 6)
 
-    def nearest(centres: Array) -> Array:
+    def nearest(centers: Array) -> Array:
         def block(some: Array) -> Array:
-            away = (some[:, None] - centres[None]) ** 2
+            away = (some[:, None] - centers[None]) ** 2
             place, color = jnp.sum(away[..., :2], axis=-1), jnp.sum(away[..., 3:], axis=-1)
             distance = jnp.sqrt(place) + jnp.sqrt(away[..., 2]) + jnp.sqrt(color)
             return jnp.argmin(distance, axis=1).astype(jnp.int32)
@@ -63,14 +63,14 @@ def k_means(
 
     values = jnp.concatenate([features, jnp.ones_like(features[:, :1])], axis=-1)
 
-    def update(centres: Array, _) -> tuple[Array, None]:
-        sums = jnp.zeros((centres.shape[0], 7), features.dtype).at[nearest(centres)].add(values)
+    def update(centers: Array, _) -> tuple[Array, None]:
+        sums = jnp.zeros((centers.shape[0], 7), features.dtype).at[nearest(centers)].add(values)
         mass = sums[:, 6:]
         # A cluster without members is as far away as can be, for good.
         return jnp.where(mass > 0, sums[:, :6] / jnp.where(mass > 0, mass, 1), jnp.inf), None
 
-    centres, _ = lax.scan(update, seeds, length=rounds - 1)
-    return nearest(centres)
+    centers, _ = lax.scan(update, seeds, length=rounds - 1)
+    return nearest(centers)
 
 
 def alike(

@@ -18,7 +18,7 @@ class Ends(NamedTuple):
 
     Attributes:
         epi: number of the EPI.
-        left: where the left border crosses the centre view, and its disparity.
+        left: where the left border crosses the center view, and its disparity.
         right: the same of the right border.
         rank: place in the order from far to near, from 0 on.
     """
@@ -38,7 +38,7 @@ class Ends(NamedTuple):
 
 
 def width_of(ends: Ends, reach: int) -> int:
-    """Pixels that a segment has at most in a row of an EPI, views up to `reach` from the centre."""
+    """Pixels that a segment has at most in a row of an EPI, views up to `reach` from the center."""
     gap = np.asarray(ends.right - ends.left)
     widest = np.max(gap[:, 0] + reach * np.abs(gap[:, 1]), initial=0.0)
     # Few programs for many scenes.

@@ -40,7 +40,7 @@ class Segments(NamedTuple):
 
     Attributes:
         epi: number of the EPI.
-        left: where the left line crosses the centre view, and its disparity.
+        left: where the left line crosses the center view, and its disparity.
         right: the same of the right line.
         views: of an EPI.
     """
@@ -86,7 +86,7 @@ def _gathered(own: tuple, other: tuple, steps: np.ndarray) -> Lines:
     """The lines of one direction with those of the other one and of the frame."""
     (numbers, keep), (others, kept) = own, other
     count, width = len(keep), len(kept)
-    # A line of the other direction is a point of the centre view; so it is one of this one.
+    # A line of the other direction is a point of the center view; so it is one of this one.
     across = np.broadcast_to(np.arange(width, dtype=numbers.dtype)[:, None], kept.shape)
     epi = np.rint(others[..., 0]).astype(int)
     inside = kept & (epi >= 0) & (epi < count)
@@ -147,11 +147,11 @@ def matched(lines: Lines, edges: np.ndarray) -> Segments:
 
 
 def split(segments: Segments, disparity: np.ndarray) -> Segments:
-    """Halves segments that are too wide, at the disparity of the centre view there.
+    """Halves segments that are too wide, at the disparity of the center view there.
 
     Args:
         segments: of one direction.
-        disparity: of the centre view, `[epi, pixel]`.
+        disparity: of the center view, `[epi, pixel]`.
     """
     epi, left, right, views = segments
     while True:
@@ -168,8 +168,8 @@ def split(segments: Segments, disparity: np.ndarray) -> Segments:
         left, right = np.concatenate([left, new]), np.concatenate([old, right[wide]])
 
 
-def centre_disparity(segments: Segments, shape: tuple[int, int]) -> np.ndarray:
-    """Disparity of the centre view by the segments of one direction, `[epi, pixel]`."""
+def center_disparity(segments: Segments, shape: tuple[int, int]) -> np.ndarray:
+    """Disparity of the center view by the segments of one direction, `[epi, pixel]`."""
     ends = Ends.of(segments.epi, segments.left, segments.right)
     disparity = jnp.asarray(segments.disparity)
     steps = jnp.zeros(2, disparity.dtype)
@@ -186,7 +186,7 @@ def crosshair_segments(
     smooth: list[Float[Array, "_ _ _ 3"]],
     params: LineSearch,
 ) -> tuple[Segments, Segments]:
-    """Segments of the EPIs of the centre row and of the centre column of views.
+    """Segments of the EPIs of the center row and of the center column of views.
 
     Args:
         arms: Lab of the row; of the column, x and y swapped.
@@ -206,5 +206,5 @@ def crosshair_segments(
         steps = np.asarray(view_steps(own[2].shape[1], own[0].dtype))
         segments.append(matched(_gathered(own[:2], other[:2], steps), own[2]))
     shape = found[1][2].shape[0], found[1][2].shape[2]
-    disparity = centre_disparity(segments[1], shape)
+    disparity = center_disparity(segments[1], shape)
     return split(segments[0], disparity.T), split(segments[1], disparity)

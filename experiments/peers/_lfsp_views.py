@@ -1,4 +1,4 @@
-"""Labels of EPI segments in all views: painted, propagated from the centre, filled (5.1)."""
+"""Labels of EPI segments in all views: painted, propagated from the center, filled (5.1)."""
 
 from functools import partial
 from typing import NamedTuple

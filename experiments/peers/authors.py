@@ -3,7 +3,7 @@
 What the program does beside, or against, the dissertation (`docs/differences.md` names it): one
 scale and no vote, tests of crossed lines alone, filters with gaps between labels cut by the labels
 themselves, signs along edges by their majority, a second joint filter, a plane sweep around every
-label, smoothness by the product of both gradients, a quantised median. Left out are its mistakes:
+label, smoothness by the product of both gradients, a quantized median. Left out are its mistakes:
 an entropy search that moves one line of an image, and the corners of its last median.
 
 Figures, constants and steps are from the program's description; no code is.
@@ -24,7 +24,7 @@ from mvedge_jax.color import srgb_to_gray
 from mvedge_jax.depth import EdgeDepth, Refine, Sharpen
 from mvedge_jax.depth._labels import Labels
 from mvedge_jax.diffusion import AutoSolver, System, diffuse, edge_weights
-from mvedge_jax.edges import EdgePoints, rasterise
+from mvedge_jax.edges import EdgePoints, rasterize
 from mvedge_jax.edges.sides import Sides, SideVote, depth_edge_confidence, step_response
 from mvedge_jax.edges.sides._profile import profiles, stretched
 from mvedge_jax.edges.sides._surface import along_edge, choose
@@ -67,13 +67,13 @@ class AuthorsSides(eqx.Module):
     def __call__(self, points: EdgePoints, evidence: Evidence) -> Sides:
         """See `SideChoice`; the confidence is the exponent of the data weight."""
         params, shape = cast(self, points.disparity.dtype), evidence.shape
-        marked = rasterise(points.xy, points.disparity, points.valid, shape).hit
+        marked = rasterize(points.xy, points.disparity, points.valid, shape).hit
         smooth = jnp.where(marked, params.beside, 1).astype(points.disparity.dtype)
         tx, ty = edge_weights(smooth, pairing="second")
 
         def solve(sign: Array) -> tuple[Array, Array]:
             place = points.xy + sign * points.normal
-            raster = rasterise(place, points.disparity, points.valid, shape)
+            raster = rasterize(place, points.disparity, points.valid, shape)
             weight = params.data * raster.hit.astype(smooth.dtype)
             system = System(weight, raster.values(points.disparity), tx, ty)
             found = diffuse(system, solver=AutoSolver(tolerance=1e-4))
@@ -101,7 +101,7 @@ class AuthorsLabels(eqx.Module):
         kept: share of the points with the largest weights.
         sweep: run it.
         hypotheses: disparities of the sweep.
-        views: that are compared with the centre view's.
+        views: that are compared with the center view's.
     """
 
     span: Float[Array, ""] = number(0.25, "px")
@@ -122,14 +122,14 @@ class AuthorsLabels(eqx.Module):
         ordered = jnp.sort(jnp.where(points.valid, weight, jnp.inf))
         worst = ((1 - params.kept) * points.valid.sum().astype(dtype)).astype(jnp.int32)
         place = points.xy + sides.surface.offset
-        centre = jnp.moveaxis(evidence.calibrated.views.centre, 0, -1)
-        sigmas = [jnp.asarray(sigma, centre.dtype) for sigma in _SIGMAS]
-        disparity = joint_filter(place, points.disparity, points.valid, centre, *sigmas)
+        center = jnp.moveaxis(evidence.calibrated.views.center, 0, -1)
+        sigmas = [jnp.asarray(sigma, center.dtype) for sigma in _SIGMAS]
+        disparity = joint_filter(place, points.disparity, points.valid, center, *sigmas)
         valid = points.valid & (weight >= ordered[worst])
         if self.sweep:
             found = _swept(place, disparity, sides.surface.offset, evidence, params)
             disparity, valid = found.disparity, valid & found.known
-        raster = rasterise(place, disparity, valid, shape)
+        raster = rasterize(place, disparity, valid, shape)
         return Labels(raster.values(jnp.exp(weight - _LIMIT)), raster.values(disparity))
 
 
@@ -231,7 +231,7 @@ def authors_model(light_field: LightField) -> EdgeDepth:
         refine=Refine(
             stiffness=as_number(stiffness),
             slopes=None,
-            sharpen=Sharpen(mode="quantised", levels=256),
+            sharpen=Sharpen(mode="quantized", levels=256),
             outline=None,
             solves=1,
         ),

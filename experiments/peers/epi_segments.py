@@ -71,10 +71,10 @@ def opening_sides(
 
     Of two lines that cross, the nearer one belongs to the surface in front, and the farther one is
     seen on the side that this surface is not on: where edge pixels along it are. A line with
-    different verdicts at different crossings opens towards the neighbour of more similar slope.
+    different verdicts at different crossings opens towards the neighbor of more similar slope.
 
     Args:
-        position: where lines cross the centre view, px.
+        position: where lines cross the center view, px.
         disparity: of the lines, px per view step.
         edges: confidence of edges in the EPI, 0 where there is none.
         valid: lines to use.
@@ -99,7 +99,7 @@ def opening_sides(
     related = _relations(position, disparity, valid, slope_share, views)
     nearer = disparity[:, None] - disparity[None]
     front = related.crosses & (nearer > 0)
-    # Views from the centre to the crossing of lines f and g.
+    # Views from the center to the crossing of lines f and g.
     at = (position[None] - position[:, None]) / jnp.where(nearer == 0, 1, nearer)
     step = views // 2 - jnp.arange(views, dtype=dtype)
     column = jnp.round(position[:, None] + step[None] * disparity[:, None])
@@ -145,7 +145,7 @@ def match_segments(
     its own line and the one that hides it is bounded by lines that cross.
 
     Args:
-        position: where lines cross the centre view, px.
+        position: where lines cross the center view, px.
         disparity: of the lines, px per view step.
         opens: from `opening_sides`.
         valid: lines to use.
@@ -195,7 +195,7 @@ _jitted = jax.jit(_relations, static_argnames="views")
 
 def _matched(weights: np.ndarray) -> np.ndarray:
     """The column of each row in the matching of largest weight; -1 where there is none."""
-    # Of SciPy's optimisation, which takes long to import, nothing else is needed.
+    # Of SciPy's optimization, which takes long to import, nothing else is needed.
     from scipy.optimize import linear_sum_assignment
 
     rows, columns = linear_sum_assignment(weights, maximize=True)

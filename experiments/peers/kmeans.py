@@ -1,4 +1,4 @@
-"""k-means of the centre view's pixels, moved to all views: the thesis' baseline (5.2.2)."""
+"""k-means of the center view's pixels, moved to all views: the thesis' baseline (5.2.2)."""
 
 from dataclasses import dataclass
 
@@ -19,7 +19,7 @@ class KMeansParams(eqx.Module):
     """Weights of `kmeans_superpixels`, each traced.
 
     Attributes:
-        position: of a distance in the centre view, per px.
+        position: of a distance in the center view, per px.
         disparity: of all of the disparity range.
         color: of a difference of color, per unit of CIE Lab.
         fill: of a squared difference of color where holes are filled, per square px.
@@ -56,7 +56,7 @@ def kmeans_superpixels(
     params: KMeansParams,
     sizes: KMeansSizes,
 ) -> Int[Array, "v u y x"]:
-    """Clusters the pixels of the centre view by place, disparity and color; the baseline of Ch. 5.
+    """Clusters the pixels of the center view by place, disparity and color; the baseline of Ch. 5.
 
     A pixel belongs to the cluster with the least sum of weighted distances, not squared ones, of
     all; labels may have many pieces. Each pixel then goes to the up to four whole pixels around its
@@ -65,7 +65,7 @@ def kmeans_superpixels(
 
     Args:
         light_field: the views.
-        disparity: of the centre view, px per view step.
+        disparity: of the center view, px per view step.
         params: weights.
         sizes: see `KMeansSizes`.
 
@@ -93,7 +93,7 @@ def kmeans_superpixels(
         )
     params = cast(params, light_field.views.dtype)
     disparity = disparity.astype(light_field.views.dtype)
-    labels = _clusters(srgb_to_lab(light_field.centre_view), disparity, params, sizes)
+    labels = _clusters(srgb_to_lab(light_field.center_view), disparity, params, sizes)
     grid = light_field.available.size
 
     def one(item: tuple[Array, Array]) -> Array:
@@ -105,11 +105,11 @@ def kmeans_superpixels(
 
     views = light_field.views.reshape(grid, *light_field.views.shape[2:])
     maps = lax.map(one, (views, light_field.steps.reshape(grid, 2)))
-    return maps.reshape(light_field.views.shape[:4]).at[light_field.centre].set(labels)
+    return maps.reshape(light_field.views.shape[:4]).at[light_field.center].set(labels)
 
 
 def _clusters(lab: Array, disparity: Array, params: KMeansParams, sizes: KMeansSizes) -> Array:
-    """k-means of the pixels of the centre view."""
+    """k-means of the pixels of the center view."""
     y, x = (a.astype(disparity.dtype) for a in jnp.indices(disparity.shape))
     weights = params.position, params.disparity, params.color
     features = weighted(jnp.stack([x, y], axis=-1), scaled(disparity), lab, weights)

@@ -18,7 +18,7 @@ from mvedge_jax.losses.terms import _edge_aware_slopes, warp_views
 from mvedge_jax.model import DepthModel, render_model
 from mvedge_jax.model._host import warn_of_cuts
 from mvedge_jax.model.objectives import SelfSupervised, Supervised, Trust
-from mvedge_jax.model.optimisation._state import parts_of, with_parts
+from mvedge_jax.model.optimization._state import parts_of, with_parts
 
 # Largest number of CG steps per step; an unsolved system ends the search.
 _LINEAR_STEPS = 300
@@ -29,7 +29,7 @@ _GOOD = 0.75
 _BLUNT_FEATURE, _BLUNT_SLOPE = 2 / 255, 0.01
 
 
-class Minimised(NamedTuple):
+class Minimized(NamedTuple):
     """The best model found.
 
     Attributes:
@@ -43,7 +43,7 @@ class Minimised(NamedTuple):
     loss: Float[Array, "steps"]
 
 
-def minimise_least_squares(
+def minimize_least_squares(
     model: DepthModel,
     objective: Supervised | SelfSupervised,
     start: Float[Array, "y x"],
@@ -53,7 +53,7 @@ def minimise_least_squares(
     tolerance: float = 0.1,
     blunt: float = 0.01,
     progress: Callable[[int, float], None] | None = None,
-) -> Minimised:
+) -> Minimized:
     """Minimizes a loss over all parameters at once, by Levenberg-Marquardt steps.
 
     The Jacobian is never formed: each step of the linear solver applies it by forward mode, and its
@@ -75,7 +75,7 @@ def minimise_least_squares(
         progress: called after each step with its number and the loss.
 
     Returns:
-        The best model seen. Not differentiable. Warns as `optimise` does.
+        The best model seen. Not differentiable. Warns as `optimize` does.
 
     Raises:
         ValueError: `steps` is below 1.
@@ -131,7 +131,7 @@ def minimise_least_squares(
             progress(count + 1, float(loss))
         if over(here, state)[0]:
             break
-    return Minimised(unpack(best[0]), best[1], jnp.stack(losses))
+    return Minimized(unpack(best[0]), best[1], jnp.stack(losses))
 
 
 def residuals_of(
@@ -166,11 +166,11 @@ def residuals_of(
     views, terms = objective.views, cast(objective.weights, dtype)
     visible = occlusion_masks(jax.lax.stop_gradient(disparity), views)
     warped = jax.vmap(objective.features)(warp_views(disparity, views, visible))
-    away = warped - objective.features(views.centre)
+    away = warped - objective.features(views.center)
     count = jnp.maximum(jnp.sum(visible, axis=0).astype(dtype), 1)
     each = terms.reprojection / (count * disparity.size * away.shape[1])
     error = _rooted(away, jnp.where(visible, each, 0)[:, None], none, _BLUNT_FEATURE)
-    slopes = _edge_aware_slopes(disparity, views.centre)
+    slopes = _edge_aware_slopes(disparity, views.center)
     slope = _rooted(slopes, terms.smoothness / disparity.size, none, _BLUNT_SLOPE)
     return (error, slope, prior), disparity
 

@@ -38,7 +38,7 @@ class LfspParams(eqx.Module):
     """Weights of `thesis_superpixels`, each traced; the defaults are the authors'.
 
     Attributes:
-        position: of a distance in the centre view, per px.
+        position: of a distance in the center view, per px.
         disparity: of all of the disparity range.
         color: of a difference of color, per unit of CIE Lab; the thesis has 3.
         lines: how lines are found; their smoothing is that of the segments' colors, too.
@@ -81,7 +81,7 @@ def thesis_superpixels(
 ) -> Int[Array, "v u y x"]:
     """Superpixels of all views by the thesis' own method: the peer of `superpixels`.
 
-    1. Lines are found in the EPIs of the centre row and column of views; those that no gradient is
+    1. Lines are found in the EPIs of the center row and column of views; those that no gradient is
        aligned with are dropped (4.3). They are matched into segments (`match_segments`); wide ones
        are split at the disparity of the vertical direction.
     2. Segments get the mean color of the pixels that show them, and the farther line's slope; a
@@ -89,7 +89,7 @@ def thesis_superpixels(
     3. k-means clusters the segments of both directions by place, disparity and color.
     4. Labels are painted into every view from both directions, far to near, and kept where the two
        agree or one is silent.
-    5. From the centre outwards along the crosshair, pixels without a label take that of the pixel
+    5. From the center outwards along the crosshair, pixels without a label take that of the pixel
        near them that is closest in color and place, and hand it to all views that have none there,
        by that pixel's disparity (5.1). The matching cost among views in (5.1) has a weight of 1e-5
        in the authors' program and is left out.
@@ -131,7 +131,7 @@ def thesis_superpixels(
         raise ValueError(f"`bugs` may have swapped arms of equal lengths only, got {grid}.")
     params = cast(params, views.dtype)
     lab = jax.jit(srgb_to_lab)(views)
-    vc, uc = light_field.centre
+    vc, uc = light_field.center
     arms = lab[vc], jnp.swapaxes(lab[:, uc], 1, 2)
     smooth = [_smoothed(arm, params.lines.smoothing) for arm in arms]
     found = crosshair_segments(arms, smooth, params.lines)

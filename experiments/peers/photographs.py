@@ -38,8 +38,8 @@ class PosedViews(NamedTuple):
 
     Attributes:
         images: sRGB in [0, 1].
-        depth: distance along the optical axis of the pixel centres, metres; infinite for the sky.
-        object_ids: what the pixel centres see; 0 for the sky.
+        depth: distance along the optical axis of the pixel centers, meters; infinite for the sky.
+        object_ids: what the pixel centers see; 0 for the sky.
         poses: camera to world; x right, y down, z forward.
         intrinsics: `[[fx, 0, cx], [0, fy, cy], [0, 0, 1]]`, px.
     """
@@ -63,7 +63,7 @@ def render_posed(
     """Renders photographs from anywhere, for multi-view stereo.
 
     Args:
-        scene: what to photograph; metres, in the frame of the light field's centre camera.
+        scene: what to photograph; meters, in the frame of the light field's center camera.
         poses: camera to world, rigid; x right, y down, z forward.
         intrinsics: `[[fx, 0, cx], [0, fy, cy], [0, 0, 1]]` in px, for each view or for all.
         size: height and width, px.
@@ -71,12 +71,12 @@ def render_posed(
         key: draws the sensor's noise.
 
     Returns:
-        Images, depth and object ids of the pixel centres, poses and intrinsics (one per view).
+        Images, depth and object ids of the pixel centers, poses and intrinsics (one per view).
 
     Raises:
         ValueError: if a shape, a rotation or a size is wrong.
     """
-    dtype = np.dtype(scene.world.solids.centre.dtype)
+    dtype = np.dtype(scene.world.solids.center.dtype)
     pose = np.asarray(poses, np.float64)
     if pose.ndim != 3 or pose.shape[1:] != (4, 4):
         raise ValueError(f"`poses` must have the shape [n, 4, 4], got {pose.shape}.")
@@ -121,18 +121,18 @@ def five_views(
 ) -> Photographs:
     """Renders five unstructured photographs of a scene, with true poses and depth.
 
-    The first one is the light field's centre camera; the others stand around it, each at its own
+    The first one is the light field's center camera; the others stand around it, each at its own
     distance from the scene and turned, and look at the same place.
 
     Args:
         scene: what to photograph.
         size: height and width, px.
-        baseline: from the first camera to the others, about, metres.
+        baseline: from the first camera to the others, about, meters.
         samples: see `render`.
         key: draws the sensor's noise.
 
     Returns:
-        The photographs, metres. Not differentiable.
+        The photographs, meters. Not differentiable.
 
     Raises:
         ValueError: a size is wrong.

@@ -1,4 +1,4 @@
-"""The centre view's map moved to every view, and nothing else."""
+"""The center view's map moved to every view, and nothing else."""
 
 import jax
 import jax.numpy as jnp
@@ -12,14 +12,14 @@ from mvedge_jax.warping import holes, z_buffer
 def reproject_views(
     disparity: Float[Array, "y x"], steps: Float[Array, "v u 2"]
 ) -> Float[Array, "v u y x"]:
-    """Disparity of every view by moving the pixels of the centre view's map.
+    """Disparity of every view by moving the pixels of the center view's map.
 
     Every pixel goes to the nearest pixel of the view, halves upwards; the nearest surface wins. A
     hole takes the smallest of its nearest filled neighbors to the left, to the right, above and
     below.
 
     Args:
-        disparity: of the centre view, px per view step.
+        disparity: of the center view, px per view step.
         steps: `(u_c - u, v_c - v)` of every view, as `LightField.steps`.
 
     Returns:

@@ -39,16 +39,16 @@ def code_scores(
         0.5
     """
     grid = labels.shape[:2]
-    centre = grid[0] // 2, grid[1] // 2
+    center = grid[0] // 2, grid[1] // 2
     use = np.ones(grid, bool) if available is None else np.asarray(available)
     labels = _numbered(np.asarray(labels)) + (np.min(labels) > 0)
-    scores = {"compactness_code": _compactness(labels[centre])}
+    scores = {"compactness_code": _compactness(labels[center])}
     if object_ids is not None:
         scores |= _against(labels[use], _numbered(np.asarray(object_ids))[use])
     if disparity is not None:
         v, u = np.nonzero(use)
-        steps = np.stack([centre[1] - u, centre[0] - v], axis=1)
-        scores |= _between(labels[centre], labels[use], np.asarray(disparity)[use], steps)
+        steps = np.stack([center[1] - u, center[0] - v], axis=1)
+        scores |= _between(labels[center], labels[use], np.asarray(disparity)[use], steps)
     return scores
 
 
@@ -92,11 +92,11 @@ def _at_gradients(ids: np.ndarray) -> np.ndarray:
 
 
 def _between(
-    centre: np.ndarray, views: np.ndarray, disparity: np.ndarray, steps: np.ndarray
+    center: np.ndarray, views: np.ndarray, disparity: np.ndarray, steps: np.ndarray
 ) -> dict[str, float]:
-    y, x = np.indices(centre.shape).astype(disparity.dtype)
-    count = int(max(centre.max(), views.max())) + 1
-    own = _centroids(centre, x, y, count)
+    y, x = np.indices(center.shape).astype(disparity.dtype)
+    count = int(max(center.max(), views.max())) + 1
+    own = _centroids(center, x, y, count)
     distance = labels = differs = 0.0
     for view, truth, step in zip(views, disparity, steps, strict=True):
         moved = x - step[0] * truth, y - step[1] * truth
@@ -105,9 +105,9 @@ def _between(
         distance += np.nansum(apart)
         labels += np.isfinite(apart).sum()
         landed = _landed(view, *moved, np.abs(step[0] * truth))
-        differs += (~_around(landed, centre)).sum()
+        differs += (~_around(landed, center)).sum()
     similarity = float(distance / labels) if labels else float("nan")
-    labels_per_pixel = 1 + float(differs) / centre.size
+    labels_per_pixel = 1 + float(differs) / center.size
     return {"self_similarity_code": similarity, "labels_per_pixel_code": labels_per_pixel}
 
 

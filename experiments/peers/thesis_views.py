@@ -11,13 +11,13 @@ from mvedge_jax._crosshair import view_steps
 from mvedge_jax._params import cast, number
 from mvedge_jax.color import srgb_to_gray, srgb_to_lab
 from mvedge_jax.diffusion import AutoSolver, System, diffuse, edge_weights
-from mvedge_jax.edges import EdgePoints, rasterise
+from mvedge_jax.edges import EdgePoints, rasterize
 from mvedge_jax.edges.sides import DirectionalDiffusion, bidirectional, thesis_response
 from mvedge_jax.image import box_mean, convolved, gaussian
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.warping import forward_warp
 
-# Data weights of (6.8): of projected labels, and, the authors', of the centre view's own.
+# Data weights of (6.8): of projected labels, and, the authors', of the center view's own.
 _PROJECTED, _OWN = 15.0, 5.0
 # Smoothness (6.7), of squared gradients of L in 0..100 under Sobel's filter.
 _SCALE, _FLOOR = 0.1, 1e-5
@@ -51,21 +51,21 @@ def thesis_views(
 ) -> Float[Array, "v u y x"]:
     r"""Disparity of every view by the thesis' angular diffusion: the baseline of `depth_of_views`.
 
-    The centre view's map is projected into the views of the crosshair. In every epipolar-plane
+    The center view's map is projected into the views of the crosshair. In every epipolar-plane
     image, what it does not reach is diffused (6.4)-(6.7) from it and from the lines of points that
-    the centre view does not show, with $\lambda_d = 15$ and $e^{a \lambda_e}$ (6.8). A view beside
+    the center view does not show, with $\lambda_d = 15$ and $e^{a \lambda_e}$ (6.8). A view beside
     the crosshair is the mean of the projections of the two crosshair views in its row and column;
     what neither reaches is diffused.
 
-    The weight of the centre row and the last diffusion are the authors', where the thesis is
+    The weight of the center row and the last diffusion are the authors', where the thesis is
     silent. Not kept are their shift of views by one, labels smeared along the border by lines that
-    leave the frame, and holes taken for disparity 0. The centre view keeps its map.
+    leave the frame, and holes taken for disparity 0. The center view keeps its map.
 
     Args:
         light_field: all views that are there; ground truth is not read.
-        disparity: of the centre view, sharpened, px per view step.
+        disparity: of the center view, sharpened, px per view step.
         points: of `ThesisEdges`, hidden ones among them; those of `OrientedEdges` are all seen in
-            the centre view, and leave the diffusion without guides.
+            the center view, and leave the diffusion without guides.
         params: of the guides' weights.
 
     Returns:
@@ -96,7 +96,7 @@ def thesis_views(
         )
     params = cast(params, light_field.views.dtype)
     guides = _guides(light_field, points, params)
-    vc, uc = light_field.centre
+    vc, uc = light_field.center
     across = _of_arm(light_field.horizontal_arm, disparity, guides.of(rows, columns))
     turned = guides.of(0, rows).turned()
     down = _of_arm(jnp.swapaxes(light_field.vertical_arm, 1, 2), disparity.T, turned)
@@ -119,7 +119,7 @@ def thesis_views(
 
 
 class _Guides(eqx.Module):
-    """Points that the centre view does not show, and the weights of their lines."""
+    """Points that the center view does not show, and the weights of their lines."""
 
     xy: Float[Array, "n 2"]
     disparity: Float[Array, " n"]
@@ -137,9 +137,9 @@ class _Guides(eqx.Module):
 
 def _guides(light_field: LightField, points: EdgePoints, params: Guiding) -> _Guides:
     rows = light_field.views.shape[0]
-    vc, uc = light_field.centre
+    vc, uc = light_field.center
     hidden = ~(points.visible[:, vc] & points.visible[:, rows + uc])
-    gray = srgb_to_gray(light_field.centre_view)
+    gray = srgb_to_gray(light_field.center_view)
     passes = bidirectional(points, gray, params.diffusion, respond=thesis_response)
     weight = jnp.exp(jnp.minimum(params.gain * passes.confidence, params.limit))
     shown = points.visible & (points.valid & hidden)[:, None]
@@ -153,7 +153,7 @@ def _of_arm(
     count, height, width = arm.shape[:3]
     steps = view_steps(count, disparity.dtype)
 
-    def labelled(item: tuple[Array, Array, Array]) -> tuple[Array, Array]:
+    def labeled(item: tuple[Array, Array, Array]) -> tuple[Array, Array]:
         step, shown, own = item
         moved = forward_warp(disparity[..., None], disparity, jnp.stack([step, 0 * step]))
         # A pixel that none beside it joins is noise.
@@ -161,12 +161,12 @@ def _of_arm(
         trusted = jnp.where(own, _OWN, _PROJECTED).astype(disparity.dtype)
         weight = jnp.where(moved.hit & (beside > 1.5), trusted, 0)
         place = guides.xy + jnp.stack([step * guides.disparity, 0 * guides.disparity], axis=-1)
-        raster = rasterise(place, guides.disparity, shown, (height, width))
+        raster = rasterize(place, guides.disparity, shown, (height, width))
         label = jnp.where(raster.hit, raster.values(guides.disparity), moved.image[..., 0])
         return label, jnp.where(raster.hit, raster.values(guides.weight), weight)
 
     middle = jnp.arange(count) == count // 2
-    label, weight = lax.map(labelled, (steps, guides.shown.T, middle))
+    label, weight = lax.map(labeled, (steps, guides.shown.T, middle))
     light = srgb_to_lab(arm)[..., 0]
     light = gaussian(light, jnp.asarray(_BLUR, light.dtype), _BLUR_REACH)
 

@@ -15,7 +15,7 @@ from mvedge_jax._root import safe_sqrt
 from mvedge_jax.diffusion import AutoSolver, System, diffuse
 from mvedge_jax.image import highest
 from mvedge_jax.lightfield import LightField
-from mvedge_jax.photometry import CalibratedViews, Noise, PreparedViews, prepare_views, recentred
+from mvedge_jax.photometry import CalibratedViews, Noise, PreparedViews, prepare_views, recenterd
 from mvedge_jax.photometry.brightness import Exposure, low_pass
 from mvedge_jax.photometry.matching import hypotheses
 from mvedge_jax.photometry.measuring import NormalEquations, labels, residual_variance
@@ -56,9 +56,9 @@ def _contradicted(
 ) -> Bool[Array, "y x"]:
     """Pixels of a view whose surface the center view would show in front, but does not."""
     height, width = disparity.shape
-    centre = lax.stop_gradient(samples.disparity[: height * width]).reshape(height, width)
+    center = lax.stop_gradient(samples.disparity[: height * width]).reshape(height, width)
     disparity = lax.stop_gradient(disparity)
-    nearest = highest(centre, 1)
+    nearest = highest(center, 1)
     columns = jnp.arange(width, dtype=disparity.dtype)[None]
     rows = jnp.arange(height, dtype=disparity.dtype)[:, None]
     x = jnp.floor(columns - step[0] * disparity + 0.5).astype(jnp.int32)
@@ -107,7 +107,7 @@ def _measured_in(
 ) -> tuple[Float[Array, "y x"], Float[Array, "y x"], Bool[Array, "y x"]]:
     """Disparity and standard error of a view, and which pixels the samples do not explain."""
     shape = (light_field.views.shape[2], light_field.views.shape[3])
-    scene = recentred(light_field, view, exposure, noise, params=model.brightness.noise)
+    scene = recenterd(light_field, view, exposure, noise, params=model.brightness.noise)
     reference = _Reference(scene, prepare_views(scene, model.measurement))
     picture = jnp.moveaxis(light_field.views[view[0], view[1]], -1, 0)
     first = drawn(samples, light_field.steps[view[0], view[1]], shape)

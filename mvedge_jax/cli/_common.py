@@ -114,10 +114,10 @@ def finite(**options: Sequence[float] | float | None) -> None:
             raise ValueError(f"--{name} must be finite, got {value}.")
 
 
-def in_unit_range(colour: Sequence[float] | None) -> None:
-    """Refuses a --colour that is not within 0 and 1."""
-    if colour is not None and not all(0 <= value <= 1 for value in colour):
-        raise ValueError(f"--colour must be three numbers between 0 and 1, got {colour}.")
+def in_unit_range(color: Sequence[float] | None) -> None:
+    """Refuses a --color that is not within 0 and 1."""
+    if color is not None and not all(0 <= value <= 1 for value in color):
+        raise ValueError(f"--color must be three numbers between 0 and 1, got {color}.")
 
 
 def missing_views(light_field: LightField | StoredViews) -> list[str]:

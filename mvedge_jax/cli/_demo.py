@@ -141,7 +141,7 @@ def _figures(
     limits = plotting.disparity_limits([known], percent=0.0)
     edges = [
         plotting.plot_edges(
-            light_field.centre_view,
+            light_field.center_view,
             r.found.points.xy,
             r.found.points.disparity,
             valid=r.found.points.valid,
@@ -161,7 +161,7 @@ def _figures(
         (
             "comparison",
             plotting.plot_comparison(
-                maps, known, names=names, captions=captions, image=light_field.centre_view
+                maps, known, names=names, captions=captions, image=light_field.center_view
             ),
         ),
         ("error_signed", plotting.plot_error(maps[-1], known, kind="signed", name=names[-1])),
@@ -173,7 +173,7 @@ def _epi(light_field: LightField, truth: GroundTruth) -> Figure:
     """The row whose disparities vary most, with lines where the image changes most."""
     known = np.where(np.asarray(truth.valid), np.asarray(truth.disparity), np.nan)
     row = int(np.nanargmax(np.nanmean(np.abs(np.diff(known, axis=1)), axis=1)))
-    change = np.abs(np.diff(np.asarray(light_field.centre_view)[row].mean(-1)))
+    change = np.abs(np.diff(np.asarray(light_field.center_view)[row].mean(-1)))
     peaks = np.r_[False, (change[1:-1] >= change[:-2]) & (change[1:-1] > change[2:]), False]
     columns = np.flatnonzero(peaks)
     columns = columns[np.argsort(change[columns])[-40:]]

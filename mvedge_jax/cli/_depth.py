@@ -176,10 +176,10 @@ def _photometry(stats: DepthStats) -> dict[str, Any]:
         "noise of 255": 255 * float(stats.noise.deviation),
         "share that noise rules": float(stats.noise.alpha),
         "brightened by": float(stats.exposure.scale),
-        "gain of the centre row of views": gain[row].tolist(),
-        "gain of the centre column of views": gain[:, column].tolist(),
-        "vignette of the centre row of views": uneven[row].tolist(),
-        "vignette of the centre column of views": uneven[:, column].tolist(),
+        "gain of the center row of views": gain[row].tolist(),
+        "gain of the center column of views": gain[:, column].tolist(),
+        "vignette of the center row of views": uneven[row].tolist(),
+        "vignette of the center column of views": uneven[:, column].tolist(),
     }
 
 
@@ -200,7 +200,7 @@ def _report(light_field: LightField | StoredViews, result: DepthResult) -> dict[
         "photometry": _photometry(stats),
         "counts": {
             **{name: int(value) for name, value in vars(stats.edges).items()},
-            "labelled pixels": int(stats.points),
+            "labeled pixels": int(stats.points),
             "surface vectors": int(stats.sided),
         },
         "diffusion iterations": np.asarray(stats.iterations).tolist(),

@@ -101,7 +101,7 @@ def _write(folder: Path, light_field: LightField, found: Edges) -> None:
     if not len(points.disparity):
         return
     picture = plotting.plot_edges(
-        light_field.centre_view, points.xy, points.disparity, name=light_field.name, width=7.0
+        light_field.center_view, points.xy, points.disparity, name=light_field.name, width=7.0
     )
     picture.savefig(folder / "points.png", dpi=200)
     for arm, name in enumerate(("horizontal", "vertical")):

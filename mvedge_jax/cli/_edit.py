@@ -35,12 +35,12 @@ def edit(
     disparity: float = 0.0,
     slant: tuple[float, float] = (0.0, 0.0),
     mask: Path | None = None,
-    colour: tuple[float, float, float] | None = None,
+    color: tuple[float, float, float] | None = None,
     overwrite: bool = False,
 ) -> None:
     """Edits a light field with correct occlusion in every view.
 
-    One of three: --insert puts a picture with alpha on a plane; --mask with --colour paints a
+    One of three: --insert puts a picture with alpha on a plane; --mask with --color paints a
     surface of the center view; --mask alone removes the marked surface. OUT is a light field in the
     layout of the HCI benchmark, with views.png and report.json.
 
@@ -53,13 +53,13 @@ def edit(
         disparity: disparity of the picture, px per view step, larger is nearer.
         slant: change of its disparity per px along x and y.
         mask: picture of the center view's size, white in the pixels to edit.
-        colour: red, green and blue of the paint, 0..1.
+        color: red, green and blue of the paint, 0..1.
         overwrite: replace OUT if it is a result of mvedge without other files in it.
     """
     if (insert is None) == (mask is None):
         raise ValueError("name either --insert or --mask, not both or none.")
     finite(at=at, disparity=disparity, slant=slant)
-    in_unit_range(colour)
+    in_unit_range(color)
     with stage("reading"):
         read, said = read_scene(scene)
         light_field = read.without_truth()
@@ -84,8 +84,8 @@ def edit(
                     at=jnp.asarray(middle), disparity=jnp.asarray(disparity),
                     slant=jnp.asarray(slant),
                 )  # fmt: skip
-            elif colour is not None:
-                edited = paint(light_field, depths, white.astype(jnp.float32), jnp.asarray(colour))
+            elif color is not None:
+                edited = paint(light_field, depths, white.astype(jnp.float32), jnp.asarray(color))
             else:
                 edited = remove(light_field, depths, white, radius=_BLENDED)
             if bool(jnp.all(edited.views == light_field.views)):

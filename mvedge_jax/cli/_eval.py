@@ -51,7 +51,7 @@ def evaluate(
     if (top, left) != (0, 0):
         note(
             f"{result} is {disparity.shape[1]}x{disparity.shape[0]} px: it is taken to be the "
-            f"centre of the ground truth's {truth.shape[1]}x{truth.shape[0]} px, without {left} "
+            f"center of the ground truth's {truth.shape[1]}x{truth.shape[0]} px, without {left} "
             f"columns at the left and {top} rows at the top. Crops count from the border of the "
             "ground truth; crop 0 is all there is."
         )

@@ -28,7 +28,7 @@ def every_view(
     key = jax.random.key(seed)
     with stage("choosing sizes"):
         model, every = options.model(light_field), ViewDepth.for_light_field(light_field)
-    doing = "estimating depth of the centre view"
+    doing = "estimating depth of the center view"
     result, _ = run("depth", doing, estimate_depth, light_field, model, key=key)
     what, doing = "depth of all views", "estimating depth of all views"
     found, spent = run(what, doing, depth_of_views, light_field, result, every)

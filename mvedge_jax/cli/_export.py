@@ -93,13 +93,13 @@ def _dense(folder: Path, found: Gathered) -> dict[str, int]:
     counts, views = {}, found.photographs
     stems = stems_of(views.names)
     for index, depth in found.depth.items():
-        surface, colours = _surface(views, index, depth)
+        surface, colors = _surface(views, index, depth)
         keep = np.isfinite(depth) & (depth > 0)
         stem, error = stems[views.names[index]], found.error.get(index)
         write_ply(
             folder / f"{stem}.ply",
             from_origin(np.asarray(surface.points)[keep], views.origin),
-            colours=colours[keep],
+            colors=colors[keep],
             normals=np.asarray(surface.normals)[keep],
             error=None if error is None else error[keep],
         )
@@ -117,11 +117,11 @@ def _edges(folder: Path, found: Gathered, source: Path) -> dict[str, int]:
         )
     index, depth = next(iter(found.depth.items()))
     row, column = _pixels(views, index)
-    surface, colours = _surface(views, index, depth)
+    surface, colors = _surface(views, index, depth)
     write_ply(
         folder / "edges.ply",
         from_origin(np.asarray(views.points), views.origin),
-        colours=colours[row, column],
+        colors=colors[row, column],
         normals=np.asarray(surface.normals)[row, column],
         error=found.point_error,
     )

@@ -85,7 +85,7 @@ def _with_camera(
 
 def _of_depth(path: Path, field: LightField, camera: Camera) -> Gathered:
     photographs = photographs_of(field)
-    vc, uc = field.centre
+    vc, uc = field.center
     index = int(np.asarray(field.available).ravel()[: vc * field.views.shape[1] + uc].sum())
     shape = field.views.shape[2:4]
     depth, error = _metric(
@@ -96,7 +96,7 @@ def _of_depth(path: Path, field: LightField, camera: Camera) -> Gathered:
     matrix = np.asarray(photographs.intrinsics[index])
     local = np.stack([(xy[:, 0] - matrix[0, 2]) / matrix[0, 0] * z,
                       (xy[:, 1] - matrix[1, 2]) / matrix[1, 1] * z, z], axis=1)  # fmt: skip
-    world = local + np.asarray(photographs.centres[index])
+    world = local + np.asarray(photographs.centers[index])
     keep = np.isfinite(z)
     observed = _observed(field, visible)
     # The constructor refuses places that are not finite.
@@ -128,7 +128,7 @@ def _points(path: Path, views: int) -> list[np.ndarray]:
 def _observed(field: LightField, visible: np.ndarray) -> np.ndarray:
     """Available views that show each point; only those of the crosshair were tested."""
     rows, columns = field.views.shape[:2]
-    vc, uc = field.centre
+    vc, uc = field.center
     seen = np.zeros((rows, columns, visible.shape[0]), bool)
     seen[:, uc] |= visible[:, :rows].T
     seen[vc] |= visible[:, rows:].T

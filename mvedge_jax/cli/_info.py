@@ -139,14 +139,14 @@ def _camera(camera: Camera | None, limits) -> str:
 def _photometry(light_field: LightField) -> list[tuple[str, str]]:
     exposure, noise = rough_brightness(light_field.bare())
     scale, gain = float(exposure.scale), np.asarray(exposure.gain)
-    vc, uc = light_field.centre
+    vc, uc = light_field.center
     cross = np.concatenate([gain[vc], gain[:, uc]])
     most = 100 * float(np.max(exposure.unevenness))
     uneven = f"up to {most:.1f} % (standard deviation) against" if most else "none beyond"
     return [
         ("brightness", "as it is" if scale == 1 else f"dark; raised {scale:.2f} times"),
-        ("gain of the views", f"{cross.min():.3f} .. {cross.max():.3f} of the centre view's"),
-        ("vignette of the views", f"{uneven} the centre view's"),
+        ("gain of the views", f"{cross.min():.3f} .. {cross.max():.3f} of the center view's"),
+        ("vignette of the views", f"{uneven} the center view's"),
         ("noise", f"{255 * float(noise.deviation) / scale:.2f} of 255 at most"),
     ]
 

@@ -13,11 +13,11 @@ from mvedge_jax import plotting
 from mvedge_jax.datasets import write_pfm
 from mvedge_jax.depth import EdgeDepth, estimate_depth
 from mvedge_jax.lightfield import GroundTruth, LightField
-from mvedge_jax.losses.features import Colours, FilterBank, load_vgg16
+from mvedge_jax.losses.features import Colors, FilterBank, load_vgg16
 from mvedge_jax.losses.terms import Features
 from mvedge_jax.metrics import depth_scores
 from mvedge_jax.model import (
-    Optimised,
+    Optimized,
     Renderer,
     Start,
     SupervisedFit,
@@ -28,7 +28,7 @@ from mvedge_jax.model import (
     start_from_image,
 )
 from mvedge_jax.model.approaches import Approach, ByEvidence, ByReprojection
-from mvedge_jax.model.optimisation import (
+from mvedge_jax.model.optimization import (
     Growth,
     History,
     Progress,
@@ -54,7 +54,7 @@ def optimize(
     loss: Literal["evidence", "reprojection", "printed"] = "evidence",
     routine: Literal["joint", "thesis"] | None = None,
     iterations: int | None = None,
-    features: Literal["colours", "filters", "vgg16"] = "colours",
+    features: Literal["colors", "filters", "vgg16"] = "colors",
     vgg16: Path | None = None,
     no_recycle: bool = False,
     grow_points: int = 0,
@@ -123,9 +123,9 @@ def optimize(
         alone = renderer if printed else None
         start, model, doubts = _start(light_field.without_truth(), options, seed, alone)
         clock = time.perf_counter()
-        with stage("optimising"):
+        with stage("optimizing"):
             if supervised and light_field.truth is not None:
-                start = start_from_image(start, light_field.centre_view)
+                start = start_from_image(start, light_field.center_view)
                 goal = light_field.truth
                 result = fit_edges(goal, start, fit, renderer, strategy=growth, **running)
             else:
@@ -150,7 +150,7 @@ def _at_least(least: int, name: str, value: int) -> int:
 def _approach(
     loss: str, features: str, vgg16: Path | None, subset: int | None
 ) -> ByEvidence | ByReprojection:
-    extractor: Features = FilterBank() if features == "filters" else Colours()
+    extractor: Features = FilterBank() if features == "filters" else Colors()
     if features == "vgg16":
         if vgg16 is None:
             raise ValueError("--features vgg16 needs --vgg16 FILE, an .npz file of its weights.")
@@ -207,7 +207,7 @@ def _write(
     folder: Path,
     light_field: LightField,
     start: Start,
-    result: Optimised,
+    result: Optimized,
     seconds: float,
     told: dict[str, Any],
 ) -> dict[str, Any]:
@@ -236,7 +236,7 @@ def _write(
         "points": int(keep.sum()),
         "reprojection error before, after": [] if verdict is None else verdict.error.tolist(),
         "share of proposals confirmed": None if confirmed is None else float(confirmed),
-        "kept the optimised points": verdict is None or bool(verdict.kept),
+        "kept the optimized points": verdict is None or bool(verdict.kept),
         "scores": scores,
         **told,
     }
@@ -274,11 +274,11 @@ def _write_pictures(
     return scores
 
 
-def _doubts(result: Optimised) -> list[str]:
+def _doubts(result: Optimized) -> list[str]:
     doubts, losses = [], np.asarray(result.history.loss)
     if result.verdict is not None and not bool(result.verdict.kept):
         doubts.append(
-            "the held-out views do not speak for the optimised points; the first map was polished."
+            "the held-out views do not speak for the optimized points; the first map was polished."
         )
     if not np.isfinite(losses).all():
         count = int((~np.isfinite(losses)).sum())
@@ -288,7 +288,7 @@ def _doubts(result: Optimised) -> list[str]:
     return doubts
 
 
-def _conclude(scores: dict[str, Any], result: Optimised, seconds: float, out: Path) -> None:
+def _conclude(scores: dict[str, Any], result: Optimized, seconds: float, out: Path) -> None:
     for name, row in scores.items():
         note(score_line(name, row))
     note(f"{len(result.history.loss)} iterations, {seconds:.1f} s; written to {out}")

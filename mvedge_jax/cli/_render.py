@@ -60,7 +60,7 @@ def render(
         vignette=vignette, vignette_shift=vignette_shift, gain=gain
     )
     shape = (views, views, *size)
-    centre = (views // 2, views // 2)
+    center = (views // 2, views // 2)
     with output_folder(out, overwrite=overwrite) as folder, progress_bar() as bar:
         task = bar.add_task("rendering", total=views * views)
 
@@ -76,7 +76,7 @@ def render(
             visible = np.empty(shape, bool)
             for k, (v, u) in enumerate(np.ndindex(views, views), start=1):
                 visible[v, u] = synthetic.visibility(
-                    scene, shape=shape, source=centre, target=(v, u)
+                    scene, shape=shape, source=center, target=(v, u)
                 )
                 advance(k, views * views)
         task = bar.add_task("writing", total=views * views)

@@ -12,7 +12,7 @@ import tyro
 from mvedge_jax import plotting
 from mvedge_jax.datasets import write_pfm
 from mvedge_jax.datasets.photographs import load_photographs, open_photographs
-from mvedge_jax.model.optimisation import Progress
+from mvedge_jax.model.optimization import Progress
 from mvedge_jax.posed import Photographs, Reference, StereoDepth, reference_of, stereo as estimate
 from mvedge_jax.posed.scores import depth_errors
 from mvedge_jax.posed.sparse import SparseStereoDepth, sparse_stereo
@@ -138,7 +138,7 @@ def _points(base: Path, photographs: Photographs, name: str, chosen: Reference) 
     """Depth by the thesis' method, from sparse points."""
     given = photographs.without_truth(), chosen, SparseStereoDepth()
     start = time.perf_counter()
-    with stage(f"optimising the points of {name}"):
+    with stage(f"optimizing the points of {name}"):
         result = sparse_stereo(*given, key=jax.random.key(0), progress=_tell)
     seconds = time.perf_counter() - start
     loss = np.asarray(result.loss)

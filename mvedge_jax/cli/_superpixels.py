@@ -29,7 +29,7 @@ def superpixels(
     size: float = 20.0,
     count: int | None = None,
     pick: tuple[int, int] | None = None,
-    colour: tuple[float, float, float] = (0.9, 0.1, 0.1),
+    color: tuple[float, float, float] = (0.9, 0.1, 0.1),
     views: int | None = None,
     overwrite: bool = False,
     options: ModelArg = FULL,
@@ -38,7 +38,7 @@ def superpixels(
     """Segments a light field into superpixels that agree in all views.
 
     OUT gets labels.npy (int32, [v, u, y, x], 0 for none), superpixels.csv (a row per label:
-    position, disparity plane, color, area, parent), neighbours.csv, superpixels.png, colours.png,
+    position, disparity plane, color, area, parent), neighbors.csv, superpixels.png, colors.png,
     superpixels.gif that moves over the grid, and report.json. With ground truth of all views:
     labels_per_pixel.png and scores. With --pick, edited/ is the light field with that superpixel
     recolored in every view.
@@ -49,14 +49,14 @@ def superpixels(
         size: side of a superpixel in the center view, px.
         count: approximate number of superpixels, in place of --size.
         pick: x and y in the center view, px, of a superpixel to recolor.
-        colour: red, green and blue of the picked superpixel, 0..1.
+        color: red, green and blue of the picked superpixel, 0..1.
         views: use the central VIEWS x VIEWS views only; odd.
         overwrite: replace OUT if it is a result of mvedge without other files in it.
         options: options of the model of the center view's depth.
         seed: seed of the random search of preset thesis.
     """
     options.check()
-    in_unit_range(colour)
+    in_unit_range(color)
     with stage("reading"):
         light_field, said = read_scene(scene, views=views)
     height, width = light_field.views.shape[2:4]
@@ -70,10 +70,10 @@ def superpixels(
             f"{size:.4g}."
         )
     if pick is not None and not (0 <= pick[0] < width and 0 <= pick[1] < height):
-        raise ValueError(f"--pick must lie in the centre view, {width}x{height} px, got {pick}.")
+        raise ValueError(f"--pick must lie in the center view, {width}x{height} px, got {pick}.")
     blind = light_field.without_truth()
     with output_folder(out, inputs=[scene], overwrite=overwrite) as folder:
-        depths, centre, _, doubts = every_view(blind, options=options, seed=seed)
+        depths, center, _, doubts = every_view(blind, options=options, seed=seed)
         doubts = [*said, *doubts]
         model = SuperpixelClustering.for_depths(depths, choices={"size": size})
         room = max(model.capacity, int(4 * height * width / size**2))
@@ -83,13 +83,13 @@ def superpixels(
             _write(folder, blind, found)
             report: dict[str, Any] = {"scene": light_field.name, "count": int(found.number)}
             report["size"] = size
-            report |= options.described(centre) | {"seed": seed}
+            report |= options.described(center) | {"seed": seed}
             report["scores"] = _score(folder, light_field, found)
             if pick is not None:
-                label = int(found.labels[(*light_field.centre, pick[1], pick[0])])
-                mask = (found.labels[light_field.centre] == label).astype(blind.views.dtype)
+                label = int(found.labels[(*light_field.center, pick[1], pick[0])])
+                mask = (found.labels[light_field.center] == label).astype(blind.views.dtype)
                 write_hci(
-                    paint(blind, depths.disparity, mask, jnp.asarray(colour)), folder / "edited"
+                    paint(blind, depths.disparity, mask, jnp.asarray(color)), folder / "edited"
                 )
                 report["picked"] = label
             if int(found.number) > model.capacity:
@@ -107,7 +107,7 @@ def _write(folder: Path, light_field: LightField, found: Superpixels) -> None:
     np.save(folder / "labels.npy", labels)
     rows = np.flatnonzero(np.asarray(found.valid))
     numbers = np.concatenate(
-        [np.asarray(a)[rows] for a in (found.xy, found.plane, found.colour)], axis=1
+        [np.asarray(a)[rows] for a in (found.xy, found.plane, found.color)], axis=1
     )
     wholes = np.stack([rows + 1, *(np.asarray(a)[rows] for a in (found.area, found.parents))])
     names = ("x", "y", "disparity", "slope_x", "slope_y", "red", "green", "blue")
@@ -119,12 +119,12 @@ def _write(folder: Path, light_field: LightField, found: Superpixels) -> None:
             for (label, area, parent), values in zip(wholes.T, numbers, strict=True)
         ),
     )
-    touching = np.column_stack([np.asarray(found.neighbours), np.asarray(found.linked)])
+    touching = np.column_stack([np.asarray(found.neighbors), np.asarray(found.linked)])
     used = touching[touching[:, 0] > 0]
-    write_csv(folder / "neighbours.csv", ["label", "neighbour", "same_surface"], used)
-    colours = plotting.label_colours(int(labels.max()))
+    write_csv(folder / "neighbors.csv", ["label", "neighbor", "same_surface"], used)
+    colors = plotting.label_colors(int(labels.max()))
     plotting.plot_superpixels(views, labels).savefig(folder / "superpixels.png")
-    plotting.plot_superpixels(views, labels, colours=colours).savefig(folder / "colours.png")
+    plotting.plot_superpixels(views, labels, colors=colors).savefig(folder / "colors.png")
     write_animation(folder / "superpixels.gif", plotting.superpixel_frames(views, labels))
 
 
@@ -137,7 +137,7 @@ def _score(folder: Path, light_field: LightField, found: Superpixels) -> dict[st
         heat = labels_per_pixel(labels, disparity, available=light_field.available)
         plotting.plot_labels_per_pixel(heat).savefig(folder / "labels_per_pixel.png")
     elif truth is not None and truth.object_ids is not None:
-        labels, ids = labels[light_field.centre][None, None], truth.object_ids[None, None]
+        labels, ids = labels[light_field.center][None, None], truth.object_ids[None, None]
     whole = labels.shape == found.labels.shape
     available = light_field.available if whole else None
     scores = superpixel_scores(labels, ids, disparity, available=available)

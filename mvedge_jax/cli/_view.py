@@ -225,4 +225,4 @@ def _labels(folder: Path, light_field: LightField) -> np.ndarray:
             f"{path} must hold whole numbers of shape {light_field.views.shape[:4]}, got "
             f"{labels.dtype} of shape {labels.shape}."
         )
-    return labels[light_field.centre]
+    return labels[light_field.center]

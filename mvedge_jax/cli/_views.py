@@ -77,14 +77,14 @@ def _write(folder: Path, found: ViewDepths) -> None:
             data = np.asarray(getattr(found, name))
             file.create_dataset(name, data=data, compression="gzip", compression_opts=1)
         file.attrs["axes"] = "v, u, y, x"
-        file.attrs["source"] = "0: seen by the centre view, 1: by other views only, 2: by none"
+        file.attrs["source"] = "0: seen by the center view, 1: by other views only, 2: by none"
     plotting.plot_view_maps(maps).savefig(folder / "views.png")
     write_animation(folder / "views.gif", plotting.view_frames(maps))
 
 
 def _report(found: ViewDepths) -> dict[str, Any]:
     source = np.asarray(found.source)
-    shares = {name: float((source == k).mean()) for k, name in enumerate(("centre", "other"))}
+    shares = {name: float((source == k).mean()) for k, name in enumerate(("center", "other"))}
     return {
         "shape [v, u, y, x]": list(source.shape),
         "share of pixels known from": {**shares, "none": float((source == 2).mean())},

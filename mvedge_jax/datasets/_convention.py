@@ -98,7 +98,7 @@ def check_convention(
             "the convention can be checked on 3x3 views or more of at least "
             f"{4 * HEIGHT}x{4 * HEIGHT} px, got {light_field.views.shape[:4]}."
         )
-    (vc, uc), there = light_field.centre, np.asarray(light_field.available)
+    (vc, uc), there = light_field.center, np.asarray(light_field.available)
     steps = np.asarray(light_field.steps, np.float32)
     horizontal, vertical = (
         np.asarray(arm, np.float32)

@@ -87,11 +87,11 @@ def leave_out_dead_views(
     def file(place: tuple[int, int]) -> str:
         return Path(label(place)).name
 
-    centre = len(rows) // 2, len(columns) // 2
-    if centre in dead:
+    center = len(rows) // 2, len(columns) // 2
+    if center in dead:
         raise ValueError(
-            f"{label(centre)}, the centre view, is {dead[centre]}, unlike other views; expected it "
-            "to show the scene, as depth is that of the centre view."
+            f"{label(center)}, the center view, is {dead[center]}, unlike other views; expected it "
+            "to show the scene, as depth is that of the center view."
         )
     found = []
     for place, what in dead.items():
@@ -157,12 +157,12 @@ def _repetitions(
     alike = sum(map(len, equal))
     if not alike or 2 * alike >= len(places) or _parallax(views, places) < _PARALLAX:
         return []
-    centre = views.shape[0] // 2, views.shape[1] // 2
+    center = views.shape[0] // 2, views.shape[1] // 2
     return [
-        (place, centre if centre in group else next(other for other in group if other != place))
+        (place, center if center in group else next(other for other in group if other != place))
         for group in equal
         for place in group
-        if place != centre
+        if place != center
     ]
 
 

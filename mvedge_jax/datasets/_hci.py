@@ -55,14 +55,14 @@ def open_hci(path: Path, names: list[str]) -> Source:
             f"parameters.cfg promises; expected numbers up to {rows * columns - 1:03d}."
         )
     files = {divmod(number, columns): path / name for number, name in numbers.items()}
-    centre = columns * (rows // 2) + columns // 2
+    center = columns * (rows // 2) + columns // 2
     return image_source(
         path,
         "HCI 4D benchmark",
         files,
         grid,
         lambda row, column: f"input_Cam{columns * row + column:03d}.png",
-        truth=_truth_reader(path, names, grid, centre),
+        truth=_truth_reader(path, names, grid, center),
         camera=settings.camera() if settings else None,
         disparity_range=settings.disparity_range() if settings else None,
         size=settings.size() if settings else None,
@@ -194,9 +194,9 @@ def _reason(error: configparser.Error) -> str:
     return re.sub(r"While reading from '<string>' *", "", text)[:200].rstrip(".")
 
 
-def _truth_reader(path: Path, names: list[str], grid: tuple[int, int], centre: int):
+def _truth_reader(path: Path, names: list[str], grid: tuple[int, int], center: int):
     single = [f"gt_disp_lowres_Cam{number:03d}.pfm" for number in range(grid[0] * grid[1])]
-    chosen = next((n for n in ("gt_disp_lowres.pfm", single[centre]) if n in names), None)
+    chosen = next((n for n in ("gt_disp_lowres.pfm", single[center]) if n in names), None)
     if chosen is None:
         return None
 
@@ -215,8 +215,8 @@ def _truth_reader(path: Path, names: list[str], grid: tuple[int, int], centre: i
         return values.astype(np.int32)
 
     def read() -> Truth:
-        centre_disparity = disparity(chosen)
-        shape = centre_disparity.shape
+        center_disparity = disparity(chosen)
+        shape = center_disparity.shape
         every = id_names = None
         if all(name in names for name in single):
             every = np.empty((*grid, *shape), np.float32)
@@ -229,13 +229,13 @@ def _truth_reader(path: Path, names: list[str], grid: tuple[int, int], centre: i
                 every[divmod(number, grid[1])] = values
         id_names = [f"objectids_lowres_Cam{number:03d}.png" for number in range(len(single))]
         object_name = next(
-            (n for n in ("objectids_lowres.png", id_names[centre]) if n in names), None
+            (n for n in ("objectids_lowres.png", id_names[center]) if n in names), None
         )
         every_id = None
         if all(name in names for name in id_names):
             every_id = np.stack([ids(name, shape) for name in id_names]).reshape(*grid, *shape)
         return Truth(
-            centre_disparity,
+            center_disparity,
             np.ones(shape, bool),
             None if object_name is None else ids(object_name, shape),
             every,

@@ -40,7 +40,7 @@ def _source(file: h5py.File, path: Path, limit: float) -> Source:
         raise ValueError(f"`LF` in {path} is {views.dtype}; expected uint8.")
     if views.shape[4] != 3:
         raise ValueError(
-            f"`LF` in {path} has {views.shape[4]} colour channels (shape {views.shape}); "
+            f"`LF` in {path} has {views.shape[4]} color channels (shape {views.shape}); "
             "expected [v, u, y, x, c] with 3."
         )
     if min(views.shape[:2]) > max(views.shape[2:4]):
@@ -156,9 +156,9 @@ def _camera(file: h5py.File, path: Path) -> Camera | None:
 def _truth_reader(file: h5py.File, path: Path, shape: tuple[int, ...], limit: float):
     if "GT_DEPTH" not in file:
         return None
-    axes, labelled = "[v, u, y, x]", "GT_LABELS" in file
+    axes, labeled = "[v, u, y, x]", "GT_LABELS" in file
     depth = dataset(file, "GT_DEPTH", path, axes, 4, limit)
-    labels = dataset(file, "GT_LABELS", path, axes, 4, limit) if labelled else None
+    labels = dataset(file, "GT_LABELS", path, axes, 4, limit) if labeled else None
     for name, array in (("GT_DEPTH", depth), ("GT_LABELS", labels)):
         if array is not None and array.shape != shape:
             raise ValueError(
@@ -173,7 +173,7 @@ def _truth_reader(file: h5py.File, path: Path, shape: tuple[int, ...], limit: fl
             "focalLength and shift, which turn depth into disparity."
         )
     baseline, focal, shift = (float(value) for value in constants.values() if value is not None)
-    centre = shape[0] // 2, shape[1] // 2
+    center = shape[0] // 2, shape[1] // 2
 
     @functools.cache  # the order of the views and the light field both need it
     def read() -> Truth:
@@ -194,9 +194,9 @@ def _truth_reader(file: h5py.File, path: Path, shape: tuple[int, ...], limit: fl
             ids = ids.astype(np.int32)
         # Only a complete set of maps is passed on: there is no mask per view.
         return Truth(
-            disparity[centre],
-            known[centre],
-            None if ids is None else ids[centre],
+            disparity[center],
+            known[center],
+            None if ids is None else ids[center],
             disparity if known.all() else None,
             ids,
         )
@@ -207,7 +207,7 @@ def _truth_reader(file: h5py.File, path: Path, shape: tuple[int, ...], limit: fl
 def _view_order(views: h5py.Dataset, truth: Truth) -> tuple[bool, bool]:
     """Whether rows and columns of views must be reversed to agree with the ground truth."""
     vc, uc = views.shape[0] // 2, views.shape[1] // 2
-    centre = views[vc, uc].astype(np.float32)
+    center = views[vc, uc].astype(np.float32)
     flips = []
     for axis, (count, middle) in enumerate(zip(views.shape[:2], (vc, uc), strict=True)):
         if count < 3:
@@ -216,16 +216,16 @@ def _view_order(views: h5py.Dataset, truth: Truth) -> tuple[bool, bool]:
         place = (middle - 1, uc) if axis == 0 else (vc, middle - 1)
         view = views[place].astype(np.float32)
         # The view before the center sees a point at +d by the convention, at -d if reversed.
-        errors = [_difference(centre, view, sign * truth.disparity, axis) for sign in (1, -1)]
+        errors = [_difference(center, view, sign * truth.disparity, axis) for sign in (1, -1)]
         flips.append(bool(errors[1] < errors[0]))
     return flips[0], flips[1]
 
 
-def _difference(centre: np.ndarray, view: np.ndarray, shift: np.ndarray, axis: int) -> float:
+def _difference(center: np.ndarray, view: np.ndarray, shift: np.ndarray, axis: int) -> float:
     y, x = np.indices(shift.shape)
     limit = shift.shape[axis]
     place = (y if axis == 0 else x) + np.rint(shift.clip(-limit, limit)).astype(int)
     inside = (place >= 0) & (place < limit)
     place = place.clip(0, limit - 1)
     seen = view[place, x] if axis == 0 else view[y, place]
-    return float(np.abs(seen - centre)[inside].mean()) if inside.any() else 0.0
+    return float(np.abs(seen - center)[inside].mean()) if inside.any() else 0.0

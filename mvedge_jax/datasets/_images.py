@@ -119,15 +119,15 @@ def _decoded(data: bytes, upright: bool) -> np.ndarray | None:
     turn = _TURNS.get(_orientation(data)) if upright else None
     try:
         with _opened(data) as image:
-            grey = image.mode in ("1", "L")
-            plain = image.convert("L" if grey else "RGB")
+            gray = image.mode in ("1", "L")
+            plain = image.convert("L" if gray else "RGB")
             pixels = np.asarray(plain if turn is None else plain.transpose(turn))
     except (OSError, ValueError, SyntaxError, ArithmeticError, Image.DecompressionBombError) as no:
         ended = "truncated" not in str(no) and data.endswith(b"\xff\xd9")
         if data.startswith(_JPEG) and not ended:
             raise _TruncatedError("it is truncated (a JPEG)") from no
         return None
-    return pixels if grey else np.ascontiguousarray(pixels[..., ::-1])
+    return pixels if gray else np.ascontiguousarray(pixels[..., ::-1])
 
 
 @contextlib.contextmanager

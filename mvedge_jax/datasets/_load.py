@@ -166,14 +166,14 @@ def load_ground_truth(path: str | os.PathLike) -> GroundTruth:
                 "the views, or GT_DEPTH in an HDF5 file."
             )
         rows, columns = (list(range(count)) for count in source.available.shape)
-        centre = rows[len(rows) // 2], columns[len(columns) // 2]
-        if not source.available[centre]:
-            raise FileNotFoundError(f"{source.label(*centre)}, the centre view, is missing.")
+        center = rows[len(rows) // 2], columns[len(columns) // 2]
+        if not source.available[center]:
+            raise FileNotFoundError(f"{source.label(*center)}, the center view, is missing.")
         if source.flip_v:
             rows.reverse()
         if source.flip_u:
             columns.reverse()
-        return _ground_truth(source, source.truth(), rows, columns, 1.0, _size(source, *centre))
+        return _ground_truth(source, source.truth(), rows, columns, 1.0, _size(source, *center))
 
 
 def _places_of(
@@ -214,7 +214,7 @@ def _places_of(
         row, column = min(missing)
         raise FileNotFoundError(
             f"{source.label(row, column)} is missing (row {row}, column {column} of a grid of "
-            f"{rows}x{columns} views); expected at least the crosshair, the whole centre row and "
+            f"{rows}x{columns} views); expected at least the crosshair, the whole center row and "
             f"column, of which {len(missing)} of {sum(counts) - 1} are missing."
         )
     return kept[0], kept[1]
@@ -229,13 +229,13 @@ def _ground_truth(
     size: tuple[int, int],
 ) -> GroundTruth:
     """Ground truth of the views that were kept, at their scale."""
-    centre = rows[len(rows) // 2], columns[len(columns) // 2]
-    stored = _size(source, *centre)
+    center = rows[len(rows) // 2], columns[len(columns) // 2]
+    stored = _size(source, *center)
     if truth.disparity.shape != stored:
         raise ValueError(
             f"The ground truth of {source.name} is {truth.disparity.shape[0]}x"
             f"{truth.disparity.shape[1]} px (height x width); expected {stored[0]}x{stored[1]}, as "
-            f"{source.label(*centre)}."
+            f"{source.label(*center)}."
         )
     window = np.ix_(rows, columns)
     if scale == 1:

@@ -101,7 +101,7 @@ def _checked(path: Path, shape: tuple[int, ...], kind: str) -> str:
     if shape[4] not in _CHANNELS:
         raise ValueError(
             f"`LF` in {path} has {shape[4]} channels (shape {shape}); expected {_AXES} with 3, 4 "
-            "(colour and weight) or 1."
+            "(color and weight) or 1."
         )
     if min(shape) < 1:
         raise ValueError(f"`LF` in {path} is empty (shape {shape}); expected {_AXES}.")

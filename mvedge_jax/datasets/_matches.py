@@ -93,8 +93,8 @@ def match(views: Views, reach: float, count: int) -> Matches:
     disparities = np.linspace(-reach, reach, number).astype(np.float32)
 
     def strips(image: np.ndarray) -> np.ndarray:
-        grey = cv2.transform(image, np.full((1, image.shape[2]), 1 / image.shape[2], np.float32))
-        return grey.reshape(len(y), HEIGHT, width).mean(1)
+        gray = cv2.transform(image, np.full((1, image.shape[2]), 1 / image.shape[2], np.float32))
+        return gray.reshape(len(y), HEIGHT, width).mean(1)
 
     pad = math.ceil(reach * farthest) + 1
     padded = [cv2.copyMakeBorder(v, 0, 0, pad, pad, cv2.BORDER_REPLICATE) for v in arm]
@@ -115,14 +115,14 @@ def match(views: Views, reach: float, count: int) -> Matches:
     if min(counts) == 0:  # a half without views copies the other one
         empty = counts.index(0)
         halves[empty] = halves[1 - empty]
-    centre = arm[middle]
-    mean = cv2.blur(centre.reshape(len(y), HEIGHT, width, -1).mean(1), (WINDOW, 1))
-    deviation = cv2.blur(strips(np.abs(centre - np.repeat(mean, HEIGHT, axis=0))), (WINDOW, 1))
+    center = arm[middle]
+    mean = cv2.blur(center.reshape(len(y), HEIGHT, width, -1).mean(1), (WINDOW, 1))
+    deviation = cv2.blur(strips(np.abs(center - np.repeat(mean, HEIGHT, axis=0))), (WINDOW, 1))
     through, best = _best(halves.mean(0), disparities, deviation, y)
     everywhere = np.take_along_axis(worst, best[None], 0)[0] < deviation
     half, best = _best(halves.min(0), disparities, deviation, y)
     before, after = np.take_along_axis(halves, best[None, None], 1)[:, 0] > deviation
-    line = centre.reshape(len(y), HEIGHT, width, -1).mean(1)
+    line = center.reshape(len(y), HEIGHT, width, -1).mean(1)
     slope = np.zeros((len(y), width), np.float32)
     slope[:, 1:-1] = np.abs(line[:, 2:] - line[:, :-2]).mean(-1) / 2
     return Matches(through, half, before.astype(int) - after, slope, everywhere)

@@ -39,8 +39,8 @@ def open_source(path: Path, *, max_gb: float | None = None) -> Iterator[Source]:
     """
     if path.is_dir():
         names = sorted(file.name for file in path.iterdir() if not file.name.startswith("."))
-        for recognise, open_folder in _FOLDERS:
-            if recognise(names):
+        for recognize, open_folder in _FOLDERS:
+            if recognize(names):
                 yield open_folder(path, names)
                 return
         files = [name for name in names if Path(name).suffix.lower() in _FILES]
@@ -65,7 +65,7 @@ def _children(path: Path, names: Sequence[str]) -> list[str]:
         except OSError:  # not ours to read
             continue
         held = [name for name in files if Path(name).suffix.lower() in _FILES]
-        if len(held) == 1 or any(recognise(files) for recognise, _ in _FOLDERS):
+        if len(held) == 1 or any(recognize(files) for recognize, _ in _FOLDERS):
             found.append(child.name)
     return found
 

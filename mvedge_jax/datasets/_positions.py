@@ -95,7 +95,7 @@ def view_positions(
         unit = abs(steps[0] if len(columns) > 1 else steps[1])
         if unit == 0:
             raise ValueError(
-                f"{where} has neighbouring views at the same position; expected positions that "
+                f"{where} has neighboring views at the same position; expected positions that "
                 "increase or decrease from view to view."
             )
         places = places * np.where(np.array(steps) < 0, -1, 1) / unit

@@ -27,24 +27,24 @@ def read_views(
         if source.available[row, column]
     ]
     middle = len(rows) // 2, len(columns) // 2
-    centre = rows[middle[0]], columns[middle[1]]
-    side = source.header(*centre) if source.header else source.read(*centre).shape[:2]
+    center = rows[middle[0]], columns[middle[1]]
+    side = source.header(*center) if source.header else source.read(*center).shape[:2]
     if source.size is not None and side != source.size[:2]:
         height, width, file = source.size
         raise ValueError(
-            f"{source.label(*centre)} is {side[0]}x{side[1]} px (height x width); expected "
+            f"{source.label(*center)} is {side[0]}x{side[1]} px (height x width); expected "
             f"{height}x{width}, as {file} says."
         )
     height, width = (int(length * scale + 1e-6) for length in side)
     if min(height, width) < 1:
         raise ValueError(
-            f"`scale` of {scale:g} leaves no pixel of {source.label(*centre)}, {side[0]}x{side[1]} "
+            f"`scale` of {scale:g} leaves no pixel of {source.label(*center)}, {side[0]}x{side[1]} "
             f"px (height x width); expected at least {1 / min(side):.3g}."
         )
-    claim = f"The light field {source.label(*centre)} belongs to"
+    claim = f"The light field {source.label(*center)} belongs to"
     check_memory(claim, (len(rows), len(columns), height, width, 3), limit)
-    check_memory(source.label(*centre), (*side, 3), limit / 9)  # it is read at full size
-    first = source.read(*centre)
+    check_memory(source.label(*center), (*side, 3), limit / 9)  # it is read at full size
+    first = source.read(*center)
     dtype = first.dtype
     views = _aligned_zeros((len(rows), len(columns), height, width, 3))
 
@@ -52,13 +52,13 @@ def read_views(
         i, j, row, column = place
         own = side if source.header is None else source.header(row, column)
         if own != side:
-            raise differs(source.label(row, column), own, source.label(*centre), side)
+            raise differs(source.label(row, column), own, source.label(*center), side)
         image = first if (i, j) == middle else source.read(row, column)
         if image.shape != first.shape or image.dtype != dtype:
             found, wanted = (f" of {array.dtype}" for array in (image, first))
             own = image.shape[:2]
             raise differs(
-                source.label(row, column), own, source.label(*centre), side, found, wanted
+                source.label(row, column), own, source.label(*center), side, found, wanted
             )
         white = np.float32(np.iinfo(dtype).max)
         if scale == 1:
@@ -78,7 +78,7 @@ def read_views(
 def differs(
     file: str,
     own: tuple[int, ...],
-    centre: str,
+    center: str,
     side: tuple[int, ...],
     found: str = "",
     wanted: str = "",
@@ -86,7 +86,7 @@ def differs(
     """The error for a view whose size or depth differs from the center view's."""
     return ValueError(
         f"{file} is {own[0]}x{own[1]} px (height x width){found}; expected {side[0]}x{side[1]}"
-        f"{wanted}, as {centre}."
+        f"{wanted}, as {center}."
     )
 
 

@@ -61,18 +61,18 @@ def _read(
     vc, uc = len(rows) // 2, len(columns) // 2
     cross = [(vc, u) for u in range(len(columns))] + [(v, uc) for v in range(len(rows)) if v != vc]
     places = [(v, u) for v, u in cross if source.available[rows[v], columns[u]]]
-    centre = source.read(rows[vc], columns[uc])
+    center = source.read(rows[vc], columns[uc])
     label = source.label(rows[vc], columns[uc])
     claim = f"The crosshair of the light field that {label} belongs to"
-    check_memory(claim, (len(places), *centre.shape), limit, size=centre.itemsize)
+    check_memory(claim, (len(places), *center.shape), limit, size=center.itemsize)
 
     def read(place: tuple[int, int]) -> np.ndarray:
         row, column = rows[place[0]], columns[place[1]]
         image = source.read(row, column)
-        if image.shape != centre.shape or image.dtype != centre.dtype:
-            kinds = (f" of {array.dtype}" for array in (image, centre))
+        if image.shape != center.shape or image.dtype != center.dtype:
+            kinds = (f" of {array.dtype}" for array in (image, center))
             own = source.label(row, column)
-            raise differs(own, image.shape[:2], label, centre.shape[:2], *kinds)
+            raise differs(own, image.shape[:2], label, center.shape[:2], *kinds)
         return image
 
     with ThreadPoolExecutor(min(4, os.cpu_count() or 1)) as pool:

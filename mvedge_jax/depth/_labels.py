@@ -8,7 +8,7 @@ from jaxtyping import Array, Float
 
 from mvedge_jax._params import cast, number
 from mvedge_jax._paths import replaced
-from mvedge_jax.edges import EdgePoints, rasterise, share
+from mvedge_jax.edges import EdgePoints, rasterize, share
 from mvedge_jax.edges.sides import Sides
 from mvedge_jax.photometry import Evidence
 from mvedge_jax.splatting import SplatLabels
@@ -172,7 +172,7 @@ class NearestLabels(eqx.Module):
         """See `PointLabels`."""
         weight = self.weight(sides.confidence, points, precision)
         place = points.xy + sides.surface.offset
-        raster = rasterise(place, points.disparity, points.valid, evidence.shape)
+        raster = rasterize(place, points.disparity, points.valid, evidence.shape)
         return Labels(raster.values(weight), raster.values(points.disparity))
 
 

@@ -25,7 +25,7 @@ def weighted_median(
     *,
     radius: int,
     levels: int,
-    quantised: bool = False,
+    quantized: bool = False,
 ) -> Float[Array, "y x"]:
     r"""Median over a window, with the weights of a guided filter.
 
@@ -39,7 +39,7 @@ def weighted_median(
         epsilon: regularization of the guide's covariance.
         radius: radius of the window, px.
         levels: number of slices between the least and the largest value.
-        quantised: return the first level past one half.
+        quantized: return the first level past one half.
 
     Returns:
         The median, `[y, x]`. Differentiable, in both modes, at the levels chosen.
@@ -47,8 +47,8 @@ def weighted_median(
     low, high = jnp.min(values), jnp.max(values)
     spacing = jnp.maximum((high - low) / (levels - 1), LEAST_DIVISOR)
     sliced, still = _prepared(values, low, spacing, guide, epsilon, radius)
-    slices = _Slices(radius, levels, quantised)
-    if quantised:
+    slices = _Slices(radius, levels, quantized)
+    if quantized:
         found = lax.stop_gradient(_search(slices, sliced, still))
         place = low + spacing * found.level
     else:
@@ -64,7 +64,7 @@ class _Slices(NamedTuple):
 
     radius: int
     levels: int
-    quantised: bool
+    quantized: bool
 
 
 class _Sliced(NamedTuple):
@@ -114,16 +114,16 @@ def _prepared(
     values: Array, low: Array, spacing: Array, guide: Array, epsilon: Array, radius: int
 ) -> tuple[_Sliced, _Still]:
     """The guide's means and covariances around every pixel."""
-    colours = tuple(guide)
+    colors = tuple(guide)
     area = _box_sum(jnp.ones_like(values), radius)
-    mean = tuple(_box_sum(c, radius) / area for c in colours)
+    mean = tuple(_box_sum(c, radius) / area for c in colors)
 
     def moment(i: int, j: int) -> Array:
-        return _box_sum(colours[i] * colours[j], radius) / area - mean[i] * mean[j]
+        return _box_sum(colors[i] * colors[j], radius) / area - mean[i] * mean[j]
 
     pairs = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
     covariance = factored([moment(i, j) for i, j in pairs], epsilon)
-    sliced = _Sliced(values, low, spacing, colours, mean, covariance.moments)
+    sliced = _Sliced(values, low, spacing, colors, mean, covariance.moments)
     return sliced, _Still(covariance.factors, area)
 
 
@@ -187,7 +187,7 @@ def _levels(slices: _Slices, sliced: _Sliced) -> Float[Array, " l"]:
 def _share(slices: _Slices, level: Array, sliced: _Sliced, still: _Still) -> Float[Array, "y x"]:
     """Share of weight at or below a level: the guided filter of a slice."""
     ramp = _ramp(level, sliced)
-    piece = (ramp >= 0).astype(ramp.dtype) if slices.quantised else jnp.clip(ramp, 0, 1)
+    piece = (ramp >= 0).astype(ramp.dtype) if slices.quantized else jnp.clip(ramp, 0, 1)
     mean, slope = _regressed(_sums(piece, sliced.guide, slices.radius), sliced, still)
     answer = _box_sum(_offset(mean, slope, sliced), slices.radius)
     for s, c in zip(slope, sliced.guide, strict=True):
@@ -243,8 +243,8 @@ def _pulled_share(
     of_piece, of_wanted = no_fuse(both, piece, wanted, sliced.guide)
     mean, slope = _regressed(of_piece, sliced, still)
     around, turned = _regressed(of_wanted, sliced, still)
-    back, *by_colour = no_fuse(spread, _offset(around, turned, sliced), *turned)
-    for c, b in zip(sliced.guide, by_colour, strict=True):
+    back, *by_color = no_fuse(spread, _offset(around, turned, sliced), *turned)
+    for c, b in zip(sliced.guide, by_color, strict=True):
         back = back + c * b
     change = jnp.where((ramp > 0) & (ramp < 1), back, 0) / sliced.spacing
     (r, g, b), (tr, tg, tb) = slope, turned
@@ -254,7 +254,7 @@ def _pulled_share(
         low=jnp.sum(change),
         spacing=jnp.sum(change * (level + 0.5 - ramp)),
         guide=tuple(
-            piece * b + wanted * s for b, s in zip(by_colour, no_fuse(spread, *slope), strict=True)
+            piece * b + wanted * s for b, s in zip(by_color, no_fuse(spread, *slope), strict=True)
         ),
         mean=tuple(-(s * around + t * mean) for s, t in zip(slope, turned, strict=True)),
         moments=tuple(-m for m in moments),

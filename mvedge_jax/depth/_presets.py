@@ -65,7 +65,7 @@ def parts_for(
     if preset not in PRESETS:
         raise ValueError(f"`preset` must be one of {PRESETS}, got {preset!r}.")
     steps = light_field.farthest
-    if max(light_field.centre) == 0:
+    if max(light_field.center) == 0:
         raise ValueError(
             "`light_field` has a single view; depth needs at least three in a row or column."
         )
@@ -192,6 +192,6 @@ def _check_positions(light_field: LightField, model: "EdgeDepth") -> None:
         return
     if light_field.farthest > edges.farthest:
         raise ValueError(
-            f"`model` is for views up to {edges.farthest} view steps from the centre view, but "
+            f"`model` is for views up to {edges.farthest} view steps from the center view, but "
             f"`light_field` has views up to {light_field.farthest} away; {made}."
         )

@@ -36,7 +36,7 @@ def _vignette_doubts(exposure: Any, *, most: float = 0.3) -> list[str]:
     v, u = np.unravel_index(np.argmax(uneven), uneven.shape)
     return [
         f"the vignettes of the views differ: the brightness of view ({v}, {u}) varies by "
-        f"{100 * uneven[v, u]:.0f} % (standard deviation) over the frame against the centre "
+        f"{100 * uneven[v, u]:.0f} % (standard deviation) over the frame against the center "
         "view's; calibrate the views with pictures of a white wall."
     ]
 

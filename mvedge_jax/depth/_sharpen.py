@@ -10,7 +10,7 @@ from mvedge_jax._params import accepts_numpy, at_least, cast, number, one_of
 
 from ._median import weighted_median
 
-Sharpening = Literal["clip", "median", "quantised", "none"]
+Sharpening = Literal["clip", "median", "quantized", "none"]
 
 
 class Sharpen(eqx.Module):
@@ -22,7 +22,7 @@ class Sharpen(eqx.Module):
         radius: radius of the guided filter, px.
         levels: number of slices of the range of disparities.
         mode: `"median"` interpolates the median between slices; `"clip"` keeps the map, and so its
-            precision, within `slack` of that median; `"quantised"` returns the slice itself, as
+            precision, within `slack` of that median; `"quantized"` returns the slice itself, as
             the thesis does, and has no derivative; `"none"` changes nothing.
 
     Source: Thesis 6.1, "Cross-hair View Projection"; the interpolation and the clip are ours.
@@ -69,7 +69,7 @@ class Sharpen(eqx.Module):
             params.epsilon,
             radius=self.radius,
             levels=self.levels,
-            quantised=self.mode == "quantised",
+            quantized=self.mode == "quantized",
         )
         if self.mode == "clip":
             return jnp.clip(disparity, median - params.slack, median + params.slack)

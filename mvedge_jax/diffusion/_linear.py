@@ -85,7 +85,7 @@ def _diagonal(operator: SystemOperator) -> Any:
     return diagonal(operator.coefficients).ravel()
 
 
-def _materialised(operator: SystemOperator) -> lx.AbstractLinearOperator:
+def _materialized(operator: SystemOperator) -> lx.AbstractLinearOperator:
     image, shape = operator.in_structure(), operator.coefficients.weight.shape
     matrix = operator.as_matrix().reshape(*shape, *shape)
     tags = frozenset({lx.symmetric_tag, lx.positive_semidefinite_tag})
@@ -106,4 +106,4 @@ for _question in (
 for _change in (lx.linearise, lx.conj):
     _change.register(SystemOperator)(_same)
 lx.diagonal.register(SystemOperator)(_diagonal)
-lx.materialise.register(SystemOperator)(_materialised)
+lx.materialise.register(SystemOperator)(_materialized)

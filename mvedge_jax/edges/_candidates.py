@@ -56,9 +56,9 @@ def contrast(image: Float[Array, "y x c"]) -> Float[Array, "2 y x"]:
 
 def find_candidates(
     strength: Float[Array, "2 y x"],
-    centre: Float[Array, "2 y x"],
+    center: Float[Array, "2 y x"],
     floor: Float[Array, ""],
-    centre_floor: Float[Array, ""],
+    center_floor: Float[Array, ""],
     *,
     capacity: int,
 ) -> Candidates:
@@ -69,9 +69,9 @@ def find_candidates(
 
     Args:
         strength: filter responses along x and along y.
-        centre: see `contrast`.
+        center: see `contrast`.
         floor: weakest response.
-        centre_floor: weakest contrast of the center view, whose noise is not averaged.
+        center_floor: weakest contrast of the center view, whose noise is not averaged.
         capacity: number of slots; if there are more candidates, the weakest are dropped.
     """
 
@@ -79,8 +79,8 @@ def find_candidates(
         return jnp.stack([line_maxima(values[0], least), line_maxima(values[1].T, least).T])
 
     own = maxima(strength, floor)
-    single = maxima(centre, centre_floor)
-    strongest = jnp.where(own, strength, jnp.where(single, centre, 0)).max(0)
+    single = maxima(center, center_floor)
+    strongest = jnp.where(own, strength, jnp.where(single, center, 0)).max(0)
     either = (own | single).any(0)
     count = either.sum()
     # If there are more candidates than slots, the weakest are dropped, not the last.
@@ -98,7 +98,7 @@ def find_candidates(
 
 
 def subpixel(
-    strength: Float[Array, "2 y x"], centre: Float[Array, "2 y x"], candidates: Candidates
+    strength: Float[Array, "2 y x"], center: Float[Array, "2 y x"], candidates: Candidates
 ) -> Float[Array, "n 2"]:
     """Vertex of a parabola through the response along each direction of a maximum."""
     row, column = candidates.row, candidates.column
@@ -116,5 +116,5 @@ def subpixel(
         return jnp.stack([shift_x, shift_y])
 
     moved = jnp.where(candidates.filtered, shift(strength), 0)
-    moved = jnp.where(candidates.alone, shift(centre), moved)
+    moved = jnp.where(candidates.alone, shift(center), moved)
     return jnp.stack([column.astype(moved.dtype), row.astype(moved.dtype)], -1) + moved.T

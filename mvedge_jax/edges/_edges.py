@@ -169,7 +169,7 @@ def _measured_edges(evidence: Evidence, params: OrientedEdges) -> Edges:
     scene, measured, shown = evidence.calibrated, evidence.measured, evidence.shown
     if measured is None or shown is None:
         raise ValueError("`OrientedEdges` need a `measurement` in the chain, got None.")
-    noise, view = scene.noise, jnp.moveaxis(scene.views.centre, 0, -1)
+    noise, view = scene.noise, jnp.moveaxis(scene.views.center, 0, -1)
     across, down = (srgb_to_lab(jnp.moveaxis(arm.planes, 1, -1)) for arm in scene.arms)
     params = cast(params, view.dtype)
     banks = params.banks
@@ -181,12 +181,12 @@ def _measured_edges(evidence: Evidence, params: OrientedEdges) -> Edges:
     strength = jnp.stack(
         [strongest_response(across, banks[0]), strongest_response(down, banks[1]).T]
     )
-    centre = contrast(srgb_to_lab(view))
+    center = contrast(srgb_to_lab(view))
     grain = 100 * noise.deviation
     floor = params.strength_floor + params.above_noise * noise.alpha * grain
     # A single view is noisier than what a filter averages.
-    centre_floor = floor + params.above_noise * grain
-    candidates = find_candidates(strength, centre, floor, centre_floor, capacity=params.capacity)
+    center_floor = floor + params.above_noise * grain
+    candidates = find_candidates(strength, center, floor, center_floor, capacity=params.capacity)
     row, column = candidates.row, candidates.column
 
     limit = params.error_limit * jnp.sqrt(1 + noise.alpha * (params.error_noise * grain) ** 2)
@@ -201,12 +201,12 @@ def _measured_edges(evidence: Evidence, params: OrientedEdges) -> Edges:
     consistent = candidates.valid & (error < limit)
     valid = consistent & lit
 
-    height = jnp.where(candidates.alone, centre[:, row, column], 0)
+    height = jnp.where(candidates.alone, center[:, row, column], 0)
     height = jnp.where(candidates.filtered, strength[:, row, column], height).max(0)
     normal = unit_gradient(srgb_to_gray(view))[row, column]
 
     points = EdgePoints(
-        xy=subpixel(strength, centre, candidates),
+        xy=subpixel(strength, center, candidates),
         disparity=disparity,
         confidence=height / (height + params.half_confidence),
         error=error,

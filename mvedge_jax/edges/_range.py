@@ -49,7 +49,7 @@ def _coarse(
     light_field: LightField, disparities: Array, noise: Noise, *, window: int
 ) -> tuple[Array, ...]:
     """Best disparity, its cost, and the contrast of the center view, per pixel."""
-    lab = srgb_to_lab(light_field.centre_view)
+    lab = srgb_to_lab(light_field.center_view)
     params = cast(Matching(), lab.dtype)
     planes = jnp.moveaxis(lab, -1, 0)
     best = best_match(

@@ -29,7 +29,7 @@ class Raster(NamedTuple):
 
 
 @accepts_numpy
-def rasterise(
+def rasterize(
     xy: Float[Array, "n 2"],
     disparity: Float[Array, " n"],
     valid: Bool[Array, " n"],

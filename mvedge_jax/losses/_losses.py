@@ -11,7 +11,7 @@ from mvedge_jax._params import accepts_numpy, cast, number
 from mvedge_jax.warping import visible as exact_visible
 
 from ._views import Views
-from .features import Colours
+from .features import Colors
 from .terms import (
     Features,
     edge_aware_smoothness,
@@ -109,7 +109,7 @@ def self_supervised_loss(
     """
     weights = cast(weights, disparity.dtype)
     visible = occlusion_masks(disparity, views) if visible is None else visible
-    features = Colours() if features is None else features
+    features = Colors() if features is None else features
     error = reprojection_error(disparity, views, visible, features)
     # The reward looks at the error summed over views, as the authors' code does.
     count = jnp.sum(visible & views.available[:, None, None], axis=0).astype(error.dtype)
@@ -117,10 +117,10 @@ def self_supervised_loss(
     dissimilarity = jnp.zeros((), disparity.dtype)
     if similarity:
         warped = warp_views(disparity, views, visible & views.available[:, None, None])
-        alike = jax.vmap(lambda image: jnp.mean(ssim(image, views.centre)))(warped)
+        alike = jax.vmap(lambda image: jnp.mean(ssim(image, views.center)))(warped)
         shown = jnp.maximum(jnp.sum(views.available).astype(alike.dtype), 1)
         dissimilarity = jnp.sum(jnp.where(views.available, 1 - alike, 0)) / shown
-    smoothness = jnp.mean(edge_aware_smoothness(disparity, views.centre))
+    smoothness = jnp.mean(edge_aware_smoothness(disparity, views.center))
     terms = LossTerms(jnp.mean(error), smoothness, dissimilarity, reward, error)
     return terms.weighted(weights), terms
 

@@ -15,20 +15,20 @@ class Views(eqx.Module):
     """A center view and views around it, as channel planes.
 
     Attributes:
-        centre: the image whose disparity is estimated.
+        center: the image whose disparity is estimated.
         others: the views that are warped to it.
         steps: `(u_c - u, v_c - v)` of every view.
         available: views that take part.
     """
 
-    centre: Float[Array, "c y x"] = eqx.field(converter=jax_array)
+    center: Float[Array, "c y x"] = eqx.field(converter=jax_array)
     others: Float[Array, "k c y x"] = eqx.field(converter=jax_array)
     steps: Float[Array, "k 2"] = eqx.field(converter=jax_array)
     available: Bool[Array, "k"] = eqx.field(converter=jax_array)
 
     def take(self, index: Int[Array, "m"]) -> "Views":
         """The views at `index`."""
-        return Views(self.centre, self.others[index], self.steps[index], self.available[index])
+        return Views(self.center, self.others[index], self.steps[index], self.available[index])
 
 
 def gather_views(
@@ -46,19 +46,19 @@ def gather_views(
     Raises:
         ValueError: `choice` is empty or names a position outside the grid.
     """
-    vc, uc = light_field.centre
+    vc, uc = light_field.center
     rows, columns = light_field.available.shape
     if choice is None:
         choice = [(v, uc) for v in range(rows) if v != vc]
         choice += [(vc, u) for u in range(columns) if u != uc]
     if not choice:
-        raise ValueError("`choice` names no view; at least one besides the centre is needed.")
+        raise ValueError("`choice` names no view; at least one besides the center is needed.")
     for v, u in choice:
         if not (0 <= v < rows and 0 <= u < columns):
             raise ValueError(f"`choice` names view {(v, u)}; the grid is {rows}x{columns}.")
     v, u = (jnp.asarray(axis) for axis in zip(*choice, strict=True))
     return Views(
-        jnp.moveaxis(light_field.centre_view, -1, 0),
+        jnp.moveaxis(light_field.center_view, -1, 0),
         jnp.moveaxis(light_field.views[v, u], -1, 1),
         light_field.steps[v, u],
         light_field.available[v, u],
@@ -75,4 +75,4 @@ def all_views(light_field: LightField) -> list[tuple[int, int]]:
         Positions `(v, u)`, row by row.
     """
     there = np.argwhere(np.asarray(light_field.available))
-    return [(int(v), int(u)) for v, u in there if (v, u) != light_field.centre]
+    return [(int(v), int(u)) for v, u in there if (v, u) != light_field.center]

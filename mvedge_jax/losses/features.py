@@ -25,7 +25,7 @@ def _convolve(planes: Array, kernels: Array) -> Array:
     return convolved[0]
 
 
-class Colours(eqx.Module):
+class Colors(eqx.Module):
     """The image itself: `features(image) -> [c, y, x]` is the identity."""
 
     def __call__(self, image: Float[Array, "c y x"]) -> Float[Array, "c y x"]:
@@ -101,7 +101,7 @@ class Vgg16(eqx.Module):
     def __call__(self, image: Float[Array, "3 y x"]) -> Float[Array, "64 y x"]:
         """Returns the activations behind the second convolution."""
         params = cast(self, image.dtype)
-        # The statistics of ImageNet by which the network's inputs were standardised.
+        # The statistics of ImageNet by which the network's inputs were standardized.
         mean = jnp.asarray([0.485, 0.456, 0.406], image.dtype)[:, None, None]
         spread = jnp.asarray([0.229, 0.224, 0.225], image.dtype)[:, None, None]
         hidden = (image - mean) / spread

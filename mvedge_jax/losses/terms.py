@@ -43,7 +43,7 @@ def warp_views(
 
     def one(other: Array, step: Array, mask: Array) -> Array:
         warped = warp_planes(other, disparity, step.astype(disparity.dtype))
-        return jnp.where(mask[None], warped, views.centre)
+        return jnp.where(mask[None], warped, views.center)
 
     return jax.vmap(one)(views.others, views.steps, visible)
 
@@ -69,13 +69,13 @@ def reprojection_error(
 
     Source: Thesis 7.1.4, Eq. 7.15.
     """
-    reference = features(views.centre)
+    reference = features(views.center)
     visible = visible & views.available[:, None, None]
 
     def one(total: Array, item: tuple[Array, Array, Array]) -> tuple[Array, None]:
         other, step, mask = item
         warped = warp_planes(other, disparity, step.astype(disparity.dtype))
-        warped = jnp.where(mask[None], warped, views.centre)
+        warped = jnp.where(mask[None], warped, views.center)
         difference = jnp.mean(jnp.abs(features(warped) - reference), axis=0)
         return total + jnp.where(mask, difference, 0), None
 
@@ -105,27 +105,27 @@ def gradient_reward(error: Float[Array, "y x"]) -> Float[Array, "y x"]:
 
 @accepts_numpy
 def edge_aware_smoothness(
-    disparity: Float[Array, "y x"], centre: Float[Array, "c y x"]
+    disparity: Float[Array, "y x"], center: Float[Array, "c y x"]
 ) -> Float[Array, "y x"]:
     """Slope of the map where the image has no edge.
 
     Args:
         disparity: px per view step.
-        centre: the image.
+        center: the image.
 
     Returns:
         `|S_x D| exp(-mean |S_x I|)` plus the same in y, with unnormalized Sobel filters.
 
     Source: Thesis 7.1.4, E_S of Eq. 7.16.
     """
-    return jnp.sum(jnp.abs(_edge_aware_slopes(disparity, centre)), axis=0)
+    return jnp.sum(jnp.abs(_edge_aware_slopes(disparity, center)), axis=0)
 
 
 def _edge_aware_slopes(
-    disparity: Float[Array, "y x"], centre: Float[Array, "c y x"]
+    disparity: Float[Array, "y x"], center: Float[Array, "c y x"]
 ) -> Float[Array, "2 y x"]:
     """`S D exp(-mean |S I|)` across and down."""
-    pairs = zip(_sobel(disparity), _sobel(centre), strict=True)
+    pairs = zip(_sobel(disparity), _sobel(center), strict=True)
     return jnp.stack(
         [8 * slope * jnp.exp(-8 * jnp.mean(jnp.abs(edge), axis=0)) for slope, edge in pairs]
     )

@@ -68,9 +68,9 @@ def agreement(
     rows, columns, height, width = labels.shape
     vc, uc = rows // 2, columns // 2
     dtype = disparity.dtype
-    centre, depth = labels[vc, uc], disparity[vc, uc]
-    x = jnp.broadcast_to(jnp.arange(width, dtype=dtype)[None], centre.shape)
-    y = jnp.broadcast_to(jnp.arange(height, dtype=dtype)[:, None], centre.shape)
+    center, depth = labels[vc, uc], disparity[vc, uc]
+    x = jnp.broadcast_to(jnp.arange(width, dtype=dtype)[None], center.shape)
+    y = jnp.broadcast_to(jnp.arange(height, dtype=dtype)[:, None], center.shape)
 
     def one(view: Array, truth: Array, step: Array, use: Array) -> Agreement:
         column, row = (
@@ -83,9 +83,9 @@ def agreement(
         label = view.ravel()[index]
         weight = seen.astype(dtype)
         apart = _apart(
-            _centroids(centre, weight, x, y, count), _centroids(label, weight, x, y, count)
+            _centroids(center, weight, x, y, count), _centroids(label, weight, x, y, count)
         )
-        differs = seen & ~(_around(label, centre) & (label > 0))
+        differs = seen & ~(_around(label, center) & (label > 0))
         return Agreement(*apart, seen.astype(jnp.int32), differs.astype(jnp.int32))
 
     v, u = jnp.indices((rows, columns))
@@ -96,6 +96,6 @@ def agreement(
     def add(total: Agreement, item: tuple[Array, ...]) -> tuple[Agreement, None]:
         return jax.tree.map(jnp.add, total, one(*item)), None
 
-    empty = jnp.zeros(centre.shape, jnp.int32)
+    empty = jnp.zeros(center.shape, jnp.int32)
     start = Agreement(jnp.zeros((), dtype), jnp.zeros((), jnp.int32), empty, empty)
     return lax.scan(add, start, items)[0]

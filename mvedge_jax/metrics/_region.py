@@ -21,7 +21,7 @@ def check_maps(disparity: Any, truth: Any, mask: Any, crop: int) -> None:
         if other is not None and other.shape != disparity.shape:
             raise ValueError(
                 f"`{name}` must have the shape of `disparity`, {disparity.shape}, got "
-                f"{other.shape}; crop the larger one to its centre first."
+                f"{other.shape}; crop the larger one to its center first."
             )
     check_crop(disparity.shape, crop)
 

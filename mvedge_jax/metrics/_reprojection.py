@@ -102,7 +102,7 @@ def reprojection_error(
 
 def _reprojection(disparity, light_field, tolerance, space, targets, crop) -> Reprojection:
     convert = srgb_to_lab if space == "lab" else (lambda image: image)
-    centre = convert(light_field.centre_view)
+    center = convert(light_field.center_view)
     finite = jnp.isfinite(disparity)
     scale = 100 if space == "rgb" else 1
 
@@ -112,7 +112,7 @@ def _reprojection(disparity, light_field, tolerance, space, targets, crop) -> Re
         warped, inside = backward_warp(convert(view), disparity, step)
         steps = jnp.maximum(jnp.abs(step).max(), 1)
         seen = inside & visible(disparity, step, tolerance=tolerance / steps)
-        difference = warped - centre
+        difference = warped - center
         if space == "rgb":
             distance = jnp.abs(difference).mean(-1)
         else:

@@ -30,14 +30,14 @@ class SuperpixelScores(NamedTuple):
         undersegmentation_area: leaks over pixels, counted for both objects; mean over views.
         undersegmentation_once: the same, each leak once.
         compactness: (5.4) as printed, 0..1, with the sides of pixels as perimeter, mean over views.
-        compactness_centre: of the center view.
+        compactness_center: of the center view.
         self_similarity: px between centroids of a label in the center view and in another one, of
             what both see; mean over labels and views.
         labels_per_pixel: 1 + number of views that see a pixel of the center view and give it a
             label that is not within 1 px of it.
         inconsistent: share of the pairs of a pixel and another view seeing it that disagree.
         boundary_density: share of neighboring pixels with different labels, mean over views.
-        unlabelled: share of pixels without a label.
+        unlabeled: share of pixels without a label.
         number: labels in all views together.
         number_connected: connected pieces in the center view.
         pieces: connected pieces per label and view that has it.
@@ -52,12 +52,12 @@ class SuperpixelScores(NamedTuple):
     undersegmentation_area: Float[Array, ""]
     undersegmentation_once: Float[Array, ""]
     compactness: Float[Array, ""]
-    compactness_centre: Float[Array, ""]
+    compactness_center: Float[Array, ""]
     self_similarity: Float[Array, ""]
     labels_per_pixel: Float[Array, ""]
     inconsistent: Float[Array, ""]
     boundary_density: Float[Array, ""]
-    unlabelled: Float[Array, ""]
+    unlabeled: Float[Array, ""]
     number: Int[Array, ""]
     number_connected: Int[Array, ""]
     pieces: Float[Array, ""]
@@ -200,9 +200,9 @@ def _scores(labels, object_ids, disparity, available, *, count, kinds) -> Superp
     return SuperpixelScores(
         **known,
         compactness=jnp.sum(weight * shapes.compactness),
-        compactness_centre=shapes.compactness[middle],
+        compactness_center=shapes.compactness[middle],
         boundary_density=jnp.sum(weight * shapes.density),
-        unlabelled=jnp.sum(weight * none),
+        unlabeled=jnp.sum(weight * none),
         number=jnp.sum(there, dtype=jnp.int32),
         number_connected=shapes.pieces[middle],
         pieces=total(shapes.pieces) / total(shapes.present),

@@ -1,6 +1,6 @@
 """The differentiable model of multi-view edges, and its optimization (Thesis 7).
 
-Subpackages: `objectives` (losses), `optimisation` (the loop, its state, growing points),
+Subpackages: `objectives` (losses), `optimization` (the loop, its state, growing points),
 `approaches` (losses from the views: by evidence, by reprojection).
 """
 
@@ -12,7 +12,7 @@ from ._optimize import (
     fit_edges as fit_edges,
     optimize_edges as optimize_edges,
 )
-from ._result import Optimised as Optimised
+from ._result import Optimized as Optimized
 from ._start import (
     Start as Start,
     StartFit as StartFit,

@@ -220,14 +220,14 @@ def render_model(
 
 
 def map_roughness(
-    disparity: Float[Array, "y x"], centre: Float[Array, "y x c"]
+    disparity: Float[Array, "y x"], center: Float[Array, "y x c"]
 ) -> Float[Array, "y x"]:
     r"""Initial Q >= 0 from a map and its image: rough where both have a step.
 
     $Q = \ln(1 + (|\Delta Lab| / .3)^{1.5} (|\Delta D| / .05)^2)$, D in px, the largest over a
     pixel's edges. Only the product of both steps is reliable: either alone leaks or cuts too much.
     """
-    lab = srgb_to_lab(centre)
+    lab = srgb_to_lab(center)
     rough = jnp.zeros_like(disparity)
     for axis in (0, 1):
         color = jnp.sqrt(jnp.sum(jnp.diff(lab, axis=axis) ** 2, axis=-1) + 1e-12)

@@ -12,14 +12,14 @@ from mvedge_jax.losses import SupervisedWeights
 
 from ._host import compiled_render
 from ._model import Renderer, without_free_places
-from ._result import Optimised
+from ._result import Optimized
 from ._start import Start
 from .approaches._approach import Approach
 from .objectives import Supervised, unlimited
-from .optimisation._grow import Growth
-from .optimisation._optimise import Progress, Strategy, optimise
-from .optimisation._routine import Rates, Routine, all_at_once
-from .optimisation._state import State, begin, resumed
+from .optimization._grow import Growth
+from .optimization._optimize import Progress, Strategy, optimize
+from .optimization._routine import Rates, Routine, all_at_once
+from .optimization._state import State, begin, resumed
 
 
 class SupervisedFit(eqx.Module):
@@ -47,7 +47,7 @@ def fit_edges(
     routine: Routine | None = None,
     state: State | None = None,
     progress: Callable[[Progress], None] | None = None,
-) -> Optimised:
+) -> Optimized:
     """Fits points and smoothness to a known map, to measure what the model can represent.
 
     Runs on the host, in compiled pieces, deterministically.
@@ -78,7 +78,7 @@ def fit_edges(
     Example:
         >>> import jax.numpy as jnp
         >>> from mvedge_jax.model import DepthModel
-        >>> from mvedge_jax.model.optimisation import FixedPoints
+        >>> from mvedge_jax.model.optimization import FixedPoints
         >>> one, image = jnp.ones(1), jnp.zeros((6, 8))
         >>> middle = DepthModel(0 * one, jnp.array([[4.0, 3.0]]), 0 * one, image, one > 0)
         >>> truth = GroundTruth(image + 0.1, image == 0)  # the point says 0, but 0.1 is true
@@ -99,9 +99,9 @@ def fit_edges(
     if routine is None:
         routine = all_at_once(fit.rates, iterations=fit.iterations)
     begun = resumed(begin(model, start.disparity, key=jax.random.key(0)), state)
-    final, history = optimise(begun, routine, goal, strategy=strategy, progress=progress)
+    final, history = optimize(begun, routine, goal, strategy=strategy, progress=progress)
     best = compiled_render(final.best, renderer, start=final.disparity)
-    return Optimised(best.disparity, final.best, history, final)
+    return Optimized(best.disparity, final.best, history, final)
 
 
 @accepts_numpy
@@ -115,7 +115,7 @@ def optimize_edges(
     state: State | None = None,
     progress: Callable[[Progress], None] | None = None,
     key: PRNGKeyArray | None = None,
-) -> Optimised:
+) -> Optimized:
     """Optimizes points and smoothness so that the rendered map explains the views.
 
     Runs on the host, in compiled pieces. Ground truth is not read.
@@ -163,6 +163,6 @@ def optimize_edges(
         routine = all_at_once(approach.rates, iterations=approach.iterations)
     key = jax.random.key(0) if key is None else key
     begun = begin(prepared.start.model, prepared.start.disparity, key=key)
-    final, history = optimise(resumed(begun, state), routine, prepared.objective, progress=progress)
+    final, history = optimize(resumed(begun, state), routine, prepared.objective, progress=progress)
     disparity, verdict = approach.finish(blind, prepared, final)
-    return Optimised(disparity, final.best, history, final, verdict)
+    return Optimized(disparity, final.best, history, final, verdict)

@@ -5,8 +5,8 @@ from typing import NamedTuple
 from jaxtyping import Array, Bool, Float
 
 from ._model import DepthModel
-from .optimisation._optimise import History
-from .optimisation._state import State
+from .optimization._optimize import History
+from .optimization._state import State
 
 
 class Verdict(NamedTuple):
@@ -24,7 +24,7 @@ class Verdict(NamedTuple):
     confirmed: Float[Array, ""] | None = None
 
 
-class Optimised(NamedTuple):
+class Optimized(NamedTuple):
     """The result of `optimize_edges` or `fit_edges`.
 
     Attributes:

@@ -17,10 +17,10 @@ from mvedge_jax.smoothness import image_roughness
 from ._host import compiled_render
 from ._model import DepthModel, Renderer, map_roughness, with_capacity
 from .objectives import Supervised, Trust, unlimited
-from .optimisation._grow import Growth, grow
-from .optimisation._optimise import advance
-from .optimisation._routine import Rates, all_at_once
-from .optimisation._state import begin
+from .optimization._grow import Growth, grow
+from .optimization._optimize import advance
+from .optimization._routine import Rates, all_at_once
+from .optimization._state import begin
 
 # Roughness per slope of the lightness, px/L*.
 _ROUGHNESS = 0.3
@@ -77,7 +77,7 @@ def start_from_depth(
         points.disparity,
         points.error,
         points.valid,
-        light_field.centre_view,
+        light_field.center_view,
         depth.disparity,
         StartFit() if fit is None else fit,
     )
@@ -97,31 +97,31 @@ def start_from_edges(light_field: LightField, depth: DepthResult, renderer: Rend
 
     Source: Thesis 7.1.5.
     """
-    points, centre = depth.points, light_field.centre_view
-    there = nearest_pixels(points.xy + depth.surface.offset, (centre.shape[0], centre.shape[1]))
+    points, center = depth.points, light_field.center_view
+    there = nearest_pixels(points.xy + depth.surface.offset, (center.shape[0], center.shape[1]))
     valid = points.valid & there.inside
     place = jnp.where(valid[:, None], points.xy + depth.surface.offset, 0)
-    label, nothing = jnp.where(valid, points.disparity, 0), jnp.zeros_like(centre[..., 0])
+    label, nothing = jnp.where(valid, points.disparity, 0), jnp.zeros_like(center[..., 0])
     model = DepthModel(label, place, jnp.zeros_like(label), nothing, valid)
-    start = start_from_image(Start(model, jnp.full_like(label, jnp.inf), nothing), centre)
+    start = start_from_image(Start(model, jnp.full_like(label, jnp.inf), nothing), center)
     return start._replace(disparity=compiled_render(start.model, renderer).disparity)
 
 
 @accepts_numpy
-def start_from_image(start: Start, centre: Float[Array, "y x c"]) -> Start:
+def start_from_image(start: Start, center: Float[Array, "y x c"]) -> Start:
     """The smoothness of the thesis' start: Q from the image gradient instead of a map's steps.
 
     Args:
         start: a model.
-        centre: the center view, sRGB.
+        center: the center view, sRGB.
 
     Returns:
         The model with the new Q. Differentiable in the view.
 
     Source: Thesis 7.1.5.
     """
-    lightness = srgb_to_lab(centre)[..., 0]
-    rough = image_roughness(lightness, jnp.asarray(_ROUGHNESS, centre.dtype))
+    lightness = srgb_to_lab(center)[..., 0]
+    rough = image_roughness(lightness, jnp.asarray(_ROUGHNESS, center.dtype))
     return start._replace(model=eqx.tree_at(lambda m: m.roughness, start.model, rough))
 
 
@@ -130,7 +130,7 @@ def start_from_points(
     disparity: Float[Array, "n"],
     error: Float[Array, "n"],
     valid: Bool[Array, "n"],
-    centre: Float[Array, "y x c"],
+    center: Float[Array, "y x c"],
     first: Float[Array, "y x"],
     fit: StartFit,
 ) -> Start:
@@ -139,7 +139,7 @@ def start_from_points(
     Weights follow from standard errors, smoothness from the steps of map and image. Points outside
     the image take no part.
     """
-    dtype = centre.dtype
+    dtype = center.dtype
     fit = cast(fit, dtype)
     at = nearest_pixels(xy, (first.shape[0], first.shape[1]))
     there = first[at.row, at.column]
@@ -147,7 +147,7 @@ def start_from_points(
     agrees = jnp.abs(disparity - there) <= fit.agreement
     label = jnp.where(agrees, disparity, there)
     error = jnp.where(agrees, error, 2 * fit.reference_error)
-    rough = map_roughness(first, centre) + fit.offset
+    rough = map_roughness(first, center) + fit.offset
     weight = jnp.clip(jnp.log(jnp.maximum(error, 1e-4) / fit.reference_error), -1, 3)
     clean = [jnp.where(valid, part, 0).astype(dtype) for part in (label, weight)]
     places = jnp.where(valid[:, None], xy, 0).astype(dtype)

@@ -16,10 +16,10 @@ from ._format import Parts, pack, unpack
 from ._host import compiled_render
 from ._model import DepthModel, Renderer
 from .objectives import Supervised, unlimited
-from .optimisation._grow import worst_pixels
-from .optimisation._optimise import advance
-from .optimisation._routine import Rates, all_at_once
-from .optimisation._state import begin
+from .optimization._grow import worst_pixels
+from .optimization._optimize import advance
+from .optimization._routine import Rates, all_at_once
+from .optimization._state import begin
 
 _ROUGHNESS = 12.0
 _LOG_WEIGHT = -4.0

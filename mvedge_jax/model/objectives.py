@@ -15,7 +15,7 @@ from mvedge_jax.losses import (
     self_supervised_loss,
     supervised_loss,
 )
-from mvedge_jax.losses.features import Colours
+from mvedge_jax.losses.features import Colors
 from mvedge_jax.losses.terms import Features
 
 from ._model import DepthModel, Renderer, render_model
@@ -23,14 +23,14 @@ from ._model import DepthModel, Renderer, render_model
 
 @runtime_checkable
 class Objective(Protocol):
-    """The protocol of a loss for `optimise`: a pytree that is called with the model.
+    """The protocol of a loss for `optimize`: a pytree that is called with the model.
 
     Any `equinox.Module` with these two methods is an objective. It is an argument of a compiled
     loop: its arrays are traced, everything else must be a static field. If it has a `renderer`
-    (`Renderer`), `optimise` warns of points that the rendering cuts off.
+    (`Renderer`), `optimize` warns of points that the rendering cuts off.
 
     Example:
-        >>> from mvedge_jax.model.optimisation import Rates, all_at_once, begin, optimise
+        >>> from mvedge_jax.model.optimization import Rates, all_at_once, begin, optimize
         >>> class Mean(eqx.Module):
         ...     target: Float[Array, ""]
         ...     renderer: Renderer
@@ -43,7 +43,7 @@ class Objective(Protocol):
         >>> model = DepthModel(0 * one, jnp.array([[3.0, 2.0]]), 0 * one, image, one > 0)
         >>> goal = Mean(jnp.asarray(0.1), Renderer.on_raster(1))
         >>> routine = all_at_once(Rates.supervised(), iterations=20)
-        >>> state, _ = optimise(begin(model, image, key=jax.random.key(0)), routine, goal)
+        >>> state, _ = optimize(begin(model, image, key=jax.random.key(0)), routine, goal)
         >>> bool(abs(state.best.disparity - 0.1).max() < 0.02)
         True
     """
@@ -177,7 +177,7 @@ class SelfSupervised(eqx.Module):
     trust: Trust
     renderer: Renderer = eqx.field(default_factory=Renderer)
     weights: LossWeights = eqx.field(default_factory=LossWeights)
-    features: Features = eqx.field(default_factory=Colours)
+    features: Features = eqx.field(default_factory=Colors)
     subset: int | None = eqx.field(static=True, default=None)
     similarity: bool = eqx.field(static=True, default=False)
 

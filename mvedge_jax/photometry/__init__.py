@@ -20,6 +20,6 @@ from ._scene import (
     occluder_radius as occluder_radius,
     prepare as prepare,
     prepare_views as prepare_views,
-    recentred as recentred,
+    recenterd as recenterd,
 )
 from .brightness import Noise as Noise

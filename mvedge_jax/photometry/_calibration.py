@@ -89,8 +89,8 @@ class AsIs(eqx.Module):
         del searched, every
         dtype = light_field.views.dtype
         exposure = Exposure(jnp.ones((), dtype), jnp.ones(light_field.views.shape[:2], dtype))
-        guide = jnp.moveaxis(light_field.centre_view, -1, 0)
-        lab = jnp.moveaxis(srgb_to_lab(light_field.centre_view), -1, 0)
+        guide = jnp.moveaxis(light_field.center_view, -1, 0)
+        lab = jnp.moveaxis(srgb_to_lab(light_field.center_view), -1, 0)
         noise = Noise.of(jnp.zeros((), dtype))
         return CalibratedViews(crosshair(light_field), exposure, noise, guide, lab, None)
 

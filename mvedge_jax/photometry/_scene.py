@@ -38,7 +38,7 @@ class CalibratedViews(NamedTuple):
         guide: the reference view, denoised, `[c, y, x]`.
         lab: the same in CIELAB.
         hypotheses: per pixel, the disparity at which the views agree best, and how ambiguous it is;
-            None after `recentred`.
+            None after `recenterd`.
         lit: 0 in and around the vignette mask or transparent pixels of the reference, 1 elsewhere;
             None for 1 everywhere.
     """
@@ -53,7 +53,7 @@ class CalibratedViews(NamedTuple):
 
     @property
     def first(self) -> Float[Array, "y x"] | None:
-        """The first map; None after `recentred`."""
+        """The first map; None after `recenterd`."""
         return None if self.hypotheses is None else self.hypotheses.disparity
 
     @property
@@ -142,7 +142,7 @@ def prepare(
         exposure = views.rough_exposure(brightness)
         own = views.exposed(exposure)
         between = between_views_variance(own, disparities, finer=brightness.noise.finer)
-        noise = measure_noise(own.centre, exposure.scale, between=between, params=brightness.noise)
+        noise = measure_noise(own.center, exposure.scale, between=between, params=brightness.noise)
     else:
         exposure, noise = known
         own = views.exposed(exposure)
@@ -231,7 +231,7 @@ def adapted_measurement(
     return AdaptedMeasurement(**(vars(params) | changed))
 
 
-def recentred(
+def recenterd(
     light_field: LightField,
     view: Int[Array, "2"],
     exposure: Exposure,
@@ -254,7 +254,7 @@ def recentred(
     Example:
         >>> field = LightField(jnp.zeros((3, 5, 8, 8, 3)))
         >>> same = Exposure(jnp.ones(()), jnp.ones((3, 5)))
-        >>> moved = recentred(field, jnp.asarray([0, 4]), same, Noise.of(jnp.zeros(())))
+        >>> moved = recenterd(field, jnp.asarray([0, 4]), same, Noise.of(jnp.zeros(())))
         >>> sorted(moved.arms[0].steps.tolist())
         [0.0, 1.0, 2.0, 3.0, 4.0]
     """
@@ -280,7 +280,7 @@ def _guided(
     views: Crosshair | ViewSet, exposure: Exposure, noise: Noise, params: NoiseModel | None
 ) -> CalibratedViews:
     """A scene without a first map, guided by the denoised reference view."""
-    guide = denoised(views.centre, noise, params=params)
+    guide = denoised(views.center, noise, params=params)
     lab = jnp.moveaxis(srgb_to_lab(jnp.moveaxis(guide, 0, -1)), -1, 0)
     return CalibratedViews(views, exposure, noise, guide, lab, None)
 

@@ -16,7 +16,7 @@ from ._maps import (
     plot_error as plot_error,
 )
 from ._superpixels import (
-    label_colours as label_colours,
+    label_colors as label_colors,
     plot_labels_per_pixel as plot_labels_per_pixel,
     plot_superpixels as plot_superpixels,
     superpixel_frames as superpixel_frames,

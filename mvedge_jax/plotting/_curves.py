@@ -8,13 +8,13 @@ from matplotlib.figure import Figure
 
 from mvedge_jax.metrics import BoundaryScores, Calibration, ViewConsistency
 
-from ._style import COLOURS, WIDTH, check_names, colour_bar, colour_map, new_figure, show, style
+from ._style import COLORS, WIDTH, check_names, color_bar, color_map, new_figure, show, style
 
 
 def _line(number: int) -> dict[str, Any]:
     """Color and dashes of a curve, by its number."""
-    dashes = ("-", "--", "-.")[number // len(COLOURS) % 3]
-    return {"color": COLOURS[number % len(COLOURS)], "linestyle": dashes}
+    dashes = ("-", "--", "-.")[number // len(COLORS) % 3]
+    return {"color": COLORS[number % len(COLORS)], "linestyle": dashes}
 
 
 def plot_precision_recall(
@@ -107,10 +107,10 @@ def plot_consistency(
             medianprops={"linewidth": 1.0, "color": "black"},
         )
         for number, patch in enumerate(boxes["boxes"]):
-            patch.set(facecolor=COLOURS[number % len(COLOURS)], alpha=0.55, linewidth=0.6)
+            patch.set(facecolor=COLORS[number % len(COLORS)], alpha=0.55, linewidth=0.6)
         axes[0].set(ylabel="variance between views (px²)", ylim=(0, 1.05 * high))
         axes[0].set_xticks(range(1, count + 1), names)
-        options = {"cmap": colour_map("inferno"), "vmin": 0, "vmax": high}
+        options = {"cmap": color_map("inferno"), "vmin": 0, "vmax": high}
         shown = [
             show(ax, grid, name, **options)
             for ax, grid, name in zip(axes[1:], grids, names, strict=True)
@@ -119,7 +119,7 @@ def plot_consistency(
             rows, columns = grid.shape
             ax.set(xticks=[0, columns // 2, columns - 1], yticks=[0, rows // 2, rows - 1])
             ax.set(xlabel="view u", ylabel="view v" if ax is axes[1] else "")
-        colour_bar(figure, shown[-1], list(axes[1:]), "variance between views (px²)")
+        color_bar(figure, shown[-1], list(axes[1:]), "variance between views (px²)")
     return figure
 
 

@@ -10,7 +10,7 @@ from matplotlib.patches import Rectangle
 from mvedge_jax.lightfield import LightField
 
 from ._maps import disparity_limits
-from ._style import DISPARITY, WIDTH, Numbers, colour_bar, colour_map, new_figure, show, style
+from ._style import DISPARITY, WIDTH, Numbers, color_bar, color_map, new_figure, show, style
 
 _PAPER = to_rgb("#ffffff")
 _ABSENT = to_rgb("#dddddd")
@@ -42,7 +42,7 @@ def plot_views(light_field: LightField, *, pixels: int = 1600, width: float = WI
             u * (across + _GAP) : u * (across + _GAP) + across,
         ]
         mosaic[window] = np.clip(views[v, u], 0, 1) if available[v, u] else _ABSENT
-    vc, uc = light_field.centre
+    vc, uc = light_field.center
     with style():
         figure = new_figure(width, (width - 0.3) * mosaic.shape[0] / mosaic.shape[1] + 0.3)
         axes = figure.subplots()
@@ -97,19 +97,19 @@ def plot_epi(
         raise ValueError("`row` and `column` exclude each other, got both.")
     if (positions is None) != (disparities is None):
         raise ValueError("`positions` and `disparities` belong together, got one of them.")
-    vc, uc = light_field.centre
+    vc, uc = light_field.center
     sides = zip(("row", "column"), (row, column), light_field.views.shape[2:4], strict=True)
     for name, value, size in sides:
         if value is not None and not 0 <= value < size:
             raise ValueError(f"`{name}` must be from 0 to {size - 1}, got {value}.")
     if column is None:
         index = light_field.views.shape[2] // 2 if row is None else row
-        epi, centre = np.asarray(light_field.horizontal_arm[:, index]), uc
-        picture, labels = np.asarray(light_field.centre_view), ("x (px)", "view u")
+        epi, center = np.asarray(light_field.horizontal_arm[:, index]), uc
+        picture, labels = np.asarray(light_field.center_view), ("x (px)", "view u")
     else:
-        index, centre = column, vc
+        index, center = column, vc
         epi = np.asarray(light_field.vertical_arm[:, :, index])
-        picture = np.asarray(light_field.centre_view).swapaxes(0, 1)
+        picture = np.asarray(light_field.center_view).swapaxes(0, 1)
         labels = ("y (px)", "view v")
     views, length = epi.shape[:2]
     inches = width - (0.45 if positions is None else 1.15)
@@ -127,27 +127,27 @@ def plot_epi(
         upper.tick_params(labelbottom=False)
         lower.imshow(np.clip(epi, 0, 1), extent=(-0.5, length - 0.5, views - 0.5, -0.5))
         lower.set_aspect("auto")
-        lower.set(xlabel=labels[0], ylabel=labels[1], yticks=sorted({0, centre, views - 1}))
+        lower.set(xlabel=labels[0], ylabel=labels[1], yticks=sorted({0, center, views - 1}))
         if positions is not None and disparities is not None:
             keep = np.ones(len(positions), bool) if valid is None else np.asarray(valid)
             at, slope = np.asarray(positions)[keep], np.asarray(disparities)[keep]
-            _draw_lines(figure, [upper, lower], at, slope, centre, views, limits)
+            _draw_lines(figure, [upper, lower], at, slope, center, views, limits)
         lower.set(xlim=(-0.5, length - 0.5), ylim=(views - 0.5, -0.5))
     return figure
 
 
-def _draw_lines(figure, axes, positions, disparities, centre, views, limits) -> None:
+def _draw_lines(figure, axes, positions, disparities, center, views, limits) -> None:
     ends = np.array([-0.5, views - 0.5])
-    x = positions[:, None] + (centre - ends) * disparities[:, None]
+    x = positions[:, None] + (center - ends) * disparities[:, None]
     segments = np.stack([x, np.broadcast_to(ends, x.shape)], -1)
     low, high = disparity_limits([disparities[None]], percent=0.0) if limits is None else limits
     scale = Normalize(low, high)
     casing = LineCollection(list(segments), colors="black", linewidths=2.0)
-    lines = LineCollection(list(segments), cmap=colour_map("viridis"), norm=scale, linewidths=1.2)
+    lines = LineCollection(list(segments), cmap=color_map("viridis"), norm=scale, linewidths=1.2)
     lines.set_array(disparities)
     axes[1].add_collection(casing)
     axes[1].add_collection(lines)
-    colour_bar(figure, lines, axes, DISPARITY)
+    color_bar(figure, lines, axes, DISPARITY)
 
 
 def plot_edges(
@@ -193,9 +193,9 @@ def plot_edges(
             *xy[order].T,
             c=values[order],
             s=diameter**2,
-            cmap=colour_map("viridis"),
+            cmap=color_map("viridis"),
             norm=Normalize(*limits),
             linewidths=0,
         )
-        colour_bar(figure, shown, axes, DISPARITY)
+        color_bar(figure, shown, axes, DISPARITY)
     return figure

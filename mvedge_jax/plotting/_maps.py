@@ -14,8 +14,8 @@ from ._style import (
     WIDTH,
     Numbers,
     check_names,
-    colour_bar,
-    colour_map,
+    color_bar,
+    color_map,
     new_figure,
     show,
     style,
@@ -80,12 +80,12 @@ def plot_disparity(
     with style():
         figure = new_figure(width, side * height + (0.25 if any(names) else 0.06))
         axes = figure.subplots(1, columns, squeeze=False)[0]
-        options = {"cmap": colour_map("viridis"), "norm": Normalize(*limits)}
+        options = {"cmap": color_map("viridis"), "norm": Normalize(*limits)}
         shown = [
             show(ax, values, name, **options)
             for ax, values, name in zip(axes, listed, names, strict=True)
         ]
-        colour_bar(figure, shown[-1], list(axes), label)
+        color_bar(figure, shown[-1], list(axes), label)
     return figure
 
 
@@ -126,11 +126,11 @@ def plot_error(
         axes = figure.subplots()
         if kind == "log":
             shown = _show_log(axes, error, name)
-            colour_bar(figure, shown, axes, label or _LOG_LABEL, extend="both")
+            color_bar(figure, shown, axes, label or _LOG_LABEL, extend="both")
         else:
             scale = Normalize(-limit, limit)
-            shown = show(axes, error, name, cmap=colour_map("RdBu_r"), norm=scale)
-            colour_bar(figure, shown, axes, label or _SIGNED_LABEL, extend="both")
+            shown = show(axes, error, name, cmap=color_map("RdBu_r"), norm=scale)
+            color_bar(figure, shown, axes, label or _SIGNED_LABEL, extend="both")
     return figure
 
 
@@ -173,27 +173,27 @@ def plot_comparison(
         figure = new_figure(width, height)
         axes = figure.subplots(2, len(listed) + 1, squeeze=False)
         titles = ["ground truth", *names]
-        options = {"cmap": colour_map("viridis"), "norm": Normalize(*limits)}
+        options = {"cmap": color_map("viridis"), "norm": Normalize(*limits)}
         shown = [
             show(ax, values, title, **options)
             for ax, values, title in zip(axes[0], [truth, *listed], titles, strict=True)
         ]
-        colour_bar(figure, shown[-1], list(axes[0]), DISPARITY)
+        color_bar(figure, shown[-1], list(axes[0]), DISPARITY)
         if image is None:
             axes[1, 0].set_axis_off()
         else:
             show(axes[1, 0], np.clip(np.asarray(image), 0, 1))
-            axes[1, 0].set_xlabel("centre view", fontsize=SMALL - 1)
+            axes[1, 0].set_xlabel("center view", fontsize=SMALL - 1)
         shown = [_show_log(ax, error, "") for ax, error in zip(axes[1, 1:], errors, strict=True)]
         for ax, caption in zip(axes[1, 1:], captions, strict=True):
             ax.set_xlabel(caption, fontsize=SMALL - 1)
-        colour_bar(figure, shown[-1], list(axes[1]), _LOG_LABEL, extend="both")
+        color_bar(figure, shown[-1], list(axes[1]), _LOG_LABEL, extend="both")
     return figure
 
 
 def _show_log(axes, error: np.ndarray, name: str):
     size = np.maximum(np.abs(error), 1e-12)  # an exact pixel is at the scale's end, not missing
-    return show(axes, size, name, cmap=colour_map("inferno"), norm=LogNorm(*_LOG_LIMITS))
+    return show(axes, size, name, cmap=color_map("inferno"), norm=LogNorm(*_LOG_LIMITS))
 
 
 def _error(disparity: Numbers, truth: Numbers) -> np.ndarray:

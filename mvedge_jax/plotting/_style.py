@@ -38,7 +38,7 @@ _RC: dict[Any, Any] = {
 }
 
 # Okabe and Ito: told apart by color-blind readers and in gray.
-COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
+COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 
 
 def style():
@@ -54,7 +54,7 @@ def new_figure(width: float, height: float) -> Figure:
     return figure
 
 
-def colour_map(name: str) -> Colormap:
+def color_map(name: str) -> Colormap:
     """A color map that shows missing values as a tint that it does not contain itself."""
     return mpl.colormaps[name].with_extremes(bad="#ff66cc")
 
@@ -68,7 +68,7 @@ def show(axes: Axes, image: Numbers, title: str = "", **options) -> ScalarMappab
     return shown
 
 
-def colour_bar(
+def color_bar(
     figure: Figure, shown: ScalarMappable, axes: Axes | Sequence[Axes], label: str, **options
 ) -> None:
     """A slim color bar with a label that has the unit."""

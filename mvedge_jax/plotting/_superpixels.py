@@ -5,7 +5,7 @@ from jaxtyping import Float, Int, UInt8
 from matplotlib.colors import hsv_to_rgb
 from matplotlib.figure import Figure
 
-from ._style import WIDTH, Numbers, colour_bar, colour_map, new_figure, show, style
+from ._style import WIDTH, Numbers, color_bar, color_map, new_figure, show, style
 from ._views import around_the_grid
 
 # Neighboring labels get colors far apart on the circle of hues.
@@ -16,7 +16,7 @@ def superpixel_picture(
     image: Float[Numbers, "y x 3"],
     labels: Int[Numbers, "y x"],
     *,
-    colours: Float[Numbers, "k 3"] | None = None,
+    colors: Float[Numbers, "k 3"] | None = None,
     outline: tuple[float, float, float] | None = (1.0, 0.85, 0.0),
 ) -> UInt8[np.ndarray, "y x 3"]:
     """Draws superpixels into a view.
@@ -24,7 +24,7 @@ def superpixel_picture(
     Args:
         image: the view, sRGB in [0, 1].
         labels: of its pixels, 0 for none.
-        colours: of each label, row k that of label k + 1: drawn instead of the view; where there is
+        colors: of each label, row k that of label k + 1: drawn instead of the view; where there is
             no label, the view stays.
         outline: color of the pixels to the right of and below a boundary; None for no outlines.
 
@@ -33,8 +33,8 @@ def superpixel_picture(
     """
     labels = np.asarray(labels)
     picture = np.array(image, float)
-    if colours is not None:
-        table = np.asarray(colours)
+    if colors is not None:
+        table = np.asarray(colors)
         there = labels > 0
         picture[there] = table[labels[there] - 1]
     if outline is not None:
@@ -45,7 +45,7 @@ def superpixel_picture(
     return np.round(255 * np.clip(picture, 0, 1)).astype(np.uint8)
 
 
-def label_colours(count: int) -> Float[np.ndarray, "k 3"]:
+def label_colors(count: int) -> Float[np.ndarray, "k 3"]:
     """Bright colors to tell labels apart, the same in every picture.
 
     Args:
@@ -64,7 +64,7 @@ def plot_superpixels(
     views: Float[Numbers, "v u y x 3"],
     labels: Int[Numbers, "v u y x"],
     *,
-    colours: Float[Numbers, "k 3"] | None = None,
+    colors: Float[Numbers, "k 3"] | None = None,
     width: float = 2 * WIDTH,
 ) -> Figure:
     """Draws superpixels in the center view and the four corner views.
@@ -72,7 +72,7 @@ def plot_superpixels(
     Args:
         views: sRGB in [0, 1].
         labels: of all pixels, 0 for none.
-        colours: of each label, drawn instead of the views.
+        colors: of each label, drawn instead of the views.
         width: of the figure, inches.
 
     Returns:
@@ -86,7 +86,7 @@ def plot_superpixels(
         figure = new_figure(width, side * height / across + 0.25)
         axes = figure.subplots(1, len(places), squeeze=False)[0]
         for axis, (v, u) in zip(axes, places, strict=True):
-            picture = superpixel_picture(views[v, u], labels[v, u], colours=colours)
+            picture = superpixel_picture(views[v, u], labels[v, u], colors=colors)
             show(axis, picture, f"view ({v}, {u})")
     return figure
 
@@ -95,20 +95,20 @@ def superpixel_frames(
     views: Float[Numbers, "v u y x 3"],
     labels: Int[Numbers, "v u y x"],
     *,
-    colours: Float[Numbers, "k 3"] | None = None,
+    colors: Float[Numbers, "k 3"] | None = None,
 ) -> list[UInt8[np.ndarray, "y x 3"]]:
     """Superpixels along the border of the grid of views, once around: flicker shows here.
 
     Args:
         views: sRGB in [0, 1].
         labels: of all pixels, 0 for none.
-        colours: of each label, drawn instead of the views.
+        colors: of each label, drawn instead of the views.
 
     Returns:
         Frames of an animation; of a single row or column, there and back.
     """
     places = around_the_grid(*labels.shape[:2])
-    return [superpixel_picture(views[p], labels[p], colours=colours) for p in places]
+    return [superpixel_picture(views[p], labels[p], colors=colors) for p in places]
 
 
 def plot_labels_per_pixel(counts: Float[Numbers, "y x"], *, width: float = WIDTH / 2) -> Figure:
@@ -125,6 +125,6 @@ def plot_labels_per_pixel(counts: Float[Numbers, "y x"], *, width: float = WIDTH
     with style():
         figure = new_figure(width, (width - 0.75) * counts.shape[0] / counts.shape[1] + 0.06)
         axes = figure.subplots()
-        shown = show(axes, counts, cmap=colour_map("turbo"), vmin=1, vmax=max(8, counts.max()))
-        colour_bar(figure, shown, axes, "labels per pixel")
+        shown = show(axes, counts, cmap=color_map("turbo"), vmin=1, vmax=max(8, counts.max()))
+        color_bar(figure, shown, axes, "labels per pixel")
     return figure

@@ -6,7 +6,7 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
 from ._maps import disparity_limits
-from ._style import Numbers, colour_map, new_figure, show
+from ._style import Numbers, color_map, new_figure, show
 
 
 def plot_view_maps(
@@ -35,7 +35,7 @@ def plot_view_maps(
     limits = _limits(maps) if limits is None else limits
     figure = new_figure(8.0, 8.0 * sheet.shape[0] / sheet.shape[1] + 0.4)
     axes = figure.subplots()
-    shown = show(axes, sheet, name, cmap=colour_map("viridis"), norm=Normalize(*limits))
+    shown = show(axes, sheet, name, cmap=color_map("viridis"), norm=Normalize(*limits))
     figure.colorbar(shown, ax=axes, shrink=0.8)
     return figure
 
@@ -54,9 +54,9 @@ def view_frames(
     """
     maps = np.asarray(maps)
     scale = Normalize(*(_limits(maps) if limits is None else limits))
-    colours = colour_map("viridis")
+    colors = color_map("viridis")
     return [
-        (255 * colours(scale(maps[place]))[..., :3]).astype(np.uint8)
+        (255 * colors(scale(maps[place]))[..., :3]).astype(np.uint8)
         for place in around_the_grid(*maps.shape[:2])
     ]
 

@@ -130,13 +130,13 @@ class Photographs(eqx.Module):
             value = getattr(self, name)
             if value is not None and not bool(jnp.isfinite(value).all()):
                 raise ValueError(f"`{name}` must be finite, got NaN or infinity.")
-        centres = np.asarray(self.centres, np.float64)
-        apart = float(np.linalg.norm(centres - centres[0], axis=1).max())
-        away = float(np.abs(centres).max())
+        centers = np.asarray(self.centers, np.float64)
+        apart = float(np.linalg.norm(centers - centers[0], axis=1).max())
+        away = float(np.abs(centers).max())
         if float(jnp.finfo(self.poses.dtype).eps) * away > _ROUNDED * apart > 0:
             raise ValueError(
                 f"`poses` lie up to {away:.6g} from the origin and {apart:.4g} from each other, "
-                f"which {self.poses.dtype} cannot tell; subtract the mean of the cameras' centres."
+                f"which {self.poses.dtype} cannot tell; subtract the mean of the cameras' centers."
             )
         low, high = float(self.images.min()), float(self.images.max())
         if low < -1e-3 or high > 1 + 1e-3:
@@ -160,7 +160,7 @@ class Photographs(eqx.Module):
                 raise ValueError(f"`intrinsics` of {own} have skewed pixels, which is not handled.")
 
     @property
-    def centres(self) -> Float[Array, "n 3"]:
+    def centers(self) -> Float[Array, "n 3"]:
         """Positions of the cameras in the world."""
         return self.poses[:, :3, 3]
 

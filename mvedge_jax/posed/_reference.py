@@ -115,9 +115,9 @@ def reference_of(
     count = len(photographs.names)
     if not 0 <= index < count:
         raise ValueError(f"`index` must be between 0 and {count - 1}, got {index}.")
-    centres = np.asarray(photographs.centres, np.float64)
-    farthest = float(np.linalg.norm(centres - centres[index], axis=1).max())
-    if not farthest > 1e-9 * max(1.0, float(np.abs(centres).max())):
+    centers = np.asarray(photographs.centers, np.float64)
+    farthest = float(np.linalg.norm(centers - centers[index], axis=1).max())
+    if not farthest > 1e-9 * max(1.0, float(np.abs(centers).max())):
         raise ValueError(
             "`photographs` have zero baseline: all cameras are in one place, expected at least two "
             "places to see depth from."

@@ -70,16 +70,16 @@ def surface_of(
 
 def _middle(values: Array, axis: int) -> Array:
     """Central differences, one-sided at the border."""
-    ahead, behind = _neighbours(values, axis)
+    ahead, behind = _neighbors(values, axis)
     return 0.5 * (ahead - behind)
 
 
 def _bend(values: Array, axis: int) -> Array:
-    ahead, behind = _neighbours(values, axis)
+    ahead, behind = _neighbors(values, axis)
     return ahead + behind - 2 * values
 
 
-def _neighbours(values: Array, axis: int) -> tuple[Array, Array]:
+def _neighbors(values: Array, axis: int) -> tuple[Array, Array]:
     margin = [(0, 0)] * values.ndim
     margin[axis] = (1, 1)
     # The border goes on as it ends.

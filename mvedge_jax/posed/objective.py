@@ -15,7 +15,7 @@ from mvedge_jax.photometry.views import ViewSet
 
 
 class PosedReprojection(eqx.Module):
-    """Photometric error of the photographs, warped by a model's map: an objective for `optimise`.
+    """Photometric error of the photographs, warped by a model's map: an objective for `optimize`.
 
     Attributes:
         views: the reference first.
@@ -57,21 +57,21 @@ def posed_loss(
     Source: Thesis 7.1.4, Eq. 7.15-7.16, with the homographies of posed photographs.
     """
     weights = cast(weights, disparity.dtype)
-    centre = views.centre
+    center = views.center
 
     def one(view: ViewSet) -> tuple[Array, Array]:
         x, y = view.parallax.positions(disparity)
         seen = view.parallax.seen(disparity, 1)
         shown = jax.vmap(lambda plane: map_coordinates(plane, [y, x], order=1, mode="nearest"))
-        return jnp.where(seen[None], shown(view.planes), centre), seen
+        return jnp.where(seen[None], shown(view.planes), center), seen
 
     warped, seen = jax.vmap(one)(views.others)
     # Hidden pixels show the reference itself: their difference is 0.
-    total = jnp.sum(jnp.mean(jnp.abs(warped - centre[None]), axis=1), axis=0)
+    total = jnp.sum(jnp.mean(jnp.abs(warped - center[None]), axis=1), axis=0)
     count = jnp.maximum(jnp.sum(seen, axis=0).astype(disparity.dtype), 1)
-    alike = jnp.mean(jax.vmap(lambda image: ssim(image, centre))(warped))
+    alike = jnp.mean(jax.vmap(lambda image: ssim(image, center))(warped))
     error = total / count
-    smoothness = jnp.mean(edge_aware_smoothness(disparity, centre))
+    smoothness = jnp.mean(edge_aware_smoothness(disparity, center))
     reward = jnp.mean(gradient_reward(total))
     terms = LossTerms(jnp.mean(error), smoothness, 1 - alike, reward, error)
     return terms.weighted(weights)

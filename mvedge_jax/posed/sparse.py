@@ -16,7 +16,7 @@ from mvedge_jax.color import srgb_to_gray
 from mvedge_jax.losses import LossWeights
 from mvedge_jax.model import DepthModel, Renderer, Start, render_model, start_from_image
 from mvedge_jax.model.objectives import unlimited
-from mvedge_jax.model.optimisation import Progress, Rates, Routine, begin, one_at_a_time, optimise
+from mvedge_jax.model.optimization import Progress, Rates, Routine, begin, one_at_a_time, optimize
 
 from ._photographs import Photographs
 from ._reference import Reference
@@ -172,7 +172,7 @@ def sparse_stereo(
     first = render(model, goal.renderer).disparity
     rates = jnp.zeros((method.smoothing, 4)).at[:, 0].set(method.rates.rate[0])
     routine = Routine(rates, jnp.zeros(method.smoothing, bool))
-    smooth, _ = optimise(begin(model, first, key=key), routine, goal)
+    smooth, _ = optimize(begin(model, first, key=key), routine, goal)
     between = render(smooth.best, goal.renderer, start=smooth.disparity).disparity
     # Equally many slots for every photograph, so that one program serves all.
     count = method.extra * seen.valid.size
@@ -180,7 +180,7 @@ def sparse_stereo(
     model = _with_edges(smooth.best, image, between, most, count=count, key=key)
     goal = eqx.tree_at(lambda g: g.trust, goal, unlimited(model))
     routine = one_at_a_time(method.rates, iterations=method.iterations, passes=method.passes)
-    final, history = optimise(begin(model, between, key=key), routine, goal, progress=progress)
+    final, history = optimize(begin(model, between, key=key), routine, goal, progress=progress)
     disparity = render(final.best, goal.renderer, start=final.disparity).disparity
     least = 1e-6 * jnp.max(jnp.abs(reference.disparity_range)).astype(disparity.dtype)
     depth = reference.scale(photographs) / jnp.maximum(disparity, least)

@@ -3,4 +3,4 @@
 from ._labels import SplatLabels as SplatLabels
 from ._profile import absorption as absorption
 from ._raster import SplatRaster as SplatRaster, SplatWidths as SplatWidths
-from ._splat import Splat as Splat, normalise as normalise, splat as splat
+from ._splat import Splat as Splat, normalize as normalize, splat as splat

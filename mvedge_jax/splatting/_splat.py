@@ -61,10 +61,10 @@ class Splat(eqx.Module):
         1.4 px, 1 % at 2 px and 9 % at 2.5 px, where a data weight of 1e-2 to 1e-7 remains.
         Normalization costs nothing and removes the dependence on the origin of disparity.
         """
-        return normalise(self.label_sum, self.transmittance)
+        return normalize(self.label_sum, self.transmittance)
 
 
-def normalise(
+def normalize(
     label_sum: Float[Array, "y x"], transmittance: Float[Array, "y x"]
 ) -> Float[Array, "y x"]:
     """Divides by the coverage; zero with zero gradient where there is none.

@@ -136,11 +136,11 @@ def distance(
     x, y = (surface.xy[..., k] - clusters.xy[:, k][which] for k in range(2))
     level, slope_x, slope_y = (clusters.plane[:, k][which] for k in range(3))
     predicted = level + (slope_x * x + slope_y * y)
-    colour = sum((surface.lab[..., k] - clusters.lab[:, k][which]) ** 2 for k in range(3))
-    colour = colour / model.color**2
+    color = sum((surface.lab[..., k] - clusters.lab[:, k][which]) ** 2 for k in range(3))
+    color = color / model.color**2
     depth = ((surface.disparity - predicted) / model.depth) ** 2
     near = (x**2 + y**2) / size**2
-    return near + _bounded(colour, model.limit)[0] + _bounded(depth, model.limit)[0]
+    return near + _bounded(color, model.limit)[0] + _bounded(depth, model.limit)[0]
 
 
 def _bounded(square: Array, limit: Array) -> tuple[Array, Array]:

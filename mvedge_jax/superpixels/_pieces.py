@@ -39,9 +39,9 @@ def joined(
         right & (labels == shifted(labels, 0, 1, -1)), down & (labels == shifted(labels, 1, 0, -1))
     )
     count = labels.size
-    colour = surface.lab / model.color
+    color = surface.lab / model.color
     depth = jnp.clip(surface.disparity / model.depth, -1e4, 1e4)
-    features = jnp.concatenate([jnp.ones_like(depth)[..., None], colour, depth[..., None]], -1)
+    features = jnp.concatenate([jnp.ones_like(depth)[..., None], color, depth[..., None]], -1)
     sums = jnp.zeros((count, 5), depth.dtype)
     sums = sums.at[root.ravel()].add(features.reshape(-1, 5), mode="promise_in_bounds")
     least = model.smallest * size**2

@@ -90,8 +90,8 @@ def soft_superpixels(
     check_depths(light_field, depths)
     dtype = light_field.views.dtype
     model = cast(model, dtype)
-    disparity = depths.disparity[light_field.centre].astype(dtype)
-    surface = surface_of(srgb_to_lab(light_field.centre_view), disparity, model.step)
+    disparity = depths.disparity[light_field.center].astype(dtype)
+    surface = surface_of(srgb_to_lab(light_field.center_view), disparity, model.step)
     shape = light_field.views.shape[2], light_field.views.shape[3]
     grid = grid_over(shape, lax.stop_gradient(model.size), model.capacity)
 

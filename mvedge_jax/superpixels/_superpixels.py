@@ -18,7 +18,7 @@ from ._clustering import SuperpixelClustering, validate
 from ._clusters import Surface, clustered, grid_over, surface_of
 from ._pieces import Pieces, fewer, joined, numbered
 from ._tables import tables_of
-from ._views import canvas_of, continued, labelled
+from ._views import canvas_of, continued, labeled
 
 # Relative excess of pieces over the target; the smallest then join others.
 _MORE = 0.03
@@ -38,10 +38,10 @@ class Superpixels(NamedTuple):
         valid: rows of the tables in use.
         xy: mean position in the center view, px, also of labels that it does not show.
         plane: disparity at `xy`, px per view step, and its change per px along x and y.
-        colour: mean color, sRGB.
+        color: mean color, sRGB.
         area: number of pixels in the center view.
         parents: the least label among those connected without a depth step.
-        neighbours: pairs of labels that touch in the center view, the smaller one first; 0 where
+        neighbors: pairs of labels that touch in the center view, the smaller one first; 0 where
             unused.
         linked: pairs that touch without a depth step.
         number: number of superpixels; those beyond the capacity have no label.
@@ -51,10 +51,10 @@ class Superpixels(NamedTuple):
     valid: Bool[Array, " k"]
     xy: Float[Array, "k 2"]
     plane: Float[Array, "k 3"]
-    colour: Float[Array, "k 3"]
+    color: Float[Array, "k 3"]
     area: Int[Array, " k"]
     parents: Int[Array, " k"]
-    neighbours: Int[Array, "m 2"]
+    neighbors: Int[Array, "m 2"]
     linked: Bool[Array, " m"]
     number: Int[Array, ""]
 
@@ -105,14 +105,14 @@ def superpixels(
     check_regular(light_field, "`superpixels`")
     model = cast(model, light_field.views.dtype)
     disparities = depths.disparity.astype(light_field.views.dtype)
-    vc, uc = light_field.centre
-    surface = surface_of(srgb_to_lab(light_field.centre_view), disparities[vc, uc], model.step)
-    centre, count = _counted(surface, model)
-    canvas = canvas_of(disparities, centre, model.step, margin=model.margin)
+    vc, uc = light_field.center
+    surface = surface_of(srgb_to_lab(light_field.center_view), disparities[vc, uc], model.step)
+    center, count = _counted(surface, model)
+    canvas = canvas_of(disparities, center, model.step, margin=model.margin)
     canvas, count = continued(canvas, count, model.step, model.speck, capacity=model.capacity)
-    labels = labelled(
+    labels = labeled(
         disparities,
-        centre,
+        center,
         canvas,
         model.step,
         model.fragment,

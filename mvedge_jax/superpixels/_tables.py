@@ -19,10 +19,10 @@ class Tables(NamedTuple):
 
     xy: Float[Array, "k 2"]
     plane: Float[Array, "k 3"]
-    colour: Float[Array, "k 3"]
+    color: Float[Array, "k 3"]
     area: Int[Array, " k"]
     parents: Int[Array, " k"]
-    neighbours: Int[Array, "m 2"]
+    neighbors: Int[Array, "m 2"]
     linked: Bool[Array, " m"]
 
 
@@ -37,10 +37,10 @@ def tables_of(
     capacity: int,
 ) -> Tables:
     """Tables of superpixels in the center view and, from the canvas, of those in other views."""
-    vc, uc = light_field.centre
-    centre, dtype = labels[vc, uc], surface.disparity.dtype
-    area = jnp.zeros(capacity + 1, jnp.int32).at[centre].add(1)[1:]
-    xy, plane = _planes(surface.xy, surface.disparity, surface.lab, centre, model, capacity)
+    vc, uc = light_field.center
+    center, dtype = labels[vc, uc], surface.disparity.dtype
+    area = jnp.zeros(capacity + 1, jnp.int32).at[center].add(1)[1:]
+    xy, plane = _planes(surface.xy, surface.disparity, surface.lab, center, model, capacity)
 
     rows, columns = jnp.indices(canvas.back.shape)
     place = jnp.stack([columns - margin, rows - margin], axis=-1).astype(dtype)
@@ -60,16 +60,14 @@ def tables_of(
     grid = light_field.available.size
     items = (
         light_field.views.reshape(grid, *light_field.views.shape[2:]),
-        labels.reshape(grid, *centre.shape),
+        labels.reshape(grid, *center.shape),
         jnp.arange(grid) == grid // 2,
         light_field.available.ravel(),
     )
     sums, _ = lax.scan(add, jnp.zeros((capacity, 4), dtype), items)
-    colour = sums[:, :3] / jnp.maximum(sums[:, 3:], 1)
-    neighbours, linked = _touching(centre, surface, capacity)
-    return Tables(
-        xy, plane, colour, area, _parents(neighbours, linked, capacity), neighbours, linked
-    )
+    color = sums[:, :3] / jnp.maximum(sums[:, 3:], 1)
+    neighbors, linked = _touching(center, surface, capacity)
+    return Tables(xy, plane, color, area, _parents(neighbors, linked, capacity), neighbors, linked)
 
 
 def _planes(
@@ -109,14 +107,14 @@ def _touching(labels: Array, surface: Surface, capacity: int) -> tuple[Array, Ar
     most = 4 * capacity
     row = jnp.where(first, jnp.cumsum(first, dtype=jnp.int32) - 1, most)
     both = jnp.stack([pair // (capacity + 1), pair % (capacity + 1)], axis=-1)
-    neighbours = jnp.zeros((most, 2), jnp.int32).at[row].set(both, mode="drop")
+    neighbors = jnp.zeros((most, 2), jnp.int32).at[row].set(both, mode="drop")
     linked = jnp.zeros(most, bool).at[row].set(code % 2 == 0, mode="drop")
-    return neighbours, linked
+    return neighbors, linked
 
 
-def _parents(neighbours: Array, linked: Array, capacity: int) -> Array:
+def _parents(neighbors: Array, linked: Array, capacity: int) -> Array:
     """The least label that each one is connected to by links."""
-    one, two = (jnp.where(linked, neighbours[:, k], 0) for k in (0, 1))
+    one, two = (jnp.where(linked, neighbors[:, k], 0) for k in (0, 1))
 
     def spread(state: tuple[Array, Array]) -> tuple[Array, Array]:
         least, _ = state

@@ -44,8 +44,8 @@ def canvas_of(
     """
     rows, columns = disparities.shape[:2]
     wide = ((margin, margin), (margin, margin))
-    centre = disparities[rows // 2, columns // 2]
-    front = jnp.pad(centre, wide, constant_values=jnp.nan)
+    center = disparities[rows // 2, columns // 2]
+    front = jnp.pad(center, wide, constant_values=jnp.nan)
 
     def add(back: Array, item: tuple[Array, Array]) -> tuple[Array, None]:
         disparity, view = item
@@ -54,7 +54,7 @@ def canvas_of(
         value = jnp.where(other & jnp.isfinite(disparity), disparity, -jnp.inf)
         return back.at[place].max(value, mode="promise_in_bounds"), None
 
-    start = jnp.full(front.size, -jnp.inf, centre.dtype)
+    start = jnp.full(front.size, -jnp.inf, center.dtype)
     back, _ = lax.scan(add, start, _items(disparities))
     back = jnp.where(jnp.isfinite(back), back, jnp.nan).reshape(front.shape)
     front_labels = jnp.pad(labels, wide)
@@ -100,7 +100,7 @@ def continued(
     def grow(state: tuple[Array, Array]) -> tuple[Array, Array]:
         labels, _ = state
         known = (canvas.front, canvas.front_labels), (back, labels)
-        found = _of_neighbours(back, known, step)
+        found = _of_neighbors(back, known, step)
         found = jnp.where((labels == 0) & there, found, labels)
         return found, jnp.any(found != labels)
 
@@ -120,7 +120,7 @@ def continued(
     return canvas._replace(back_labels=jnp.where(left, new, labels)), rank[-1]
 
 
-def _of_neighbours(
+def _of_neighbors(
     disparity: Float[Array, "y x"],
     known: Sequence[tuple[Float[Array, "y x"], Int[Array, "y x"]]],
     limit: Float[Array, ""],
@@ -140,7 +140,7 @@ def _of_neighbours(
     return found
 
 
-def labelled(
+def labeled(
     disparities: Float[Array, "v u y x"],
     labels: Int[Array, "y x"],
     canvas: Canvas,
@@ -156,7 +156,7 @@ def labelled(
     neighbor.
     """
     front, back, front_labels, back_labels = (a.ravel() for a in canvas)
-    centre = disparities[disparities.shape[0] // 2, disparities.shape[1] // 2]
+    center = disparities[disparities.shape[0] // 2, disparities.shape[1] // 2]
 
     def one(item: tuple[Array, Array]) -> Array:
         disparity, view = item
@@ -166,7 +166,7 @@ def labelled(
         label = jnp.where(in_front, front_labels[place], jnp.where(behind, back_labels[place], 0))
         label = _filled(label, disparity)
         # An outline that is wider in this view than in the center view is cut to the latter.
-        moved = forward_warp(labels[..., None].astype(disparity.dtype), centre, view)
+        moved = forward_warp(labels[..., None].astype(disparity.dtype), center, view)
         wide = moved.hit & ~in_front & (moved.disparity < disparity - step)
         label = jnp.where(wide, moved.image[..., 0].astype(jnp.int32), label)
         return whole(label, disparity, fragment, capacity + 1)
@@ -185,7 +185,7 @@ def _filled(labels: Int[Array, "y x"], disparity: Float[Array, "y x"]) -> Int[Ar
 
     def fill(state: tuple[Array, Array]) -> tuple[Array, Array]:
         rounds, labels = state
-        found = _of_neighbours(disparity, ((disparity, labels),), endless)
+        found = _of_neighbors(disparity, ((disparity, labels),), endless)
         return rounds + 1, jnp.where(lacking(labels), found, labels)
 
     def going(state: tuple[Array, Array]) -> Array:

@@ -130,9 +130,9 @@ def _measured(
     some = np.unique(np.linspace(0, len(tiles) - 1, _SAMPLES).round().astype(int))
     fields = (stored.window(tiles[index].window).bare() for index in some)
     between = [_between(field, exposure, tried, params.finer) for field in fields]
-    centre = exposure.scale * jnp.moveaxis(jnp.asarray(stored.centre_view), -1, 0)
+    center = exposure.scale * jnp.moveaxis(jnp.asarray(stored.center_view), -1, 0)
     middle = jnp.median(jnp.stack(between))
-    return Known(exposure, measure_noise(centre, exposure.scale, between=middle, params=params))
+    return Known(exposure, measure_noise(center, exposure.scale, between=middle, params=params))
 
 
 @lean_jit

@@ -17,7 +17,7 @@ from ._result import Result
 
 _SCRIPTS = ("data", "shaders", "gl", "field", "space", "controls", "panel", "pointer", "main")
 # The colors of `plotting`: disparity, error, difference.
-_COLOURS = ("viridis", "inferno", "RdBu_r")
+_COLORS = ("viridis", "inferno", "RdBu_r")
 # Disparities to focus at where nothing is known of the scene, px per view step.
 _GUESS = (-2.0, 2.0)
 
@@ -157,7 +157,7 @@ def _scores(result: Result, light_field: LightField) -> list[tuple[str, float]]:
 
 def _tables() -> np.ndarray:
     steps = np.linspace(0, 1, 256)
-    tables = np.stack([mpl.colormaps[name](steps)[:, :3] for name in _COLOURS])
+    tables = np.stack([mpl.colormaps[name](steps)[:, :3] for name in _COLORS])
     return np.round(255 * tables).astype(np.uint8)
 
 
@@ -173,5 +173,5 @@ def _notes(light_field: LightField, results: Sequence[Result]) -> list[str]:
     elif not results:
         notes.append("The map is the ground truth.")
     if light_field.camera is None:
-        notes.append("The camera is not known: the geometry is a relief, without metres.")
+        notes.append("The camera is not known: the geometry is a relief, without meters.")
     return notes

@@ -131,14 +131,14 @@ def hidden_surfaces(
     there = np.asarray(light_field.available)[..., None, None] & np.isfinite(disparity)
     places = np.nonzero((source == 1) & there)
     v, u, y, x = places
-    vc, uc = light_field.centre
+    vc, uc = light_field.center
     nearness, doubt = disparity[places], error[places]
     across, down = x + (u - uc) * nearness, y + (v - vc) * nearness
     cells = np.round(np.stack([across, down, 20 * nearness], axis=1)).astype(np.int64)
     order = np.argsort(doubt, kind="stable")
     _, first = np.unique(cells[order], axis=0, return_index=True)
-    colours = np.asarray(light_field.views)[places]
-    return np.column_stack([across, down, nearness, doubt, colours])[order[np.sort(first)]]
+    colors = np.asarray(light_field.views)[places]
+    return np.column_stack([across, down, nearness, doubt, colors])[order[np.sort(first)]]
 
 
 def read_result(folder: Path, *, name: str | None = None) -> Result:

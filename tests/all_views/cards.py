@@ -11,7 +11,7 @@ NEAR, FAR = 1.0, -1.0
 
 
 def _texture(shape, rng):
-    """Smooth random colours, so that they can be told apart and followed."""
+    """Smooth random colors, so that they can be told apart and followed."""
     coarse = rng.random((shape[0] // 3 + 2, shape[1] // 3 + 2, 3))
     y, x = (np.arange(n) / 3 for n in shape)
     fine = np.stack([_bilinear(coarse[..., c], y, x) for c in range(3)], -1)
@@ -38,15 +38,15 @@ def cards(shape=(5, 5, 40, 48), dtype: Any = np.float32) -> Any:
         a, b = columns // 2 - u, rows // 2 - v
 
         def at(image, d, a=a, b=b):
-            """What a plane shows: the pixel of the centre view that a pixel of this view is."""
+            """What a plane shows: the pixel of the center view that a pixel of this view is."""
             return image[margin + y - b * int(d), margin + x - a * int(d)]
 
         row, column = y - b * NEAR, x - a * NEAR
         on = (abs(row - height // 2) < height // 4) & (abs(column - width // 2) < width // 4)
         views[v, u] = np.where(on[..., None], at(card, NEAR), at(wall, FAR))
         truth[v, u] = np.where(on, NEAR, FAR)
-    centre = truth[rows // 2, columns // 2]
+    center = truth[rows // 2, columns // 2]
     known = GroundTruth(
-        jnp.asarray(centre, dtype), jnp.ones((height, width), bool), None, jnp.asarray(truth, dtype)
+        jnp.asarray(center, dtype), jnp.ones((height, width), bool), None, jnp.asarray(truth, dtype)
     )
     return LightField(jnp.asarray(views, dtype), disparity_range=(-1.5, 1.5), truth=known)

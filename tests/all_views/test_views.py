@@ -19,7 +19,7 @@ from mvedge_jax.photometry.brightness import Exposure, Noise
 
 
 def _known(field):
-    """The true centre map as a result, of views without noise."""
+    """The true center map as a result, of views without noise."""
     dtype = field.views.dtype
     exposure = Exposure(jnp.ones((), dtype), jnp.ones(field.views.shape[:2], dtype))
     unread: Any = None
@@ -33,20 +33,20 @@ def _bad(maps, field):
     return float(jnp.mean(jnp.abs(maps - field.truth.view_disparity) > 0.1))
 
 
-def test_surfaces_hidden_in_the_centre_view_are_found():
+def test_surfaces_hidden_in_the_center_view_are_found():
     field = cards()
     result = _known(field)
     found = depth_of_views(field, result, ViewDepth.for_light_field(field))
     assert _bad(found.disparity, field) < 0.002
     np.testing.assert_array_equal(found.disparity[2, 2], result.disparity)
-    # What the centre view shows of the wall and of the card, by moving it to every view.
+    # What the center view shows of the wall and of the card, by moving it to every view.
     y, x = np.mgrid[:40, :48]
     for v, u in np.ndindex(5, 5):
         d = np.asarray(field.truth.view_disparity[v, u])
         b, a = (y + (v - 2) * d).astype(int), (x + (u - 2) * d).astype(int)
         inside = (b >= 0) & (b < 40) & (a >= 0) & (a < 48)
-        centre = np.asarray(result.disparity)[b.clip(0, 39), a.clip(0, 47)]
-        seen = inside & (centre == d)
+        center = np.asarray(result.disparity)[b.clip(0, 39), a.clip(0, 47)]
+        seen = inside & (center == d)
         assert ((np.asarray(found.source[v, u]) == 0) == seen).mean() > 0.99
     assert found.overflow == 0
     assert jnp.isfinite(found.error).all()
@@ -59,7 +59,7 @@ def test_surfaces_hidden_in_the_centre_view_are_found():
 
 
 def test_a_wrong_first_guess_is_put_right_by_the_views():
-    # Seen from the centre, the wall behind the card seems to be a step further away all around it.
+    # Seen from the center, the wall behind the card seems to be a step further away all around it.
     field = cards()
     result = _known(field)
     depth = jnp.where(result.disparity == NEAR, NEAR, result.disparity)
@@ -104,21 +104,21 @@ def test_missing_views_are_not_read():
 
 
 @pytest.mark.slow
-def test_derivatives_of_off_centre_maps_equal_differences():
+def test_derivatives_of_off_center_maps_equal_differences():
     shape = (3, 3, 24, 32)
     field = cards(shape, np.float64)
     exact = ViewDepth.for_light_field(field, choices={"tolerance": 1e-12})
     keys = jax.random.split(jax.random.key(1), 4)
     # Off the exact copies and the whole disparities, where minima and selections would tie.
     views = jnp.clip(field.views + 1e-3 * jax.random.normal(keys[0], field.views.shape), 0, 1)
-    centre = _known(field)
-    depth = centre.disparity + 0.02 * jax.random.normal(keys[1], shape[2:])
+    center = _known(field)
+    depth = center.disparity + 0.02 * jax.random.normal(keys[1], shape[2:])
     weights = jax.random.normal(keys[2], shape)
 
     def loss(tree):
         model, disparity, views = tree
         lit = eqx.tree_at(lambda f: f.views, field, views)
-        found = depth_of_views(lit, centre._replace(disparity=disparity), model)
+        found = depth_of_views(lit, center._replace(disparity=disparity), model)
         return jnp.sum(weights * (found.disparity + found.error))
 
     tree = (exact, depth, views)
@@ -149,8 +149,8 @@ def test_other_sizes_are_refused():
     for path, value in bad.items():
         with pytest.raises(ValueError, match=f"`{path.split('.')[-1]}` must be"):
             ViewDepth.for_light_field(field, choices={path: value})
-    with pytest.raises(ValueError, match=r"`matching.colour` is no path of `ViewDepth`"):
-        ViewDepth.for_light_field(field, choices={"matching.colour": 1.0})
+    with pytest.raises(ValueError, match=r"`matching.color` is no path of `ViewDepth`"):
+        ViewDepth.for_light_field(field, choices={"matching.color": 1.0})
     model = ViewDepth.for_light_field(field, choices={"measurement.passes": 1})
     assert model.measurement.passes == 1
     assert "matching.jump = 0.8" in str(model)

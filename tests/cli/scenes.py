@@ -37,8 +37,8 @@ def write_plane(folder, height=32, width=40, *, disparity=0.4, seed=0):
     return write_hci(folder, views, disparity=truth)
 
 
-def grey_scenes(folder, names):
-    """Light fields of 8x8 px of one grey at disparity 0: no command looks at what they show."""
+def gray_scenes(folder, names):
+    """Light fields of 8x8 px of one gray at disparity 0: no command looks at what they show."""
     views = np.full((3, 3, 8, 8, 3), 128, np.uint8)
     truth = np.zeros((8, 8), np.float32)
     return [write_hci(folder / name, views, disparity=truth) for name in names]

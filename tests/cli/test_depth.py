@@ -39,7 +39,7 @@ def test_depth_writes_everything_and_is_right(scene, tmp_path, mvedge, monkeypat
     assert photometry["noise of 255"] > 0.28
     assert 0 <= photometry["share that noise rules"] < 1
     assert photometry["brightened by"] >= 1
-    assert np.allclose(photometry["gain of the centre row of views"], 1, atol=0.02)
+    assert np.allclose(photometry["gain of the center row of views"], 1, atol=0.02)
     assert report["preset"] == "full"
     # Four times that of 9x9 views.
     assert report["numbers"]["refine.precision"] == 0.02

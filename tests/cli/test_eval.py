@@ -47,7 +47,7 @@ def test_scores_with_and_without_the_border(scene, tmp_path, capsys):
     assert float(rows[0]["bad_07"]) == pytest.approx(100 * 400 / (40 * 48), rel=1e-3)
 
 
-def test_a_smaller_map_is_the_centre(scene, tmp_path, capsys):
+def test_a_smaller_map_is_the_center(scene, tmp_path, capsys):
     folder, truth = scene
     wrong = truth + 0.02
     write_pfm(tmp_path / "whole.pfm", wrong)
@@ -100,4 +100,4 @@ def test_published_figures(method, figures, tmp_path, capsys):
         digits = len(str(published).partition(".")[2])
         assert round(record[name], digits) == published, name
     text = capsys.readouterr().out
-    assert ("490x490 px: it is taken to be the centre" in text) == (method == "epinet")
+    assert ("490x490 px: it is taken to be the center" in text) == (method == "epinet")

@@ -40,7 +40,7 @@ def test_everything_that_is_known_is_said(tmp_path, told):
     assert lines["ground truth"] == "disparity -1.000 .. 1.000, 3 object ids"
     assert "focal length 22.9 px, baseline 25 mm, disparity 0 at 4.25 m" in lines["camera"]
     assert lines["brightness"] == "as it is"
-    assert lines["gain of the views"].endswith("of the centre view's")
+    assert lines["gain of the views"].endswith("of the center view's")
     assert lines["noise"].endswith("of 255 at most")
     assert "convention" not in lines
     assert "not checked" in told(folder)[0]["convention"]  # too small

@@ -4,7 +4,7 @@ import json
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from cli.scenes import grey_scenes
+from cli.scenes import gray_scenes
 
 from mvedge_jax._paths import value_at
 from mvedge_jax.cli._model import ModelOptions
@@ -54,7 +54,7 @@ def test_random_scenes_are_learned_from(asked, tmp_path, mvedge):
 
 
 def test_files_are_learned_from_and_the_last_ones_held_out(asked, tmp_path, mvedge):
-    scenes = grey_scenes(tmp_path, "abc")
+    scenes = gray_scenes(tmp_path, "abc")
     mvedge("learn", *scenes, tmp_path / "out", "--validation", 1)
     ((_, what, fields, held, _),) = asked
     assert what == ("smoothness", "refine")

@@ -53,7 +53,7 @@ def test_chapter_7_as_printed_starts_from_the_points_alone(scene, tmp_path, mved
     mvedge("optimize", scene, out, *words)
     report = json.loads((out / "report.json").read_text())
     assert report["iterations"] == 20  # four parameters, five passes
-    assert report["kept the optimised points"]
+    assert report["kept the optimized points"]
     with np.load(out / "points.npz") as points:
         assert len(points["xy"]) > 20
     before, after = read_pfm(out / "before.pfm"), read_pfm(out / "disparity.pfm")

@@ -74,7 +74,7 @@ def test_a_depth_that_failed_is_said_on_the_screen_and_in_the_report(
 
 
 @pytest.mark.slow
-def test_points_are_optimised_and_exported_without_errors(tmp_path, mvedge, monkeypatch):
+def test_points_are_optimized_and_exported_without_errors(tmp_path, mvedge, monkeypatch):
     few = SparseStereoDepth(smoothing=2, iterations=2, passes=1)
     monkeypatch.setattr("mvedge_jax.cli._stereo.SparseStereoDepth", lambda: few)
     pixels = np.random.default_rng(0).permutation(DEPTHS[1].size)[:40]
@@ -208,7 +208,7 @@ def test_files_of_photographs_never_share_a_name(names, wanted):
 
 
 def test_points_of_a_colmap_model_are_no_edge_points(model, tmp_path, mvedge):
-    """They belong to no single photograph whose colours and normals could be looked up."""
+    """They belong to no single photograph whose colors and normals could be looked up."""
     folder = write_stereo_result(
         tmp_path / "result", model, DEPTHS.astype(np.float32), tuple("0123")
     )

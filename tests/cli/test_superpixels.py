@@ -1,4 +1,4 @@
-"""`mvedge superpixels`: everything is written, and the pick is recoloured in all views."""
+"""`mvedge superpixels`: everything is written, and the pick is recolored in all views."""
 
 import json
 
@@ -22,11 +22,11 @@ def test_superpixels_writes_labels_tables_and_pictures(scene, tmp_path, mvedge):
     assert labels.dtype == np.int32
     report = json.loads((out / "report.json").read_text())
     assert 12 <= report["count"] <= 30
-    assert report["scores"]["unlabelled"] == 0
+    assert report["scores"]["unlabeled"] == 0
     rows = (out / "superpixels.csv").read_text().splitlines()
     assert len(rows) == report["count"] + 1
     assert rows[0].startswith("label,x,y,disparity")
-    for name in ("neighbours.csv", "superpixels.png", "colours.png", "superpixels.gif"):
+    for name in ("neighbors.csv", "superpixels.png", "colors.png", "superpixels.gif"):
         assert (out / name).stat().st_size > 0
     before, after = (np.asarray(load_light_field(path).views) for path in (scene, out / "edited"))
     changed = np.abs(after - before).max(-1) > 0.01

@@ -3,7 +3,7 @@ import json
 
 import numpy as np
 import pytest
-from cli.scenes import grey_scenes
+from cli.scenes import gray_scenes
 
 from mvedge_jax.cli._sweep import _choice, _interval
 from mvedge_jax.sweep import Interval
@@ -15,7 +15,7 @@ def test_a_sweep_writes_the_best_setting(tmp_path, mvedge, monkeypatch):
 
     monkeypatch.setattr("mvedge_jax.sweep._sweep.evaluate", score)
     out = tmp_path / "out"
-    words = ["sweep", *grey_scenes(tmp_path, "ab"), out, "--vary", "refine.precision=0.002:0.02"]
+    words = ["sweep", *gray_scenes(tmp_path, "ab"), out, "--vary", "refine.precision=0.002:0.02"]
     words += ["--choose", "measurement.views=crosshair,all", "--trials", 40]
     assert "refine.precision = " in mvedge(*words).out
     best = json.loads((out / "best.json").read_text())

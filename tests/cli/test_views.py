@@ -75,7 +75,7 @@ def test_what_speaks_against_the_depth_is_said(command, tmp_path, mvedge):
     scene = write_hci(tmp_path / "black", np.zeros((3, 3, 32, 40, 3), np.uint8))
     mask, out = tmp_path / "mask.png", tmp_path / "out"
     cv2.imwrite(str(mask), np.full((32, 40), 255, np.uint8))
-    more = {"edit": ("--mask", mask, "--colour", 1, 0, 0), "batch": RANGE}
+    more = {"edit": ("--mask", mask, "--color", 1, 0, 0), "batch": RANGE}
     more["superpixels"] = ("--count", 20)  # has a program
     said = mvedge(command, scene, out, *more.get(command, [])).err
     folder = out / "black" if command == "batch" else out

@@ -98,7 +98,7 @@ def test_lytro_errors(tmp_path, write, array, options, text):
     ("name", "value", "text"),
     [
         ("LF", random_views((3, 3, 6, 8)), r"4 dimensions \(shape \(3, 3, 6, 8\)\); expected 5"),
-        ("LF", random_views((3, 3, 6, 8, 2)), "2 colour channels"),
+        ("LF", random_views((3, 3, 6, 8, 2)), "2 color channels"),
         ("LF", random_views().astype(np.float32), "float32; expected uint8"),
         ("LF", random_views((16, 21, 3, 3, 3)), "views of 3x3 px .*If it has 3x3 views of 16x21"),
         ("LF", None, "holds no array `LF`.*GT_DEPTH"),

@@ -44,7 +44,7 @@ def test_what_shows_nothing_is_named(place, what):
 def test_repetitions_are_named_and_most_of_the_views_may_be_dead():
     same = "the same picture as view (v, u) = "
     views = _plane()
-    views[2, 3] = views[2, 2]  # the centre is right
+    views[2, 3] = views[2, 2]  # the center is right
     assert _found(views) == {(2, 3): same + "(2, 2)"}
     views[0, 0] = views[4, 4]  # one of these is
     assert _found(views)[0, 0] == same + "(4, 4)"
@@ -55,7 +55,7 @@ def test_repetitions_are_named_and_most_of_the_views_may_be_dead():
 
 
 ALIKE = {
-    "grey": np.full((5, 5, 32, 32, 3), 0.5),
+    "gray": np.full((5, 5, 32, 32, 3), 0.5),
     "black": np.zeros((3, 3, 32, 32, 3)),
     "no parallax": _plane(disparity=0),
     "tiny baselines": _plane(disparity=0.002),
@@ -121,9 +121,9 @@ def test_the_place_in_a_container_is_named(tmp_path):
         load_light_field(path)
 
 
-def test_a_dead_or_lone_centre_view_is_an_error(tmp_path):
+def test_a_dead_or_lone_center_view_is_an_error(tmp_path):
     folder = write_grid(tmp_path / "dead", _bytes(_spoiled(_plane(), (2, 2), "black")))
-    with pytest.raises(ValueError, match=r"lf_03_03\.png, the centre view, is black, unlike"):
+    with pytest.raises(ValueError, match=r"lf_03_03\.png, the center view, is black, unlike"):
         load_light_field(folder)
     views = _bytes(_plane(grid=(3, 3)))
     views[1, [0, 2]] = views[[0, 2], 1] = 0

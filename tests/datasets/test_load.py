@@ -84,8 +84,8 @@ def test_grids_that_are_not_odd_squares(tmp_path, layout, grid):
         load_light_field(path)
     assert "scene" in str(e.value) or "a (" in str(e.value)
     stored = views if layout != "h5" else views[:, ::-1]
-    centre = unit(stored[grid[0] // 2, grid[1] // 2])
-    assert_array_equal(load_light_field(path, views=3).centre_view, centre)
+    center = unit(stored[grid[0] // 2, grid[1] // 2])
+    assert_array_equal(load_light_field(path, views=3).center_view, center)
 
 
 @pytest.mark.parametrize("grid", [(1, 5), (5, 1)])
@@ -110,13 +110,13 @@ def test_other_formats(tmp_path, suffix):
     assert_allclose(loaded.views, unit(smooth), atol=0 if suffix == "bmp" else 0.03)
 
 
-def test_sixteen_bits_grey_and_alpha(tmp_path):
-    deep, grey = random_views(dtype=np.uint16), random_views((3, 3, 6, 8))
+def test_sixteen_bits_gray_and_alpha(tmp_path):
+    deep, gray = random_views(dtype=np.uint16), random_views((3, 3, 6, 8))
     clear = random_views((3, 3, 6, 8, 4))
     # `save_image` reverses the channels: alpha first in memory is alpha last in the file.
     for name, stored, expected in (
         ("deep", deep, deep),
-        ("grey", grey, np.repeat(grey[..., None], 3, axis=-1)),
+        ("gray", gray, np.repeat(gray[..., None], 3, axis=-1)),
         ("clear", clear[..., ::-1], clear[..., [2, 1, 0]]),
     ):
         loaded = load_light_field(write_grid(tmp_path / name, stored))

@@ -92,7 +92,7 @@ def test_pycolmap_reads_what_we_write_and_we_what_it_writes(model, tmp_path):
         assert_allclose(image.projection_center(), pose[:3, 3], atol=1e-6)
         camera = stored.cameras[image.camera_id]
         for k, point in stored.points3D.items():
-            # COLMAP's pixel centres are at .5, ours at integers.
+            # COLMAP's pixel centers are at .5, ours at integers.
             place = camera.img_from_cam(image.cam_from_world() * point.xyz)
             local = pose[:3, :3].T @ (CORNERS[k - 1] - pose[:3, 3])
             assert_allclose(place - 0.5, (MATRIX @ local)[:2] / local[2], atol=1e-5)
@@ -194,7 +194,7 @@ def test_distortion_is_taken_out(model):
     found = load_photographs(model)
     matrix = np.asarray(found.intrinsics[0])
     assert matrix[0, 0] != 40.0
-    # The same directions show the same colours.
+    # The same directions show the same colors.
     direction = np.stack([x, y, np.ones_like(x)], -1) @ np.linalg.inv(matrix).T @ MATRIX.T
     place = direction.astype(np.float32)[..., :2].transpose(2, 0, 1)
     wanted = cv2.remap(IMAGES[0].astype(np.float32), place[0], place[1], cv2.INTER_CUBIC)
@@ -216,7 +216,7 @@ def test_ngp_says_fisheye_and_angles_in_its_own_way(tmp_path):
     assert_allclose(matrix[[0, 1], [0, 1]], focal)
 
 
-def test_neighbours_share_points(model):
+def test_neighbors_share_points(model):
     assert nearby(open_photographs(model), "b", 3) == ["a.png", "b.png", "c.png"]
     found = load_photographs(model, around="d.png", most=2)
     assert found.names == ("a.png", "d.png")
@@ -261,8 +261,8 @@ def test_shrunk_depth_is_that_of_the_middle_of_a_pixel(tmp_path, scale):
 def test_point_clouds_come_back(tmp_path):
     path, rng = tmp_path / "cloud.ply", np.random.default_rng(0)
     points, normals = rng.normal(size=(2, 50, 3)).astype(np.float32)
-    colours = rng.integers(0, 255, (50, 3)).astype(np.uint8)
-    write_ply(path, points, colours=colours, normals=normals, error=points[:, 0])
+    colors = rng.integers(0, 255, (50, 3)).astype(np.uint8)
+    write_ply(path, points, colors=colors, normals=normals, error=points[:, 0])
     assert_array_equal(read_ply(path), points)
     whole = path.read_bytes()
     path.write_bytes(whole[:-5])
@@ -275,7 +275,7 @@ def test_point_clouds_come_back(tmp_path):
     path.write_bytes(whole)
     cloud = pytest.importorskip("trimesh").load(path)
     assert_array_equal(cloud.vertices, points)
-    assert_array_equal(cloud.colors[:, :3], colours)
+    assert_array_equal(cloud.colors[:, :3], colors)
 
 
 def test_photographs_of_one_name_keep_their_own_files(tmp_path):
@@ -298,7 +298,7 @@ def test_names_and_poses_that_cannot_be_written_or_held_are_refused(tmp_path):
         assert not (tmp_path / "model").exists()
     poses = POSES.copy()
     poses[:, 0, 3] += 4.5e6
-    with pytest.raises(ValueError, match="subtract the mean of the cameras' centres"):
+    with pytest.raises(ValueError, match="subtract the mean of the cameras' centers"):
         Photographs(IMAGES.astype(np.float32), poses, MATRIX)
     Photographs(IMAGES.astype(np.float64), poses, MATRIX)
     with pytest.raises(ValueError, match="must be float32 or float64"):

@@ -76,7 +76,7 @@ def test_cameras_of_no_grid_are_refused(tmp_path):
 
 def test_a_file_tells_positions(tmp_path):
     folder, file = write_grid(tmp_path / "row", ROW), tmp_path / "positions.txt"
-    file.write_text("# v u x y\n0 0 -4 0\n0 2 -2.2 0\n0 4 0 0  # the centre\n\n0 6 2 0\n0 8 4 0\n")
+    file.write_text("# v u x y\n0 0 -4 0\n0 2 -2.2 0\n0 4 0 0  # the center\n\n0 6 2 0\n0 8 4 0\n")
     field = load_light_field(folder, positions=file)
     assert_array_equal(field.views, load_light_field(folder).views[:, ::2])
     assert_allclose(known(field.positions)[0, :, 0], [-4, -2.2, 0, 2, 4], rtol=1e-6)
@@ -99,7 +99,7 @@ def test_a_file_tells_positions(tmp_path):
     ],
 )
 def test_a_file_of_positions_is_checked(tmp_path, text, match):
-    truth = np.ones((6, 8), np.float32)  # which is that of the centre view
+    truth = np.ones((6, 8), np.float32)  # which is that of the center view
     folder = write_scene(tmp_path / "lf", random_views(), disparity=truth)
     file = tmp_path / "positions.txt"
     file.write_text("1 0 -1 0\n1 1 0 0\n1 2 1.5 0\n")

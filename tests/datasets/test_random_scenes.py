@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from mvedge_jax.datasets import synthetic
 from mvedge_jax.datasets.synthetic import _trace, random_scenes
 
-pytestmark = pytest.mark.usefixtures("optimised")
+pytestmark = pytest.mark.usefixtures("optimized")
 SHAPE = (3, 3, 40, 44)
 RANGES = (None, (-2.0, 2.0), (0.5, 1.5), (-3.0, -2.0), (-5.0, 5.0), None)
 

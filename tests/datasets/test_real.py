@@ -56,10 +56,10 @@ print(elapsed, int(peak[1]) / 1024)
 
 
 def _photo_consistency(light_field, sign_v, sign_u):
-    """Mean absolute difference of all views, warped with the ground truth, from the centre."""
+    """Mean absolute difference of all views, warped with the ground truth, from the center."""
     disparity = np.asarray(known(light_field.truth).disparity)
     y, x = np.mgrid[: disparity.shape[0], : disparity.shape[1]].astype(np.float32)
-    centre = np.asarray(light_field.centre_view)
+    center = np.asarray(light_field.center_view)
     differences = []
     for v, u in zip(*np.nonzero(np.asarray(light_field.available)), strict=True):
         du, dv = np.asarray(light_field.steps[v, u])
@@ -68,7 +68,7 @@ def _photo_consistency(light_field, sign_v, sign_u):
         place = x + sign_u * du * disparity, y + sign_v * dv * disparity
         seen = cv2.remap(np.asarray(light_field.views[v, u]), *place, cv2.INTER_LINEAR)
         inside = (place[0] >= 0) & (place[0] <= x.max()) & (place[1] >= 0) & (place[1] <= y.max())
-        differences.append(np.abs(seen - centre)[inside].mean())
+        differences.append(np.abs(seen - center)[inside].mean())
     return 255 * float(np.mean(differences))
 
 

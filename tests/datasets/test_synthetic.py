@@ -14,7 +14,7 @@ from scipy.ndimage import map_coordinates, maximum_filter, minimum_filter
 from experiments.peers import photographs
 from mvedge_jax.datasets import synthetic
 
-pytestmark = pytest.mark.usefixtures("optimised")
+pytestmark = pytest.mark.usefixtures("optimized")
 KEY = jax.random.key(0)
 # Few sizes, so that few functions are compiled.
 SMALL = (3, 5, 60, 54)  # one ray per pixel
@@ -213,7 +213,7 @@ def test_named_scenes_keep_their_promises(name):
 
 def test_truth_is_the_same_at_any_resolution_and_number_of_samples():
     scene, seen = synthetic.scene("demo"), []
-    # An even number of samples has none in the pixel's centre: the truth takes one more ray.
+    # An even number of samples has none in the pixel's center: the truth takes one more ray.
     shape, large = (1, 3, 20, 18), render(scene, (1, 1, *SMALL[2:]))
     small = render(scene, shape, samples=2, progress=lambda *counts: seen.append(counts))
     assert seen == [(1, 3), (2, 3), (3, 3)]
@@ -239,7 +239,7 @@ def test_posed_views_agree_with_the_light_field(pictures):
     poses[1, :3, :3] = np.array(synthetic.rotation(yaw=-12.0, pitch=4.0, roll=3.0)).T
     poses[1, :3, 3] = [0.5, -0.1, 0.3]
     views: Any = photographs.render_posed(scene, poses, intrinsics, size=(height, width), key=KEY)
-    assert_allclose(views.images[0], field.centre_view, atol=2e-3)
+    assert_allclose(views.images[0], field.center_view, atol=2e-3)
     assert_array_equal(views.object_ids[0], field.truth.object_ids)
     assert_allclose(views.depth[0], field.camera.depth(field.truth.disparity), rtol=1e-5)
     # Points of the turned photograph, in the first: the same solid at the same depth, or hidden.

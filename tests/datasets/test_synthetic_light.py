@@ -14,7 +14,7 @@ from mvedge_jax.datasets import synthetic
 from mvedge_jax.datasets.synthetic import _trace
 from mvedge_jax.datasets.synthetic.world import Material
 
-pytestmark = pytest.mark.usefixtures("optimised")
+pytestmark = pytest.mark.usefixtures("optimized")
 PLAIN = Material(dark=(0.5, 0.5, 0.5), light=(0.5, 0.5, 0.5), contrast=0.0)
 DARK = replace(PLAIN, dark=(0.1, 0.1, 0.1), light=(0.1, 0.1, 0.1))
 BLACK = replace(PLAIN, dark=(0.0, 0.0, 0.0), light=(0.0, 0.0, 0.0))
@@ -27,7 +27,7 @@ def scene_of(*solids, light=None, **sensor):
     return synthetic.make_scene(world, disparity_range=(-5.0, 5.0), **sensor)
 
 
-def grey(edge=2.0, material=DARK, **sensor):
+def gray(edge=2.0, material=DARK, **sensor):
     """A plain wall, before whose right half there is a dark card."""
     wall = synthetic.plane((0.0, 0.0, 4.0001), (99.0, 99.0), material=PLAIN)
     card = synthetic.plane((edge, 0.0, 4.0), (4.0, 99.0), material=material)
@@ -48,8 +48,8 @@ def thrice(scene):
 
 
 def test_sensor_noise_has_the_stated_variance_and_its_own_draw_per_view():
-    clean = render(grey(), ROW).views
-    noisy, other = thrice(grey(read_noise=0.02, shot_noise=0.001))
+    clean = render(gray(), ROW).views
+    noisy, other = thrice(gray(read_noise=0.02, shot_noise=0.001))
     noise = np.asarray(noisy - clean)
     for level in np.unique(np.round(clean[0, 1, :, [5, 48]], 4)):
         where = np.abs(np.asarray(clean) - level) < 1e-3
@@ -61,28 +61,28 @@ def test_sensor_noise_has_the_stated_variance_and_its_own_draw_per_view():
 
 def test_lenses_of_uneven_brightness_are_another_in_every_view():
     """Against the closed form: a paraboloid that is 1 at its own center."""
-    clean = render(grey(), ROW).views
-    uneven, other = thrice(grey().through_lenses(vignette=0.4, vignette_shift=0.05, gain=0.02))
+    clean = render(gray(), ROW).views
+    uneven, other = thrice(gray().through_lenses(vignette=0.4, vignette_shift=0.05, gain=0.02))
     assert float(jnp.abs(other - uneven).max()) > 0.01
     size = np.array(ROW[2:]) - 1
     y, x = np.mgrid[: ROW[2], : ROW[3]] - size[:, None, None] / 2
     square = 4 * (x**2 + y**2) / (size @ size)
     basis = np.stack([np.ones_like(square), x, y, square], axis=-1).reshape(-1, 4)
-    gains, centres = [], []
+    gains, centers = [], []
     for view in np.asarray(uneven / clean)[0]:
         fit, *_ = np.linalg.lstsq(basis, view[..., 0].ravel(), rcond=None)
         assert_allclose(basis @ fit, view[..., 0].ravel(), atol=1e-5)
         assert fit[3] / fit[0] == pytest.approx(-0.4, rel=0.03)
         gains.append(fit[0])
-        centres.append(fit[1:3] / fit[0])
+        centers.append(fit[1:3] / fit[0])
     assert 0.002 < np.std(gains) < 0.08
-    assert np.ptp(centres, axis=0).max() > 1e-3
-    plain = grey().through_lenses(vignette=0.0, gain=0.0)
+    assert np.ptp(centers, axis=0).max() > 1e-3
+    plain = gray().through_lenses(vignette=0.0, gain=0.0)
     assert_array_equal(render(plain, ROW).views, clean)
 
 
 def test_blur_has_the_stated_width():
-    sharp, soft = (linear(render(grey(blur=b), SINGLE).centre_view) for b in (0.0, 1.7))
+    sharp, soft = (linear(render(gray(blur=b), SINGLE).center_view) for b in (0.0, 1.7))
 
     def width(image):
         edge = -np.diff(image[16, 15:39, 1])
@@ -97,9 +97,9 @@ def test_edges_are_antialiased():
     """A pixel on an edge is the mix of what its samples see, spread like a tent."""
     width = PICTURE[3]
     edge = 2.0 + 0.3 * 4 / (1.4 * width)  # 0.3 px right of the middle, at depth 4
-    image = render(grey(edge, BLACK), (1, 1, *PICTURE[2:]), samples=3).centre_view
+    image = render(gray(edge, BLACK), (1, 1, *PICTURE[2:]), samples=3).center_view
     row = linear(image)[7, :, 1]
-    position = (width - 1) / 2 + 0.3 - np.arange(width)  # of the edge, from the pixel's centre
+    position = (width - 1) / 2 + 0.3 - np.arange(width)  # of the edge, from the pixel's center
     expected = (position[:, None] > _trace.tent(3)).mean(-1)
     assert_allclose(row / row[0], expected, atol=1e-4)
     assert len(np.unique(expected)) > 2
@@ -112,7 +112,7 @@ def test_shadows_darken_and_are_optional():
         render(scene_of(wall, ball, light={"lamp": lamp, "shadow": s, "dtype": jnp.float64}))
         for s in (1.0, 0.0)
     )
-    difference = np.asarray(light.centre_view - dark.centre_view)[..., 1]
+    difference = np.asarray(light.center_view - dark.center_view)[..., 1]
     on_wall = np.asarray(light.truth.object_ids) == 1
     assert difference.min() >= -1e-9
     # The shadow of the ball, from the closed form of a parallel projection along the lamp.
@@ -129,7 +129,7 @@ def test_further_lamps_brighten_and_cast_no_shadow():
         render(scene_of(card, light={"shadow": 1.0, "lamp_strength": 0.0, "fills": fills}), SINGLE)
         for fills in ([], [fill])
     )
-    assert float(lit.centre_view.mean()) > 1.1 * float(dark.centre_view.mean())
+    assert float(lit.center_view.mean()) > 1.1 * float(dark.center_view.mean())
 
 
 def test_only_specular_surfaces_change_with_the_view():

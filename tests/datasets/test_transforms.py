@@ -14,7 +14,7 @@ from posed.walls import MATRIX, POSES
 from mvedge_jax.datasets.exchange import read_ply, write_colmap, write_nerfstudio
 from mvedge_jax.datasets.photographs import load_photographs
 
-# Zone 32 of UTM, and the Earth's centre.
+# Zone 32 of UTM, and the Earth's center.
 PLACES = {"utm": (565_811.3, 5_933_977.8, 31.25), "ecef": (3_739_406.4, 659_412.9, 5_110_563.1)}
 Y, X = np.mgrid[:36, :48]
 OPAQUE = np.hypot(X - 24, Y - 18) < 14
@@ -74,10 +74,10 @@ def test_cameras_in_map_coordinates_come_near_and_go_back(tmp_path, place, write
     write(tmp_path / "far", photographs(origin=origin))
     with pytest.warns(UserWarning, match=r"far has its cameras far from the origin: the mean of"):
         found = load_photographs(tmp_path / "far")
-    # Single precision would round the places in the map to half a metre.
+    # Single precision would round the places in the map to half a meter.
     assert found.poses.dtype == jnp.float32
-    centres = np.asarray(found.centres, np.float64) + found.origin
-    assert_allclose(centres, POSES[:, :3, 3] + origin, atol=1e-6)
+    centers = np.asarray(found.centers, np.float64) + found.origin
+    assert_allclose(centers, POSES[:, :3, 3] + origin, atol=1e-6)
     assert found.points is not None
     again = np.asarray(found.points, np.float64) + found.origin
     assert_allclose(again, CORNERS + origin, atol=1e-5)

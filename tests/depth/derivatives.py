@@ -78,15 +78,15 @@ def rows(loss: Callable[[Any], Any], tree: Any, views: Any, *, directions: int) 
     def of(m: Any, x: Any) -> Any:
         return loss((eqx.combine(m, rest), x))
 
-    with _optimised(False):  # runs once
+    with _optimized(False):  # runs once
         here, gradient = lean(jax.value_and_grad(of, (0, 1)))(moving, views)
-    with _optimised(True):  # run hundreds of times
+    with _optimized(True):  # run hundreds of times
         value = lean(of).lower(moving, views).compile()
         push = lean(lambda m, x, dm, dx: jax.jvp(of, (m, x), (dm, dx))[1])
         push = push.lower(moving, views, moving, views).compile()
-    centre = float(value(moving, views))
+    center = float(value(moving, views))
     # Rounding decides a tie, and this program rounds otherwise.
-    assert np.isclose(float(here), centre, rtol=1e-7), "a tie: modes select different points"
+    assert np.isclose(float(here), center, rtol=1e-7), "a tie: modes select different points"
 
     def compare(name: str, direction: Any, size: float) -> Row:
         reverse, forward = dot(gradient, direction), float(push(moving, views, *direction))
@@ -94,16 +94,16 @@ def rows(loss: Callable[[Any], Any], tree: Any, views: Any, *, directions: int) 
         def at(t: float) -> float:
             return float(value(*jax.tree.map(lambda a, b: a + t * b, (moving, views), direction)))
 
-        slopes, sides, least = [], (0.0, 0.0), 1e-6 * abs(centre) / size
+        slopes, sides, least = [], (0.0, 0.0), 1e-6 * abs(center) / size
         if reverse == forward == 0:  # constant around here, though perhaps not far from here
             for step in (1e-5, 1e-7, 1e-9):
-                if at(step * size) == at(-step * size) == centre:
+                if at(step * size) == at(-step * size) == center:
                     return Row(name, reverse, forward, 0.0, sides, least)
         for step in size * np.array(LADDER):
             above, below = at(step), at(-step)
             slope, sides = (
                 (above - below) / (2 * step),
-                ((above - centre) / step, (centre - below) / step),
+                ((above - center) / step, (center - below) / step),
             )
             for other in slopes:
                 if abs(slope - other) < AGREE * max(abs(slope), abs(other), least):
@@ -127,8 +127,8 @@ def rows(loss: Callable[[Any], Any], tree: Any, views: Any, *, directions: int) 
 
 
 @contextlib.contextmanager
-def _optimised(wish: bool) -> Iterator[None]:
-    """Whether XLA optimises what is compiled meanwhile."""
+def _optimized(wish: bool) -> Iterator[None]:
+    """Whether XLA optimizes what is compiled meanwhile."""
     before = jax.config.read("jax_disable_most_optimizations")
     jax.config.update("jax_disable_most_optimizations", not wish)
     try:
@@ -159,7 +159,7 @@ def check_rows(found: list[Row], zero: Set[str], *, sometimes: Set[str] = frozen
 def noisy_scene(name: str, size: int, *, dtype: type = np.float64) -> LightField:
     """A small rendered scene without its truth.
 
-    A quarter of a grey level of noise: in a clean image both pixels beside an edge have the very
+    A quarter of a gray level of noise: in a clean image both pixels beside an edge have the very
     same contrast, and any change of the views, however small, chooses another one.
     """
     light_field = synthetic.render(

@@ -127,7 +127,7 @@ def _small(name, preset, *, dtype: type = np.float64):
 def test_second_derivatives_of_the_chain(name, preset):
     """Forward over reverse, and what `linearize` gives, along a direction of everything."""
     loss, model, views = _small(name, preset)
-    # In the logarithm of the numbers and in grey levels of the views: alike in size.
+    # In the logarithm of the numbers and in gray levels of the views: alike in size.
     logs = jax.tree.map(jnp.log, model)
 
     def value(tree):

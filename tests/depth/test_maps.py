@@ -68,7 +68,7 @@ def blurred_step():
 def test_sharpening_moves_a_blurred_step_onto_the_color_step():
     blurred, guide, step = blurred_step()
     before = np.abs(np.asarray(blurred) - step).mean()
-    for mode in ("clip", "median", "quantised"):
+    for mode in ("clip", "median", "quantized"):
         sharp = Sharpen(radius=6, mode=mode)(blurred, guide)
         assert np.abs(np.asarray(sharp) - step).mean() < 0.4 * before
     assert_array_equal(Sharpen(mode="none")(blurred, guide), blurred)

@@ -19,7 +19,7 @@ from mvedge_jax.depth import estimate_depth
 from mvedge_jax.edges import OrientedEdges
 from mvedge_jax.edges.thesis import ThesisEdges
 from mvedge_jax.metrics import depth_scores
-from mvedge_jax.photometry import Noise, gather_evidence, recentred
+from mvedge_jax.photometry import Noise, gather_evidence, recenterd
 from mvedge_jax.photometry.brightness import Exposure
 from mvedge_jax.photometry.measuring import AdaptedMeasurement, CrosshairSplines, labels
 
@@ -69,7 +69,7 @@ def test_measurements_follow_the_positions(model):
 @pytest.mark.slow
 def test_the_gradient_in_the_positions():
     light_field = plane(_UNEVEN)
-    lab = jnp.moveaxis(srgb_to_lab(light_field.centre_view), -1, 0)
+    lab = jnp.moveaxis(srgb_to_lab(light_field.center_view), -1, 0)
     first = jnp.full(lab.shape[1:], 0.36, lab.dtype)
     params = cast(AdaptedMeasurement(radius=2), first.dtype)
 
@@ -103,7 +103,7 @@ def test_filters_follow_the_positions(model):
     steps = jnp.asarray(-_UNEVEN[0, :, 0]), jnp.asarray(-_UNEVEN[:, 0, 1])
     across, down = model.edges.prewitt((3, 5), jnp.float64, steps=steps)
     assert across.taps.shape[1:] == (5, across.taps.shape[2])
-    # The centre of the taps' positive half is ahead of the line by half a pixel or so.
+    # The center of the taps' positive half is ahead of the line by half a pixel or so.
     index = np.arange(-down.radius, down.radius + 1)
     for bank, own in ((across, steps[0]), (down, steps[1])):
         weight = np.abs(np.asarray(bank.taps))
@@ -116,12 +116,12 @@ def test_another_view_sees_the_others_from_its_own_place():
     noise = Noise.of(jnp.zeros((), jnp.float32))
 
     def arms(light_field):
-        return recentred(light_field, jnp.asarray([0, 3]), exposure, noise).arms
+        return recenterd(light_field, jnp.asarray([0, 3]), exposure, noise).arms
 
     (across, down), (rows, columns) = arms(plane(_UNEVEN)), (_UNEVEN[:, 3, 1], _UNEVEN[0, :, 0])
     assert_allclose(np.sort(across.steps), np.sort(0.8 - columns), atol=1e-6)
     assert_allclose(np.sort(down.steps), np.sort(-1.5 - rows), atol=1e-6)
-    assert float(across.steps[across.centre]) == float(down.steps[down.centre]) == 0
+    assert float(across.steps[across.center]) == float(down.steps[down.center]) == 0
     # Positions of a regular grid are no positions.
     for of in (arms, crosshair):
         for one, other in zip(of(plane(_EVEN, given=False)), of(plane(_EVEN)), strict=True):

@@ -222,15 +222,15 @@ def test_adam_mends_bad_numbers_on_another_scene_too(name):
         found = moved(field.without_truth()).disparity
         return jnp.mean(jnp.abs(found - field.truth.disparity))
 
-    optimiser = optax.adam(0.1)
-    state = optimiser.init(logs)
+    optimizer = optax.adam(0.1)
+    state = optimizer.init(logs)
     step = eqx.filter_jit(jax.value_and_grad(lambda p: loss(p, train, models[0])))
     before = [float(loss(logs, f, m)) for f, m in zip((train, test), models, strict=True)]
     for _ in range(30):
         _, gradient = step(logs)
         # Optax divides by an integer count.
         with jax.numpy_dtype_promotion("standard"):
-            updates, state = optimiser.update(gradient, state)
+            updates, state = optimizer.update(gradient, state)
         logs = optax.apply_updates(logs, updates)
     after = [float(loss(logs, f, m)) for f, m in zip((train, test), models, strict=True)]
     assert after[0] < 0.95 * before[0], (before, after)

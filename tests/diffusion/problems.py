@@ -46,7 +46,7 @@ def direct(system):
 
 
 def dense(system, right=None):
-    """The solution by a dense factorisation, which JAX differentiates by itself."""
+    """The solution by a dense factorization, which JAX differentiates by itself."""
     right = system.right_hand_side() if right is None else right
     identity = jnp.eye(right.size).reshape(right.size, *system.shape)
     matrix = jax.vmap(system.matvec)(identity).reshape(right.size, right.size)

@@ -214,7 +214,7 @@ def systems():
 
 
 # Never converging would be true, too.
-@pytest.mark.usefixtures("optimised")
+@pytest.mark.usefixtures("optimized")
 @pytest.mark.parametrize(
     ("dtype", "converged"),
     [(jnp.float32, 30), pytest.param(jnp.float64, 40, marks=pytest.mark.slow)],
@@ -226,7 +226,7 @@ def test_converged_is_never_a_lie(systems, dtype, converged):
     assert sum(found["converged"] for found in rows) >= converged
 
 
-@pytest.mark.usefixtures("optimised")
+@pytest.mark.usefixtures("optimized")
 def test_what_is_mostly_rounding_is_not_taken_for_converged():
     """A region hangs on by 1e-8, and its companion's level comes out right by luck."""
     case = Case(size=64, cut=1e-8, weight=1e6, density=1e-2, seed=56)

@@ -7,14 +7,14 @@ from mvedge_jax.lightfield import LightField
 
 
 def waves(x, y, seed):
-    """A smooth, colourful texture that is known between pixels: sums of sines."""
+    """A smooth, colorful texture that is known between pixels: sums of sines."""
     rng = np.random.default_rng(seed)
     value = np.zeros((*np.broadcast_shapes(x.shape, y.shape), 3))
     for _ in range(10):
         angle, length = rng.uniform(0, np.pi), rng.uniform(4.5, 11)
-        phase, colour = rng.uniform(0, 2 * np.pi), rng.uniform(0.2, 1, 3)
+        phase, color = rng.uniform(0, 2 * np.pi), rng.uniform(0.2, 1, 3)
         wave = np.sin(2 * np.pi * (np.cos(angle) * x + np.sin(angle) * y) / length + phase)
-        value += wave[..., None] * colour
+        value += wave[..., None] * color
     return 0.5 + 0.05 * value
 
 
@@ -31,7 +31,7 @@ def plane(disparity, *, views=5, rows=None, size=(24, 32), seed=0, dtype=jnp.flo
 
 
 def flat_rectangle(disparity, *, views=9, size=(64, 96)):
-    """A rectangle of one colour before a wall of another: nothing but its border to measure."""
+    """A rectangle of one color before a wall of another: nothing but its border to measure."""
     y, x = np.mgrid[0 : size[0], 0 : size[1]].astype(float)
     image = np.zeros((views, views, *size, 3))
     for v, u in np.ndindex(views, views):

@@ -9,7 +9,7 @@ from helpers import check_gradient, check_modes
 from numpy.testing import assert_allclose, assert_array_equal
 
 from mvedge_jax.diffusion import AutoSolver
-from mvedge_jax.edges import EdgePoints, rasterise, share
+from mvedge_jax.edges import EdgePoints, rasterize, share
 from mvedge_jax.edges.sides import (
     DirectionalDiffusion,
     SideVote,
@@ -68,10 +68,10 @@ def passes():
     return bidirectional(POINTS, GRAY, DirectionalDiffusion())
 
 
-def test_rasterise_keeps_the_nearest_surface_and_drops_what_is_outside():
+def test_rasterize_keeps_the_nearest_surface_and_drops_what_is_outside():
     xy = [(1.2, 2.4), (0.8, 1.6), (5.0, 1.0), (-3.0, 0.0), (2.0, 0.0)]
     points = make_points(xy, [0.5, 0.9, -1.0, 3.0, 7.0], [(1, 0)] * 5, [True] * 4 + [False])
-    raster = rasterise(points.xy, points.disparity, points.valid, (4, 6))
+    raster = rasterize(points.xy, points.disparity, points.valid, (4, 6))
     expected = np.zeros((4, 6))
     expected[2, 1], expected[1, 5] = 0.9, -1.0
     assert_array_equal(raster.values(points.disparity), expected)
@@ -178,7 +178,7 @@ def _minimum(weight, label, smoothness):
     return np.linalg.solve(matrix, (weight * label).ravel()).reshape(weight.shape)
 
 
-def test_both_passes_minimise_the_printed_energy():
+def test_both_passes_minimize_the_printed_energy():
     """Eq. 4.8 to 4.11 as printed (norms squared), against a dense system in loops."""
     rng, shape, count = np.random.default_rng(3), (9, 11), 14
     gray = np.where(np.arange(shape[1]) < 5, 0.2, 0.8) + 0.02 * rng.random(shape)

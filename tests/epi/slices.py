@@ -25,5 +25,5 @@ def step(position, disparity):
 
 
 def smooth(epi):
-    """An EPI with colours on its last axis, blurred along x."""
+    """An EPI with colors on its last axis, blurred along x."""
     return ndimage.gaussian_filter(epi, (0, 0.85, 0))

@@ -12,17 +12,17 @@ from hostile.scenes import hci, smooth
 from mvedge_jax.datasets import load_light_field
 
 
-def _png(width: int, height: int, *, lines: int = 0, depth: int = 8, colour: int = 2) -> bytes:
+def _png(width: int, height: int, *, lines: int = 0, depth: int = 8, color: int = 2) -> bytes:
     """A PNG that claims a size, and holds so many black lines of it."""
 
     def chunk(kind: bytes, data: bytes) -> bytes:
         checksum = struct.pack(">I", zlib.crc32(kind + data))
         return struct.pack(">I", len(data)) + kind + data + checksum
 
-    row = 1 + width * {0: 1, 2: 3, 6: 4}[colour] * depth // 8
+    row = 1 + width * {0: 1, 2: 3, 6: 4}[color] * depth // 8
     packer = zlib.compressobj(1)
     body = b"".join(packer.compress(bytes(row)) for _ in range(lines)) + packer.flush()
-    head = struct.pack(">IIBBBBB", width, height, depth, colour, 0, 0, 0)
+    head = struct.pack(">IIBBBBB", width, height, depth, color, 0, 0, 0)
     return b"".join(
         [b"\x89PNG\r\n\x1a\n", chunk(b"IHDR", head), chunk(b"IDAT", body), chunk(b"IEND", b"")]
     )
@@ -56,7 +56,7 @@ def _claimed(folder: Path, suffix: str, side: tuple[int, int], which: str) -> No
 
 @hostile("png bomb, 30000x30000 zeros packed", fast=False)
 def _packed(folder: Path) -> None:
-    data = _png(30_000, 30_000, lines=30_000, colour=0)
+    data = _png(30_000, 30_000, lines=30_000, color=0)
     assert len(data) < 20_000_000
     for k in range(9):
         (folder / f"v_{k // 3}_{k % 3}.png").write_bytes(data)
@@ -66,7 +66,7 @@ def _packed(folder: Path) -> None:
 @hostile("object ids of 50000x50000 px claimed")
 def _ids(folder: Path) -> None:
     scene = hci(folder)
-    (scene / "objectids_lowres.png").write_bytes(_png(50_000, 50_000, colour=0))
+    (scene / "objectids_lowres.png").write_bytes(_png(50_000, 50_000, color=0))
     refuses(lambda: load_light_field(scene), "objectids_lowres.png")
 
 

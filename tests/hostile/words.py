@@ -49,7 +49,7 @@ depth SCENE OUT --memory 0.1 | `memory` must be at least
 depth SCENE OUT --tile 10 | at least twice `overlap`
 depth SCENE OUT --set smoothness.color | depth SCENE OUT --set =1 |
     expected PATH=VALUE, such as smoothness.color=0.3
-depth SCENE OUT --set smoothness.colour=1 | no path of `EdgeDepth`: the fields of `ColorAndDepth`
+depth SCENE OUT --set smoothness.color=1 | no path of `EdgeDepth`: the fields of `ColorAndDepth`
 depth SCENE OUT --set smoothness.color.more=1 | `smoothness.color.more` is no path of `EdgeDepth`
 depth SCENE OUT --set __class__.__name__=1 | --set __class__.__name__: `__class__.__name__` is
 depth SCENE OUT --set smoothness=1 | `smoothness` is a part, whose numbers and static fields are
@@ -91,9 +91,9 @@ optimize SCENE OUT --features vgg16 | needs --vgg16 FILE
 optimize SCENE OUT --features vgg16 --vgg16 nowhere | no file of VGG16 weights
 optimize SCENE OUT --features vgg16 --vgg16 MAP | is not an .npz file
 optimize SCENE OUT --state nowhere | There is no saved state at
-optimize SCENE OUT --state MAP | does not hold a whole state of the optimisation in the
+optimize SCENE OUT --state MAP | does not hold a whole state of the optimization in the
 optimize SCENE OUT --state /dev/zero | There is no saved state at /dev/zero
-learn OUT --what smoothness.colour | no path of `EdgeDepth`: the fields of `Col
+learn OUT --what smoothness.color | no path of `EdgeDepth`: the fields of `Col
 learn OUT --what refine.solves | `refine.solves` holds 2; only numbers and arrays can be
 learn OUT --rate 0 | --rate must be positive, got 0.0
 learn OUT --rate nan | --rate must be positive, got nan
@@ -117,8 +117,8 @@ edit SCENE OUT --mask SMALL | must have the size of the views, 8x6 px
 edit SCENE OUT --insert SMALL --at nan 1 | --at must be finite, got (nan, 1.0)
 edit SCENE OUT --insert SMALL --disparity nan | --disparity must be finite, got nan
 edit SCENE OUT --insert SMALL --slant 0 nan | --slant must be finite, got (0.0, nan)
-edit SCENE OUT --mask MASK --colour 0 2 0 | --colour must be three numbers between 0 and 1, got
-edit SCENE OUT --mask MASK --colour 0 1 | --colour {None}|{FLOAT FLOAT FLOAT}
+edit SCENE OUT --mask MASK --color 0 2 0 | --color must be three numbers between 0 and 1, got
+edit SCENE OUT --mask MASK --color 0 1 | --color {None}|{FLOAT FLOAT FLOAT}
 render nothing OUT | must be one of demo, slanted
 render demo | OUT
 render demo OUT --views 4 | odd numbers of view rows and columns, got 4x4
@@ -207,9 +207,9 @@ stereo SCENE OUT --set refine.solves=0 | --set refine.solves: `solves` must be a
 stereo SCENE OUT --set refine.solves=1 --method points | --set needs --method dense, got points
 superpixels SCENE OUT --size 0 | --size must be between 4 px and the shorter side, 6 px, got 0
 superpixels SCENE OUT --count 0 | --count must be at least 1, got 0
-superpixels SCENE OUT --size 5 --pick 8 0 | --pick must lie in the centre view, 8x6 px
-superpixels SCENE OUT --size 5 --pick -1 0 | --pick must lie in the centre view, 8x6 px, got
-superpixels SCENE OUT --size 5 --colour nan 0 0 | --colour must be three numbers between 0 and
+superpixels SCENE OUT --size 5 --pick 8 0 | --pick must lie in the center view, 8x6 px
+superpixels SCENE OUT --size 5 --pick -1 0 | --pick must lie in the center view, 8x6 px, got
+superpixels SCENE OUT --size 5 --color nan 0 0 | --color must be three numbers between 0 and
 """
 
 

@@ -21,7 +21,7 @@ from mvedge_jax.losses import (
     supervised_loss,
     terms,
 )
-from mvedge_jax.losses.features import Colours, FilterBank, load_vgg16
+from mvedge_jax.losses.features import Colors, FilterBank, load_vgg16
 from mvedge_jax.warping import backward_warp
 
 ssim = jax.jit(terms.ssim)
@@ -62,7 +62,7 @@ def test_reprojection_error_is_the_mean_over_visible_views():
     views = Views(image, others, jnp.array([[1.0, 0.0], [0.0, -2.0]]), jnp.ones(2, bool))
     disparity = jnp.asarray(rng.normal(size=(7, 9)))
     visible = jnp.asarray(rng.random((2, 7, 9)) > 0.4)
-    found = reprojection_error(disparity, views, visible, Colours())
+    found = reprojection_error(disparity, views, visible, Colors())
     total, count = np.zeros((7, 9)), np.zeros((7, 9))
     for k in range(2):
         warped, _ = backward_warp(jnp.moveaxis(others[k], 0, -1), disparity, views.steps[k])
@@ -72,7 +72,7 @@ def test_reprojection_error_is_the_mean_over_visible_views():
     assert_allclose(found, total / np.maximum(count, 1), atol=1e-12)
 
 
-@pytest.mark.parametrize("features", [Colours(), FilterBank()], ids=["colours", "bank"])
+@pytest.mark.parametrize("features", [Colors(), FilterBank()], ids=["colors", "bank"])
 def test_gradient_of_every_term(features):
     light_field = smooth_light_field((9, 10))
     views = gather_views(light_field)
@@ -157,7 +157,7 @@ def test_vgg_runs_on_a_users_weights_and_says_what_is_wrong(tmp_path):
     assert_allclose(out[:, 2, 3], out[:, 3, 3], atol=1e-9)
 
 
-def test_all_views_leaves_out_the_centre_and_what_is_missing():
+def test_all_views_leaves_out_the_center_and_what_is_missing():
     available = jnp.ones((3, 3), bool).at[0, 0].set(False)
     light_field = LightField(jnp.zeros((3, 3, 4, 5, 3)), available=available)
     chosen = all_views(light_field)

@@ -20,7 +20,7 @@ def _scene(shape=(27, 34)):
 
 
 def _strength(disparity, mask):
-    """The largest step to the right or lower neighbour, in plain loops."""
+    """The largest step to the right or lower neighbor, in plain loops."""
     strength = np.zeros(disparity.shape)
     for y, x in np.ndindex(disparity.shape):
         for b, a in ((y, x + 1), (y + 1, x)):

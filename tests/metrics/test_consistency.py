@@ -130,6 +130,6 @@ def test_slanted_planes_agree():
     slope = 0.1
     x = np.arange(11) - 5.0
     views = np.arange(3) - 1
-    # d(x_c) = slope x_c in the centre; at x = x_c - du d in view u, so d = slope x / (1 - slope du)
+    # d(x_c) = slope x_c in the center; at x = x_c - du d in view u, so d = slope x / (1 - slope du)
     maps = np.stack([np.broadcast_to(slope * x / (1 - slope * du), (3, 9, 11)) for du in views], 1)
     assert view_consistency(jnp.asarray(maps), crop=1, stride=1).mean < 1e-9

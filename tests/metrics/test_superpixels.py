@@ -50,7 +50,7 @@ CASES = {
     "boxes": (
         _one(6, 6, lambda y, x: 1 if x < 2 else 2 + (y > 2)),
         None,
-        {"compactness_centre": BOXES, "compactness_code": 0.16 * np.pi, "boundary_density": 1 / 6,
+        {"compactness_center": BOXES, "compactness_code": 0.16 * np.pi, "boundary_density": 1 / 6,
          "accuracy": np.nan, "self_similarity": np.nan},
     ),
 }  # fmt: skip
@@ -130,7 +130,7 @@ def test_tables_are_those_of_loops(seed):
     names = ("accuracy", "undersegmentation_once", "undersegmentation", "compactness", "pieces")
     scores = [getattr(found, name) for name in names]
     np.testing.assert_allclose(scores, _brute(labels, objects), rtol=1e-12)
-    assert float(found.unlabelled) == pytest.approx((labels == 0).mean())
+    assert float(found.unlabeled) == pytest.approx((labels == 0).mean())
 
 
 def test_missing_views_do_not_count():

@@ -17,7 +17,7 @@ from mvedge_jax.model.approaches._approach import explained
 from mvedge_jax.model.approaches._evidence import agreed_correction
 from mvedge_jax.model.approaches._polish import bending
 from mvedge_jax.model.objectives import SelfSupervised
-from mvedge_jax.model.optimisation import Rates, all_at_once, one_at_a_time
+from mvedge_jax.model.optimization import Rates, all_at_once, one_at_a_time
 
 SHAPE = (20, 22)
 
@@ -63,7 +63,7 @@ def test_one_trace_serves_all_parameters_and_x64_changes_little():
 
 
 def test_nothing_is_measured_beside_depth_steps():
-    """Windows reach across them, and so do neighbours that share their measurements."""
+    """Windows reach across them, and so do neighbors that share their measurements."""
     step = jnp.where(jnp.arange(SHAPE[1]) > SHAPE[1] // 2, 0.8, 0.3)
     found = agreed(scene(), jnp.broadcast_to(step, SHAPE).astype(jnp.float32))
     beside = np.abs(np.arange(SHAPE[1]) - (SHAPE[1] // 2 + 0.5)) < 5

@@ -99,7 +99,7 @@ def test_initial_roughness_follows_edges():
     both = map_roughness(step, image)
     assert float(both[:, 4].min()) == 10.0
     assert float(jnp.delete(both, 4, axis=1).max()) < 1e-6
-    # a colour edge alone is no reason to cut
+    # a color edge alone is no reason to cut
     assert float(map_roughness(jnp.zeros((6, 8)), image).max()) < 1e-6
 
 

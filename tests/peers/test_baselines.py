@@ -29,11 +29,11 @@ def _scene(shape=(1, 3, 14, 18)):
 
 
 def _loops(lab, disparity, size, rounds):
-    """Labels of the centre view, written as the definition."""
+    """Labels of the center view, written as the definition."""
     height, width = disparity.shape
     z = (disparity - disparity.min()) / np.ptp(disparity)
     pixels = [(np.array([x, y]), z[y, x], lab[y, x]) for y in range(height) for x in range(width)]
-    centres = [
+    centers = [
         pixels[y * width + x]
         for y in range(size // 2, height // size * size, size)
         for x in range(size // 2, width // size * size, size)
@@ -45,11 +45,11 @@ def _loops(lab, disparity, size, rounds):
 
     labels: list[int] = []
     for k in range(rounds):
-        labels = [int(np.argmin([cost(p, c) for c in centres])) for p in pixels]
+        labels = [int(np.argmin([cost(p, c) for c in centers])) for p in pixels]
         if k < rounds - 1:
             groups = [[p for p, j in zip(pixels, labels, strict=True) if j == i]
-                      for i in range(len(centres))]  # fmt: skip
-            centres = [tuple(np.mean([p[n] for p in g], axis=0) for n in range(3)) for g in groups]
+                      for i in range(len(centers))]  # fmt: skip
+            centers = [tuple(np.mean([p[n] for p in g], axis=0) for n in range(3)) for g in groups]
     return 1 + np.array(labels).reshape(height, width)
 
 
@@ -57,10 +57,10 @@ def test_clusters_are_those_of_loops_and_labels_move_with_their_disparity():
     field, disparity = _scene()
     sizes = KMeansSizes(size=6, rounds=3)
     found = np.asarray(kmeans_superpixels(field, disparity, KMeansParams(), sizes))
-    lab, centre = np.asarray(srgb_to_lab(field.centre_view)), found[0, 1]
-    assert_array_equal(centre, _loops(lab, np.asarray(disparity), 6, 3))
-    assert_array_equal(found[0, 0][:, 8:15], centre[:, 6:13])
-    assert_array_equal(found[0, 2][:, 4:11], centre[:, 6:13])
+    lab, center = np.asarray(srgb_to_lab(field.center_view)), found[0, 1]
+    assert_array_equal(center, _loops(lab, np.asarray(disparity), 6, 3))
+    assert_array_equal(found[0, 0][:, 8:15], center[:, 6:13])
+    assert_array_equal(found[0, 2][:, 4:11], center[:, 6:13])
     assert (found > 0).all()  # holes are filled
 
 
@@ -106,7 +106,7 @@ def test_labels_keep_to_surfaces_in_all_views(slope):
     ids = (disparity != 0).astype(jnp.int32)
     scores = superpixel_scores(labels, ids, disparity)
     assert float(scores.accuracy) > 0.9
-    assert float(scores.unlabelled) == 0
+    assert float(scores.unlabeled) == 0
     assert float(scores.inconsistent) < 0.06
 
 

@@ -34,7 +34,7 @@ def test_the_background_is_matched_beneath_the_surface_in_front():
 
 @pytest.mark.parametrize(("seen", "side"), [(range(5, 9), -1), (range(4), 1)])
 def test_the_surface_in_front_is_where_the_line_behind_is_not_seen(seen, side):
-    # Line 3 crosses line 2 in the centre view: later views see it to the right of line 2.
+    # Line 3 crosses line 2 in the center view: later views see it to the right of line 2.
     edges = _edges(9, 70, [(24, 1, range(9)), (36, 1, range(9)), (36, 0, seen)])
     sides = opening_sides(_POSITION, _SLOPE, edges, _ALL)
     assert sides[2] == side

@@ -30,7 +30,7 @@ def _points(field, count=1, **fields):
 def _slice(light, disparity, guides, middle):
     """One epipolar-plane image `[u, x]` of (6.4) to (6.8), by loops and a dense system.
 
-    `guides` are `(x, d, weight, seen)` of the hidden points of a row of the centre view.
+    `guides` are `(x, d, weight, seen)` of the hidden points of a row of the center view.
     """
     views, width = light.shape
     label, weight = np.zeros(light.shape), np.zeros(light.shape)
@@ -43,7 +43,7 @@ def _slice(light, disparity, guides, middle):
         hit = np.isfinite(landed)
         label[u] = np.where(hit, landed, 0)
         for x in np.flatnonzero(hit):
-            # Lone pixels are noise; those of the centre view itself weigh less.
+            # Lone pixels are noise; those of the center view itself weigh less.
             if sum(hit[min(max(x + step, 0), width - 1)] for step in (-1, 0, 1)) > 1:
                 weight[u, x] = 5 if u == middle else 15
         for x, d, own, seen in sorted(guides, key=lambda guide: guide[1]):
@@ -62,13 +62,13 @@ def _slice(light, disparity, guides, middle):
     return np.linalg.solve(matrix, (weight * label).ravel()).reshape(light.shape)
 
 
-def test_every_slice_of_the_crosshair_minimises_its_energy():
+def test_every_slice_of_the_crosshair_minimizes_its_energy():
     field = cards((3, 5, 14, 16), np.float64)
     rng = np.random.default_rng(1)
     disparity = np.asarray(field.truth.disparity) + 0.1 * rng.normal(size=(14, 16))
     xy = rng.integers(2, 12, (6, 2)).astype(float)
     label, visible = rng.uniform(-1, 1, 6), rng.random((6, 8)) < 0.6
-    # Two of the points are seen in the centre view, and are no guides.
+    # Two of the points are seen in the center view, and are no guides.
     visible[:, 1] = visible[:, 3 + 2] = np.arange(6) < 2
     points = _points(
         field, 6, xy=jnp.asarray(xy), disparity=jnp.asarray(label), visible=jnp.asarray(visible),
@@ -76,7 +76,7 @@ def test_every_slice_of_the_crosshair_minimises_its_energy():
     )  # fmt: skip
     params = Guiding()
     found = np.asarray(thesis_views(field, jnp.asarray(disparity), points, params))
-    gray = srgb_to_gray(field.centre_view)
+    gray = srgb_to_gray(field.center_view)
     passes = bidirectional(points, gray, DirectionalDiffusion(), respond=thesis_response)
     weight = np.exp(np.minimum(3 * np.asarray(passes.confidence), 4))
     assert weight.max() > 1

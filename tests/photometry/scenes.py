@@ -53,7 +53,7 @@ def changed(light_field, *, noise=0.0, gain=None, factor=1.0, bits=True, seed=1)
 
 
 def cross_gains(views=5, spread=0.08, seed=2):
-    """Gains of the crosshair's views, relative to the centre view; 1 elsewhere."""
+    """Gains of the crosshair's views, relative to the center view; 1 elsewhere."""
     rng = np.random.default_rng(seed)
     gain = np.ones((views, views))
     middle = views // 2
@@ -121,7 +121,7 @@ def look(views, disparity, params=None, *, radius=2):
 
 
 def measured(views, disparity, params=None, *, lab=None, radius=2, passes=2):
-    """Labels around a map; of one colour by default, so that no neighbour is left out for its."""
+    """Labels around a map; of one color by default, so that no neighbor is left out for its."""
     params = params or AdaptedMeasurement()
     lab = jnp.zeros((3, *disparity.shape), disparity.dtype) if lab is None else lab
     found = look(views, disparity, params, radius=radius)

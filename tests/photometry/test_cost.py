@@ -22,8 +22,8 @@ PLAIN = jnp.zeros((3, 20, 28))
 
 
 def lab_of(field):
-    """Colours, whatever their unit, of the centre view."""
-    return 100 * jnp.moveaxis(field.centre_view, -1, 0)
+    """Colors, whatever their unit, of the center view."""
+    return 100 * jnp.moveaxis(field.center_view, -1, 0)
 
 
 @pytest.mark.parametrize(("count", "reach"), [(3, 1), (5, 2), (5, 4)])
@@ -31,7 +31,7 @@ def test_paths_are_the_cheapest_of_all_paths(count, reach):
     # Brute force along a row: every sequence of disparities that ends at the last pixel.
     rng = np.random.default_rng(4)
     cost, lab = rng.uniform(size=(count, 1, 5)), 10 * rng.uniform(size=(3, 1, 5))
-    prices = {"slant": 0.1, "jump": 0.5, "colour": 6.0}
+    prices = {"slant": 0.1, "jump": 0.5, "color": 6.0}
     found = aggregate(
         *map(jnp.asarray, (cost, lab)), **jax.tree.map(jnp.asarray, prices), reach=reach
     )
@@ -46,7 +46,7 @@ def test_paths_are_the_cheapest_of_all_paths(count, reach):
     paths = np.array(list(np.ndindex(*[count] * 5)))
     totals = np.array([price(path) for path in paths])
     ends = np.array([totals[paths[:, -1] == d].min() for d in range(count)])
-    # The aggregate is normalised along the path, and holds the vertical and the backward paths too,
+    # The aggregate is normalized along the path, and holds the vertical and the backward paths too,
     # which at the last pixel of a single row are the pixel's own cost.
     expected = ends + 3 * cost[:, 0, -1]
     last = np.asarray(found)[:, 0, -1]
@@ -116,7 +116,7 @@ def test_without_texture_all_hypotheses_are_as_likely():
 def test_the_posterior_is_narrow_on_texture_and_wide_where_a_texture_repeats():
     across, down = plane_arms(0.5)
     tried = jnp.linspace(-1, 1, 41)
-    lab = 100 * across.planes[across.centre]
+    lab = 100 * across.planes[across.center]
     found = hypotheses(Crosshair(across, down), lab, tried, Matching(), window=2)
     inner = (slice(6, -6), slice(6, -6))
     assert float(jnp.median(found.variance_around(found.disparity)[inner])) < 0.05**2

@@ -39,7 +39,7 @@ def test_filters_agree_with_scipy():
 
 def test_without_noise_nothing_changes():
     field = textured(size=(20, 24), dtype=np.float64)
-    image = jnp.moveaxis(field.centre_view, -1, 0)
+    image = jnp.moveaxis(field.center_view, -1, 0)
     np.testing.assert_array_equal(denoised(image, NONE), image)
     planes = crosshair(field).horizontal.planes
     np.testing.assert_array_equal(soften(planes, NONE, jnp.asarray(1.0)), planes)
@@ -82,7 +82,7 @@ def test_pooling_stays_on_a_surface_and_away_from_outlines():
 
 def test_gradients_in_both_modes_jit_and_vmap():
     field = changed(textured(size=(14, 17), dtype=np.float64), noise=0.03, bits=False)
-    image, planes = (jnp.moveaxis(field.centre_view, -1, 0), crosshair(field).horizontal.planes)
+    image, planes = (jnp.moveaxis(field.center_view, -1, 0), crosshair(field).horizontal.planes)
     keys = jax.random.split(jax.random.key(0))
     cost, weights = (jax.random.uniform(key, (3, 14, 17), jnp.float64) - 0.5 for key in keys)
 

@@ -80,7 +80,7 @@ def test_a_missing_view_takes_no_part(kind):
 
 
 @KINDS
-def test_a_drift_of_colours_is_not_taken_for_parallax(kind):
+def test_a_drift_of_colors_is_not_taken_for_parallax(kind):
     """Gloss: oracle is the true disparity. Without the drift in the model it is missed by far."""
     truth, field = 0.31, plane_views(0.31)
     steps = np.asarray(field.steps) @ [1.0, 1.0 if kind == "crosshair" else 0.5]
@@ -145,8 +145,8 @@ def regressed(field, disparity, y, x, stiffness):
 
     def seen(view, step):
         place = (np.array([y, x]) + step[::-1] * disparity + around).T
-        colours = np.moveaxis(view, -1, 0)
-        return [ndimage.map_coordinates(c, place, order=3, mode="mirror") for c in colours]
+        colors = np.moveaxis(view, -1, 0)
+        return [ndimage.map_coordinates(c, place, order=3, mode="mirror") for c in colors]
 
     own, right, left, below, above = np.stack(
         [np.stack(seen(views[at], steps[at]), -1) for at in np.ndindex(views.shape[:2])], axis=1
@@ -181,7 +181,7 @@ def problem(kind):
     def loss(tree):
         planes, lab, disparity, params = tree
         if kind == "crosshair":
-            own = views._replace(horizontal=arm._replace(centre=planes[0], others=planes[1]))
+            own = views._replace(horizontal=arm._replace(center=planes[0], others=planes[1]))
         else:
             own = ViewSplines.of(made._replace(planes=planes))
         around = own.accumulate(disparity, replace(params, radius=2))
@@ -190,7 +190,7 @@ def problem(kind):
         sure = jnp.sum(1 / (1 + 1e4 * found.variance))
         return jnp.sum(found.disparity**2) + sure + jnp.sum(jnp.sqrt(residual + 1e-6))
 
-    planes = (arm.centre, arm.others) if kind == "crosshair" else made.planes
+    planes = (arm.center, arm.others) if kind == "crosshair" else made.planes
     return loss, (planes, lab, disparity, AdaptedMeasurement())
 
 
@@ -259,7 +259,7 @@ def test_views_that_a_nearer_surface_hides_or_that_differ_weigh_little():
 
 
 @pytest.mark.parametrize("spacing", [1, 2])
-def test_mean_over_neighbours_of_like_colour(spacing):
+def test_mean_over_neighbors_of_like_color(spacing):
     rng = np.random.default_rng(spacing)
     image, lab = rng.standard_normal((9, 11)), 5 * rng.standard_normal((3, 9, 11))
     weights = color_weights(jnp.asarray(lab), jnp.asarray(4.0), reach=1, spacing=spacing)

@@ -21,8 +21,8 @@ def _measured(light_field, scale=1.0, *, arms=None, tried=TRIED):
     between = between_views_variance(
         arms.mapped(lambda planes: planes * scale), tried.astype(scale.dtype)
     )
-    centre = jnp.moveaxis(light_field.centre_view * scale, -1, 0)
-    return measure_noise(centre, scale, between=between)
+    center = jnp.moveaxis(light_field.center_view * scale, -1, 0)
+    return measure_noise(center, scale, between=between)
 
 
 def _single(image, scale=1.0):
@@ -38,10 +38,10 @@ def noisy():
 @pytest.mark.parametrize("sigma", [0.01, 0.05])
 def test_known_noise_is_recovered_from_arms_from_any_set_of_views_and_from_one(sigma):
     field = changed(textured(), noise=sigma)
-    centre = jnp.moveaxis(field.centre_view, -1, 0)
-    between = lean(between_views_variance)(of_crosshair(field), TRIED.astype(centre.dtype))
-    of_set = measure_noise(centre, jnp.float32(1), between=between)
-    for found, bar in ((_measured(field), 0.1), (of_set, 0.1), (_single(centre), 0.12)):
+    center = jnp.moveaxis(field.center_view, -1, 0)
+    between = lean(between_views_variance)(of_crosshair(field), TRIED.astype(center.dtype))
+    of_set = measure_noise(center, jnp.float32(1), between=between)
+    for found, bar in ((_measured(field), 0.1), (of_set, 0.1), (_single(center), 0.12)):
         assert abs(float(found.deviation) / sigma - 1) < bar
 
 
@@ -79,7 +79,7 @@ def test_clipped_pixels_and_missing_views_have_no_say(noisy):
 
 
 @pytest.mark.parametrize("shape", [(3, 8, 40), (3, 9, 9), (3, 12, 17)])
-def test_small_and_odd_images_give_at_least_the_quantisation(shape):
+def test_small_and_odd_images_give_at_least_the_quantization(shape):
     found = _single(jnp.full(shape, 128 / 255, jnp.float32))
     assert float(found.deviation) == pytest.approx(1 / 255 / 12**0.5)
 

@@ -103,7 +103,7 @@ def test_the_reference_shows_every_pixel_at_its_own_place(stack):
 
 
 def test_steps_and_pulled_slopes_are_those_of_differences(stack):
-    """Of a pixel of a plane, whose positions and its neighbours' are known without derivatives."""
+    """Of a pixel of a plane, whose positions and its neighbors' are known without derivatives."""
     flat, tiny, slopes = jnp.full(SIZE, 1.1), 1e-5, (0.7, -0.4)
     inner = (slice(1, -1), slice(1, -1))
     for index in range(1, 4):

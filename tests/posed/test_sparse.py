@@ -1,4 +1,4 @@
-"""The thesis' multi-view stereo: points that are projected, diffused and optimised."""
+"""The thesis' multi-view stereo: points that are projected, diffused and optimized."""
 
 import jax
 import jax.numpy as jnp
@@ -53,9 +53,9 @@ def test_the_truth_explains_the_photographs_best():
 
 
 @pytest.mark.slow
-def test_optimising_makes_the_diffused_points_better():
-    noise, centre = np.random.default_rng(1).normal(scale=0.04, size=(42, 1)), POSES[INDEX, :3, 3]
-    view, wanted = photographs(centre + (1 + noise) * (POINTS - centre)), WANTED
+def test_optimizing_makes_the_diffused_points_better():
+    noise, center = np.random.default_rng(1).normal(scale=0.04, size=(42, 1)), POSES[INDEX, :3, 3]
+    view, wanted = photographs(center + (1 + noise) * (POINTS - center)), WANTED
     method = SparseStereoDepth(smoothing=10, iterations=10, passes=3)
     found = sparse_stereo(view, wanted, method, key=jax.random.key(0))
     truth = jnp.asarray(DEPTHS[INDEX])

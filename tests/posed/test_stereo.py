@@ -176,7 +176,7 @@ def test_a_light_field_is_a_set_of_photographs():
         disparity = np.asarray(field.truth.disparity)
         np.testing.assert_allclose(x, columns + (1 - u) * disparity, atol=2e-3)
         np.testing.assert_allclose(y, rows + (1 - v) * disparity, atol=2e-3)
-    # Normals are those of the plane through neighbours, towards the camera.
+    # Normals are those of the plane through neighbors, towards the camera.
     normals = np.asarray(surface.normals)
     np.testing.assert_allclose(np.linalg.norm(normals, axis=-1), 1, rtol=1e-5)
     assert (np.sum(normals * np.asarray(surface.points), -1) < 0).mean() > 0.99
@@ -230,7 +230,7 @@ def test_a_living_room_from_near_and_far_apart(name, index, most):
 
 
 @pytest.mark.parametrize(
-    ("share", "labelled", "texts"),
+    ("share", "labeled", "texts"),
     [
         (0.04, 0.38, ()),
         (0.04, 0.18, ("82 % of the pixels have no accepted label",)),
@@ -240,10 +240,10 @@ def test_a_living_room_from_near_and_far_apart(name, index, most):
         (np.nan, 0.0, ()),
     ],
 )
-def test_labels_and_errors_speak_against_a_map(share, labelled, texts):
+def test_labels_and_errors_speak_against_a_map(share, labeled, texts):
     depth = np.full((4, 6), 2.0)
     error = share * depth
     error[0, 0] = np.inf  # a few pixels of no known depth are no problem
-    said = depth_problems(depth, error, labelled)
+    said = depth_problems(depth, error, labeled)
     assert len(said) == len(texts)
     assert all(text in sentence for text, sentence in zip(texts, said, strict=True))

@@ -35,7 +35,7 @@ def places(pose, depth, *, matrix=MATRIX):
 
 
 def texture(points, seed=0):
-    """A smooth pattern on the plane, colours in [0, 1], by two of the points' coordinates."""
+    """A smooth pattern on the plane, colors in [0, 1], by two of the points' coordinates."""
     rng = np.random.default_rng(seed)
     table = ndimage.gaussian_filter(rng.uniform(size=(160, 160, 3)), (1.2, 1.2, 0), mode="wrap")
     table = np.clip((table - 0.5) * 3 + 0.5, 0.02, 0.98)

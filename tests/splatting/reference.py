@@ -31,12 +31,12 @@ def splat_reference(
     dy = y[None] - xy[:, 1, None, None]
     square = dx**2 + dy**2
     on = valid[:, None, None]
-    through_centre = widths.density * widths.sigma_depth * (2 * jnp.pi) ** 0.5
+    through_center = widths.density * widths.sigma_depth * (2 * jnp.pi) ** 0.5
     gaussian = jnp.where(on, jnp.exp(-square / (2 * widths.sigma_label**2)), 0)
     if opacity is not None:
         gaussian = gaussian * opacity[order][:, None, None]
-    absorbed, _, _, constant = absorption(through_centre * gaussian, raster.absorption)
-    optical = constant * through_centre * gaussian
+    absorbed, _, _, constant = absorption(through_center * gaussian, raster.absorption)
+    optical = constant * through_center * gaussian
     in_front = jnp.exp(-(jnp.cumsum(optical, axis=0) - optical))
     power = (square / (2 * widths.sigma_weight**2)) ** raster.order
     flat = jnp.where(on, jnp.exp(-power), 0)

@@ -74,7 +74,7 @@ def test_the_samples_of_a_point_are_those_of_the_thesis():
     def along(z):
         return np.exp(-((z - mean) ** 2) / (2 * DEPTH**2))
 
-    through_centre = DENSITY * DEPTH * np.sqrt(2 * np.pi)
+    through_center = DENSITY * DEPTH * np.sqrt(2 * np.pi)
     for gaussian in (1.0, 0.7, 0.2, 0.01):
 
         def passed(end, gaussian=gaussian):
@@ -84,12 +84,12 @@ def test_the_samples_of_a_point_are_those_of_the_thesis():
         # (7.14) as corrected, times the Gaussian of (7.4).
         step = samples[1] - samples[0]
         alpha = DENSITY * step * sum(passed(s) * along(s) for s in samples)
-        thickness = jnp.asarray(through_centre * gaussian)
+        thickness = jnp.asarray(through_center * gaussian)
         absorbed, _, left, constant = absorption(thickness, "quadrature")
         assert float(absorbed) == pytest.approx(alpha * gaussian, abs=1e-10)
         assert float(left) == pytest.approx(passed(samples[-1]), abs=1e-10)
         # (7.10): the constant of the exponent.
-        assert -constant * through_centre * gaussian == pytest.approx(np.log(passed(samples[-1])))
+        assert -constant * through_center * gaussian == pytest.approx(np.log(passed(samples[-1])))
         # The integral that the samples stand for, all of the point in front of its end.
         exact = 1 - np.exp(-DENSITY * gaussian * integrate.quad(along, -30, 40, points=[mean])[0])
         assert float(absorption(thickness, "closed")[0]) == pytest.approx(exact, abs=1e-10)

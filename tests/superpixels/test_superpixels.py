@@ -38,7 +38,7 @@ def _depths(disparity):
 
 
 def _cards(shape=(3, 3, 36, 44)):
-    """A card before a wall, at whole disparities: true depth, colours, ids."""
+    """A card before a wall, at whole disparities: true depth, colors, ids."""
     rows, columns, height, width = shape
     y, x = np.mgrid[:height, :width] - np.array([height // 2, width // 2])[:, None, None]
     near = np.zeros(shape, bool)
@@ -62,7 +62,7 @@ def test_superpixels_keep_to_surfaces_and_agree_in_all_views(shape):
     found = _found(field, depths)
     scores = superpixel_scores(found.labels, jnp.asarray(ids), depths.disparity)
     assert float(scores.accuracy) == 1
-    assert float(scores.unlabelled) == 0
+    assert float(scores.unlabeled) == 0
     assert float(scores.inconsistent) < 0.002
     wanted = shape[2] * shape[3] / 64
     assert abs(int(found.number) / wanted - 1) < 0.4
@@ -73,22 +73,22 @@ def test_superpixels_keep_to_surfaces_and_agree_in_all_views(shape):
 def test_tables_tell_what_the_labels_show():
     field, depths, _ = _cards()
     found = jax.tree.map(np.asarray, _found(field, depths))
-    centre, depth = found.labels[1, 1], np.asarray(depths.disparity[1, 1])
-    y, x = np.mgrid[: centre.shape[0], : centre.shape[1]]
+    center, depth = found.labels[1, 1], np.asarray(depths.disparity[1, 1])
+    y, x = np.mgrid[: center.shape[0], : center.shape[1]]
     assert found.valid.sum() == found.number
     for k in range(found.number):
-        here = centre == k + 1
+        here = center == k + 1
         assert here.sum() == found.area[k]
         if here.any():
             assert_allclose(found.xy[k], [x[here].mean(), y[here].mean()], rtol=1e-5)
             assert_allclose(found.plane[k], [depth[here].mean(), 0, 0], atol=1e-4)
-            assert_allclose(found.colour[k], np.asarray(field.centre_view)[here].mean(0), rtol=1e-5)
-    beside = ((centre[:, 1:], centre[:, :-1]), (centre[1:], centre[:-1]))
+            assert_allclose(found.color[k], np.asarray(field.center_view)[here].mean(0), rtol=1e-5)
+    beside = ((center[:, 1:], center[:, :-1]), (center[1:], center[:-1]))
     pairs = np.concatenate([np.stack([a.ravel(), b.ravel()], 1) for a, b in beside])
     pairs = {(min(p), max(p)) for p in pairs.tolist() if p[0] != p[1]}
-    assert {tuple(row) for row in found.neighbours.tolist() if row[0] > 0} == pairs
-    # Card and wall: two parents, in the centre view.
-    parents = found.parents[centre - 1]
+    assert {tuple(row) for row in found.neighbors.tolist() if row[0] > 0} == pairs
+    # Card and wall: two parents, in the center view.
+    parents = found.parents[center - 1]
     assert len(np.unique(parents)) == 2
     assert len(np.unique(parents[depth > 0])) == 1
 
@@ -140,7 +140,7 @@ def test_overflow_is_counted_and_has_no_label():
 
 
 def test_what_changes_no_label():
-    """Another run, noise in another view than the centre, a view that is missing."""
+    """Another run, noise in another view than the center, a view that is missing."""
     field, depths, _ = _cards()
     labels, before = _found(field, depths).labels, superpixels.traces
     noise = 0.02 * np.random.default_rng(3).normal(size=(36, 44, 3))
@@ -269,16 +269,16 @@ def test_shares_are_those_of_the_formula():
     model = _model()
     assert_allclose(soft.shares.sum(0), 1, rtol=1e-12)
     assert int(soft.number) == 2 * 3
-    lab, depth = np.asarray(srgb_to_lab(field.centre_view)), np.asarray(depths.disparity[0, 0])
+    lab, depth = np.asarray(srgb_to_lab(field.center_view)), np.asarray(depths.disparity[0, 0])
     side = np.sqrt(14 * 17 / 6)
     limit = float(model.limit)
 
     def cost(k, y, x):
         away = np.array([x, y]) - soft.xy[k]
         plane = float(soft.plane[k, 0] + soft.plane[k, 1:] @ away)
-        colour = np.sum((lab[y, x] - soft.lab[k]) ** 2) / float(model.color) ** 2
+        color = np.sum((lab[y, x] - soft.lab[k]) ** 2) / float(model.color) ** 2
         off = ((depth[y, x] - plane) / float(model.depth)) ** 2
-        return away @ away / side**2 + sum(a / (1 + a / limit) for a in (colour, off))
+        return away @ away / side**2 + sum(a / (1 + a / limit) for a in (color, off))
 
     for y, x in ((0, 0), (7, 8), (13, 16)):
         share, names = np.asarray(soft.shares[:, y, x]), np.asarray(soft.names[:, y, x])

@@ -64,7 +64,7 @@ def test_colors_stay_in_their_bits(dtype):
     stored = StoredViews({(0, u): image for u in range(3)}, (1, 3))
     part = stored.window(Window(0, 0, 6, 8))
     assert_allclose(part.views[0, 1], image / white, rtol=1e-6)
-    assert_allclose(stored.centre_view, image / white, rtol=1e-6)
+    assert_allclose(stored.center_view, image / white, rtol=1e-6)
 
 
 def test_small_pictures_average_areas():

@@ -77,9 +77,9 @@ def _pixel(tab, x, y):
     return np.array(tab.evaluate("([x, y]) => mvedge.pixel(x, y)", [x, y]))[:3]
 
 
-def _is(colour, expected):
-    # To linear light and back, and tables of 256 colours.
-    return np.abs(colour.astype(int) - np.array(expected)).max() <= 2
+def _is(color, expected):
+    # To linear light and back, and tables of 256 colors.
+    return np.abs(color.astype(int) - np.array(expected)).max() <= 2
 
 
 def _click(tab, x, y):
@@ -101,7 +101,7 @@ def tab(look, html):
 
 
 @pytest.mark.parametrize("served", [False, True])
-def test_a_file_or_a_server_shows_the_centre_view(look, html, served):
+def test_a_file_or_a_server_shows_the_center_view(look, html, served):
     with serve(html, port=0) as server:
         thread = threading.Thread(target=server.serve_forever)
         thread.start()
@@ -180,15 +180,15 @@ def test_slices_show_the_views(tab):
 
 def test_overlays_show_the_map(tab):
     seen = []
-    for colour in ("disparity", "standard error", "difference"):
-        _set(tab, colour=colour, opacity=1)
+    for color in ("disparity", "standard error", "difference"):
+        _set(tab, color=color, opacity=1)
         seen.append((_pixel(tab, 34, 24), _pixel(tab, 3, 24), _pixel(tab, 12, 24)))
     (near, far, _), (sure, unsure, _), (same, _, _) = seen
     assert _is(near, (253, 231, 37))  # the ends of viridis
     assert _is(far, (68, 1, 84))
     assert np.abs(sure.astype(int) - unsure).max() > 50
     assert same.min() > 230  # the truth itself: white
-    _set(tab, colour="disparity", u=2)
+    _set(tab, color="disparity", u=2)
     assert _is(_pixel(tab, 22, 20), (253, 231, 37))
 
 
@@ -219,7 +219,7 @@ def test_geometry_hides_what_is_uncertain(tab):
     assert 0.7 * everything < tab.evaluate(count) < 0.95 * everything
     _set(tab, bound=-4)
     assert tab.evaluate(count) < 1000  # the cameras
-    _set(tab, bound=1.5, normals=True, surfaces=True, byError=True, colours="disparity")
+    _set(tab, bound=1.5, normals=True, surfaces=True, byError=True, colors="disparity")
     assert tab.evaluate(count) > 0.5 * everything
     before = tab.evaluate("mvedge.state.yaw")
     box = tab.locator(".stage").bounding_box()
@@ -273,7 +273,7 @@ def test_it_works_with_less(look, case):
         _set(tab, v=2)
         assert _is(_pixel(tab, 30, 24), NEAR)
     if case == "labels":
-        _set(tab, colour="superpixels", opacity=1)
+        _set(tab, color="superpixels", opacity=1)
     for button in tab.locator("nav button").all():
         button.click()
         tab.evaluate("mvedge.draw()")
@@ -281,7 +281,7 @@ def test_it_works_with_less(look, case):
     assert ("Geometry" in names) == (case != "nothing known")
 
 
-def test_what_only_other_views_show_is_drawn_in_its_colour(look):
+def test_what_only_other_views_show_is_drawn_in_its_color(look):
     """A row of points before everything else, green as nothing in the scene is."""
     x = np.arange(20.0, 44.0)
     columns = [x, 0 * x + 24, 0 * x + 1.5, 0 * x + 0.01, 0 * x, 0 * x + 1, 0 * x]

@@ -199,9 +199,9 @@ def test_hidden_surfaces_are_the_most_certain_points_of_other_views():
     least = np.minimum(error[2, 4, 20, 50:54], error[0, 4, 20, 50:54])
     assert found[:, 3] == pytest.approx(least)
     assert found[:, 4:] == pytest.approx(np.tile(np.asarray(field.views)[2, 4, 20, 50], (4, 1)))
-    # A disparity carries a point to where the centre view would show it.
+    # A disparity carries a point to where the center view would show it.
     near = viewer.hidden_surfaces(field, far + 0.5, error, source)
-    row = near[near[:, 1] == 20]  # of view (2, 4), two steps to the right of the centre
+    row = near[near[:, 1] == 20]  # of view (2, 4), two steps to the right of the center
     assert sorted(row[:, 0]) == [51, 52, 53, 54]
     packed = _data(page(field, result()._replace(hidden=found)))["results"][0]["hidden"]
     assert _unpacked(packed["error"]) == pytest.approx(found[:, 3], rel=1e-3)

@@ -73,11 +73,11 @@ def test_the_share_is_a_weighted_ridge_regression():
         v, u = np.array(around).T
         weight = sure[v, u] * np.exp(-0.5 * ((v - y) ** 2 + (u - x) ** 2) / width**2)
         weight /= weight.sum()
-        front, colours = (disparity[v, u] > 0.5) * 1.0, light[:, v, u].T
-        mean, ahead = weight @ colours, weight @ front
-        centred = colours - mean
-        covariance = centred.T @ (weight[:, None] * centred) + faint * np.eye(3)
-        along = centred.T @ (weight * (front - ahead))
+        front, colors = (disparity[v, u] > 0.5) * 1.0, light[:, v, u].T
+        mean, ahead = weight @ colors, weight @ front
+        centerd = colors - mean
+        covariance = centerd.T @ (weight[:, None] * centerd) + faint * np.eye(3)
+        along = centerd.T @ (weight * (front - ahead))
         slope = np.linalg.solve(covariance, along)
         assert_allclose(share[y, x], ahead + slope @ (light[:, y, x] - mean), rtol=1e-9)
         left = ahead * (1 - ahead) - along @ slope

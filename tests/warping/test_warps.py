@@ -30,12 +30,12 @@ def test_agrees_with_scipy(step):
 
 
 def test_follows_the_convention():
-    # A point at x of the centre view is at x + (u_c - u) d in view u.
+    # A point at x of the center view is at x + (u_c - u) d in view u.
     x = jnp.arange(20.0)
-    centre = (x * 0.1)[None, :, None]
+    center = (x * 0.1)[None, :, None]
     right = ((x + 2 * 0.75) * 0.1)[None, :, None]  # view u = u_c + 2: content moved left by 1.5
     warped, inside = backward_warp(right, jnp.full((1, 20), 0.75), jnp.array([-2.0, 0.0]))
-    np.testing.assert_allclose(warped[inside], centre[inside], atol=1e-12)
+    np.testing.assert_allclose(warped[inside], center[inside], atol=1e-12)
     assert inside.sum() == 18
 
 

@@ -49,7 +49,7 @@ def write_colmap(folder: str | os.PathLike, photographs: Photographs) -> None:
         observed = np.asarray(photographs.observed)
     cameras, images = ["# CAMERA_ID MODEL WIDTH HEIGHT fx fy cx cy"], []
     tracks: list[list[str]] = [[] for _ in points]
-    colours = _looked_up(photographs, observed)
+    colors = _looked_up(photographs, observed)
     for i, (name, pose, matrix) in enumerate(zip(files, poses, matrices, strict=True), start=1):
         fx, fy, cx, cy = matrix[0, 0], matrix[1, 1], matrix[0, 2] + _HALF, matrix[1, 2] + _HALF
         cameras.append(f"{i} PINHOLE {width} {height} {fx:.17g} {fy:.17g} {cx:.17g} {cy:.17g}")
@@ -66,7 +66,7 @@ def write_colmap(folder: str | os.PathLike, photographs: Photographs) -> None:
             tracks[k].append(f"{i} {feature}")
         images.append(" ".join(words))
     rows = [
-        f"{k + 1} {' '.join(f'{v:.17g}' for v in point)} {' '.join(map(str, colours[k]))} "
+        f"{k + 1} {' '.join(f'{v:.17g}' for v in point)} {' '.join(map(str, colors[k]))} "
         f"-1 {' '.join(tracks[k])}"
         for k, point in enumerate(points)
     ]
@@ -135,8 +135,8 @@ def write_nerfstudio(
     if len(points):
         observed = photographs.observed
         seen = np.zeros((len(frames), len(points)), bool) if observed is None else observed
-        colours = _looked_up(photographs, np.asarray(seen))
-        write_ply(folder / "sparse_pc.ply", points, colours=colours)
+        colors = _looked_up(photographs, np.asarray(seen))
+        write_ply(folder / "sparse_pc.ply", points, colors=colors)
         top["ply_file_path"] = "sparse_pc.ply"
     (folder / "transforms.json").write_text(json.dumps(top, indent=1), encoding="utf-8")
 
@@ -161,7 +161,7 @@ def _in_the_world(photographs: Photographs) -> tuple[np.ndarray, np.ndarray]:
 def _looked_up(photographs: Photographs, observed: np.ndarray) -> np.ndarray:
     """Colors of the points in the first photograph that observed them."""
     points = np.zeros((0, 3)) if photographs.points is None else np.asarray(photographs.points)
-    colours = np.full((len(points), 3), 128, np.uint8)
+    colors = np.full((len(points), 3), 128, np.uint8)
     height, width = photographs.images.shape[1:3]
     first = np.where(observed.any(0), observed.argmax(0), -1)
     for i in np.unique(first[first >= 0]):
@@ -171,8 +171,8 @@ def _looked_up(photographs: Photographs, observed: np.ndarray) -> np.ndarray:
         )
         column = np.clip(np.round(place[:, 0]).astype(int), 0, width - 1)
         row = np.clip(np.round(place[:, 1]).astype(int), 0, height - 1)
-        colours[new] = _bytes(np.asarray(photographs.images[i]))[row, column]
-    return colours
+        colors[new] = _bytes(np.asarray(photographs.images[i]))[row, column]
+    return colors
 
 
 def _bytes(image: np.ndarray) -> np.ndarray:

@@ -17,7 +17,7 @@ def write_ply(
     path: Path,
     points: Float[np.ndarray, "m 3"],
     *,
-    colours: UInt8[np.ndarray, "m 3"] | None = None,
+    colors: UInt8[np.ndarray, "m 3"] | None = None,
     normals: Float[np.ndarray, "m 3"] | None = None,
     error: Float[np.ndarray, " m"] | None = None,
 ) -> None:
@@ -26,7 +26,7 @@ def write_ply(
     Args:
         path: the file.
         points: positions; float64 is stored as such, others as float32.
-        colours: sRGB.
+        colors: sRGB.
         normals: unit vectors.
         error: standard error of each point along the line of sight, in the unit of the places; a
             property `error` of the file.
@@ -36,7 +36,7 @@ def write_ply(
     for names, values, form in (
         (("x", "y", "z"), points, places),
         (("nx", "ny", "nz"), normals, "f4"),
-        (("red", "green", "blue"), colours, "u1"),
+        (("red", "green", "blue"), colors, "u1"),
         (("error",), None if error is None else np.asarray(error)[:, None], "f4"),
     ):
         if values is not None:

@@ -147,9 +147,9 @@ def _straightened(
             f"picture of focal length {matrix[0, 0]:.4g} px would show {100 * kept:.0f} % of it "
             f"and be filled to {100 * filled:.0f} %; undistort it first."
         )
-    centre = matrix[0, 2], matrix[1, 2]
+    center = matrix[0, 2], matrix[1, 2]
     pinhole(
-        matrix[0, 0], matrix[1, 1], *centre, where=f"{where}, straightened,", size=(height, width)
+        matrix[0, 0], matrix[1, 1], *center, where=f"{where}, straightened,", size=(height, width)
     )
     straight = cv2.remap(picture, x, y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
     if depth is not None:

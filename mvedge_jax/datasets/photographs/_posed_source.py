@@ -80,11 +80,11 @@ def near_origin(source: PosedSource) -> PosedSource:
     """
     if not source.frames:
         return source
-    centres = np.stack([frame.pose[:3, 3] for frame in source.frames])
-    apart = float(np.linalg.norm(centres - centres[0], axis=1).max())
-    if not float(np.abs(centres).max()) > _FAR * apart > 0:
+    centers = np.stack([frame.pose[:3, 3] for frame in source.frames])
+    apart = float(np.linalg.norm(centers - centers[0], axis=1).max())
+    if not float(np.abs(centers).max()) > _FAR * apart > 0:
         return source
-    origin, frames = centres.mean(axis=0), []
+    origin, frames = centers.mean(axis=0), []
     for frame in source.frames:
         pose = frame.pose.copy()
         pose[:3, 3] -= origin

@@ -86,9 +86,9 @@ def _hit_round(solids: Solids, i: Array, origin: Vector, direction: Vector) -> A
     o = along(origin, direction, shift)
 
     def ball(offset: Array) -> Array:
-        centred = (o[0], o[1], o[2] - offset)
-        middle = -dot(centred, direction) / norm
-        miss = along(centred, direction, middle)
+        centerd = (o[0], o[1], o[2] - offset)
+        middle = -dot(centerd, direction) / norm
+        miss = along(centerd, direction, middle)
         square = (radius * radius - dot(miss, miss)) / norm
         return jnp.where(square >= 0, middle - jnp.sqrt(jnp.maximum(square, 0.0)), jnp.inf)
 
@@ -104,9 +104,9 @@ def _hit_round(solids: Solids, i: Array, origin: Vector, direction: Vector) -> A
 
 
 class _Bundle(NamedTuple):
-    """A body that holds all rays: `centre + t heading`, of radius `width + t spread`."""
+    """A body that holds all rays: `center + t heading`, of radius `width + t spread`."""
 
-    centre: Array
+    center: Array
     width: Array
     heading: Array
     spread: Array
@@ -129,7 +129,7 @@ def _may_hit(bundle: _Bundle, solids: Solids, i: Array) -> Array:
     half = solids.half[i]
     radius = jnp.where(solids.round[i], half[0] + half[2], jnp.sqrt(jnp.sum(half * half)))
     reach = 1.0001 * (radius + bundle.width)
-    offset = solids.centre[i] - bundle.centre
+    offset = solids.center[i] - bundle.center
     # |offset - t heading| <= reach + t spread for some t >= 0, a quadratic in t.
     a = jnp.sum(bundle.heading**2) - bundle.spread**2
     b = jnp.sum(offset * bundle.heading) + reach * bundle.spread
@@ -148,7 +148,7 @@ def intersect(
     bundle = _bundle(origin, direction)
 
     def test(i: Array, best: tuple[Array, Array]) -> tuple[Array, Array]:
-        x, y, z = (o - solids.centre[i, k] for k, o in enumerate(origin))
+        x, y, z = (o - solids.center[i, k] for k, o in enumerate(origin))
         o, d = rotate(solids.axes[i], (x, y, z)), rotate(solids.axes[i], direction)
         distance = lax.cond(
             solids.round[i],

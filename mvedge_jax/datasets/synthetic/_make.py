@@ -28,8 +28,8 @@ _PATTERNS, _CUTOUTS = get_args(Pattern), get_args(Cutout)
 BLOCK = 32  # solids are padded to a multiple of it, so that scenes share a compiled function
 
 
-def _linear(colour: Triple) -> np.ndarray:
-    srgb = np.asarray(colour, float)
+def _linear(color: Triple) -> np.ndarray:
+    srgb = np.asarray(color, float)
     return np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
 
 
@@ -37,7 +37,7 @@ def _column(solid: Solid) -> np.ndarray:
     """What `Surfaces.table` holds of a solid."""
     m = solid.material
     parts = [
-        solid.centre,
+        solid.center,
         np.ravel(solid.axes),
         solid.half,
         [solid.round],
@@ -55,7 +55,7 @@ def make_world(
     solids: Sequence[Solid],
     *,
     lamp: Triple = (-0.45, -0.8, -0.55),
-    lamp_colour: Triple = (1.0, 0.93, 0.82),
+    lamp_color: Triple = (1.0, 0.93, 0.82),
     lamp_strength: float = 0.9,
     sky: Triple = (0.42, 0.47, 0.55),
     ground: Triple = (0.28, 0.25, 0.22),
@@ -70,8 +70,8 @@ def make_world(
     Args:
         solids: what is there, one at least.
         lamp: direction towards the lamp, any length.
-        lamp_colour: linear light.
-        lamp_strength: what `lamp_colour` is multiplied by.
+        lamp_color: linear light.
+        lamp_strength: what `lamp_color` is multiplied by.
         sky: light from above, linear.
         ground: light from below, linear.
         softness: half the angle under which the lamp is seen, radians.
@@ -104,10 +104,10 @@ def make_world(
     def unit(vector: Triple) -> np.ndarray:
         return np.asarray(vector, float) / np.linalg.norm(vector)
 
-    lamp_rgb = np.asarray(lamp_colour, float) * lamp_strength
+    lamp_rgb = np.asarray(lamp_color, float) * lamp_strength
     return World(
         Solids(
-            centre=floats([s.centre for s in padded]),
+            center=floats([s.center for s in padded]),
             axes=floats([s.axes for s in padded]),
             half=floats([s.half for s in padded]),
             round=jnp.asarray([s.round for s in padded]),
@@ -119,7 +119,7 @@ def make_world(
         Surfaces(floats(np.stack([_column(s) for s in padded], axis=1)), ints(7919 * seed)),
         Light(
             direction=floats(list(unit(lamp))),
-            colour=floats(list(lamp_rgb)),
+            color=floats(list(lamp_rgb)),
             sky=floats(list(sky)),
             ground=floats(list(ground)),
             softness=floats(softness),
@@ -172,7 +172,7 @@ def make_scene(
     low, high = disparity_range
     if not low < high:
         raise ValueError(f"`disparity_range` must be (low, high) with low < high, got {low, high}.")
-    dtype = world.solids.centre.dtype
+    dtype = world.solids.center.dtype
 
     def number(value: float) -> Array:
         return jnp.asarray(np.asarray(value, float), dtype)

@@ -5,7 +5,7 @@ from .world import FOCAL, FOCUS, GAIN, Material, Solid, Triple
 
 
 def depth(disparity: float) -> float:
-    """Metres to a point of a disparity."""
+    """Meters to a point of a disparity."""
     return 1.0 / (disparity / GAIN + 1.0 / FOCUS)
 
 
@@ -16,7 +16,7 @@ def at(x: float, y: float, disparity: float) -> Triple:
 
 
 def meters(fraction: float, disparity: float) -> float:
-    """Metres that cover a fraction of the picture's width at a disparity."""
+    """Meters that cover a fraction of the picture's width at a disparity."""
     return fraction * depth(disparity) / FOCAL
 
 
@@ -40,9 +40,9 @@ def floor(y: float, nearest: float, farthest: float, material: Material) -> Soli
     not something nearer than the range.
     """
     front, back = depth(nearest), depth(farthest)
-    centre = (0.0, y, 0.5 * (front + back))
+    center = (0.0, y, 0.5 * (front + back))
     axes = rotation(pitch=90.0)
-    return plane(centre, (60.0, back - front), axes=axes, material=material)
+    return plane(center, (60.0, back - front), axes=axes, material=material)
 
 
 def rod(

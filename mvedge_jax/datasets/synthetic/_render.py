@@ -23,7 +23,7 @@ def trace_views(
     key: PRNGKeyArray,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Traces views on all cores, straight into arrays: one view per core is in flight."""
-    dtype = np.dtype(scene.world.solids.centre.dtype)
+    dtype = np.dtype(scene.world.solids.center.dtype)
     count = len(pinholes)
     images = np.empty((count, *mode.size, 3), dtype)
     depth = np.empty((count, *mode.size), dtype)
@@ -78,7 +78,7 @@ def grid_pinhole(
 ) -> Pinhole:
     """The camera of one view: parallel to the center's, its sensor shifted."""
     _, _, height, width = shape
-    dtype = np.dtype(scene.world.solids.centre.dtype)
+    dtype = np.dtype(scene.world.solids.center.dtype)
     focal, gain, focus = (float(x) for x in (scene.rig.focal, scene.rig.gain, scene.rig.focus))
     focal_px = focal * max(height, width)
     du, dv = position

@@ -92,8 +92,8 @@ def _thin() -> _Recipe:
 
 
 def _textureless() -> _Recipe:
-    def paint(colour: Triple) -> Material:
-        return Material(dark=colour, light=colour, contrast=0.0)
+    def paint(color: Triple) -> Material:
+        return Material(dark=color, light=color, contrast=0.0)
 
     wall = Material(dark=(0.7, 0.68, 0.63), light=(0.74, 0.72, 0.68), contrast=0.5, grain=2.5)
     solids = [

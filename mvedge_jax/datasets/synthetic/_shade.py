@@ -17,7 +17,7 @@ _JOINT = 0.07  # width of the joint between bricks, of their height
 class _Look(NamedTuple):
     """Everything about the solid that a ray hits; the last axis is the rays'."""
 
-    centre: Float[Array, "3 r"]
+    center: Float[Array, "3 r"]
     axes: Float[Array, "3 3 r"]
     half: Float[Array, "3 r"]
     rounded: Float[Array, " r"]
@@ -40,7 +40,7 @@ class _Look(NamedTuple):
 def _look_up(world: World, index: Int[Array, " r"]) -> _Look:
     """Gathers what shading needs, one column of the table at a time.
 
-    The loop keeps XLA from fusing gathers into the arithmetic, which would then not be vectorised.
+    The loop keeps XLA from fusing gathers into the arithmetic, which would then not be vectorized.
     """
     rows = lax.map(lambda column: column[index], world.surfaces.table)
     return _Look(
@@ -72,7 +72,7 @@ def _pattern(look: _Look, seed: Array, u: Array, v: Array, footprint: Array) -> 
     def step(signed: Array) -> Array:
         return jnp.clip(0.5 + signed / soft, 0.0, 1.0)
 
-    def centred(t: Array) -> Array:
+    def centerd(t: Array) -> Array:
         return jnp.abs(t - jnp.floor(t) - 0.5)
 
     row = jnp.floor(v)
@@ -81,12 +81,12 @@ def _pattern(look: _Look, seed: Array, u: Array, v: Array, footprint: Array) -> 
     column = jnp.floor(across)
 
     def parity(t: Array) -> Array:  # +1 and -1 in turn, softened
-        return jnp.clip((0.25 - centred(0.5 * t + 0.25)) * 2.0 / soft, -0.5, 0.5) * 2.0
+        return jnp.clip((0.25 - centerd(0.5 * t + 0.25)) * 2.0 / soft, -0.5, 0.5) * 2.0
 
     checks = 0.5 - 0.5 * parity(u) * parity(v)
-    joint = jnp.minimum((0.5 - centred(across)) * aspect, 0.5 - centred(v))
+    joint = jnp.minimum((0.5 - centerd(across)) * aspect, 0.5 - centerd(v))
     mortar = step(0.5 * _JOINT - joint)
-    stripes = step(0.25 - centred(v))
+    stripes = step(0.25 - centerd(v))
     du, dv = u - column - 0.5, v - row - 0.5
     dots = step(0.3 - jnp.sqrt(du * du + dv * dv + 1e-6))
     mask = jnp.where(kind == 1, checks, jnp.where(bricks, mortar, jnp.zeros_like(u)))
@@ -124,7 +124,7 @@ class _Hit(NamedTuple):
 def _hit(look: _Look, point: Vector, direction: Vector) -> _Hit:
     """The point and the normal where rays hit, and where that is on the surface."""
     axes, half = look.axes, look.half
-    shifted = tuple(p - look.centre[k] for k, p in enumerate(point))
+    shifted = tuple(p - look.center[k] for k, p in enumerate(point))
     local = lax.map(lambda a: sum(a[k] * shifted[k] for k in range(3)), axes)
     spine = jnp.clip(local[2], -half[2], half[2])
     inward = 1.0 / jnp.maximum(half[0], 1e-9)
@@ -236,7 +236,7 @@ def shade(
             reflected = reflected + own * shiny
         return jnp.where(missed, sky, diffuse * (1.0 - mirror) + reflected)
 
-    lights = light.colour, light.sky, light.ground, light.fills[:, 1].T
+    lights = light.color, light.sky, light.ground, light.fills[:, 1].T
     return lax.map(channel, (look.dark, look.light, look.accent, *lights))
 
 

@@ -40,7 +40,7 @@ def rotation(
 
 
 def plane(
-    centre: Triple,
+    center: Triple,
     size: tuple[float, float],
     *,
     axes: tuple[Triple, Triple, Triple] = _IDENTITY,
@@ -52,7 +52,7 @@ def plane(
     """A flat rectangle, perhaps with holes.
 
     Args:
-        centre: meters, in the center camera's frame (x right, y down, z forward).
+        center: meters, in the center camera's frame (x right, y down, z forward).
         size: width and height, meters.
         axes: its orientation, see `rotation`; it faces the camera by default.
         material: its surface.
@@ -65,11 +65,11 @@ def plane(
     """
     half = (size[0] / 2, size[1] / 2, 0.0)
     surface = material or Material()
-    return Solid(centre, axes, half, False, surface, cutout, cutout_size, object_id)
+    return Solid(center, axes, half, False, surface, cutout, cutout_size, object_id)
 
 
 def box(
-    centre: Triple,
+    center: Triple,
     size: Triple,
     *,
     axes: tuple[Triple, Triple, Triple] = _IDENTITY,
@@ -79,7 +79,7 @@ def box(
     """A cuboid.
 
     Args:
-        centre: meters, in the center camera's frame (x right, y down, z forward).
+        center: meters, in the center camera's frame (x right, y down, z forward).
         size: meters along its own three axes.
         axes: its orientation, see `rotation`.
         material: its surface.
@@ -89,11 +89,11 @@ def box(
         The solid, for `make_world`.
     """
     half = (size[0] / 2, size[1] / 2, size[2] / 2)
-    return Solid(centre, axes, half, False, material or Material(), object_id=object_id)
+    return Solid(center, axes, half, False, material or Material(), object_id=object_id)
 
 
 def sphere(
-    centre: Triple,
+    center: Triple,
     radius: float,
     *,
     axes: tuple[Triple, Triple, Triple] = _IDENTITY,
@@ -103,7 +103,7 @@ def sphere(
     """A ball.
 
     Args:
-        centre: meters, in the center camera's frame (x right, y down, z forward).
+        center: meters, in the center camera's frame (x right, y down, z forward).
         radius: meters.
         axes: orientation of its texture, see `rotation`.
         material: its surface.
@@ -113,7 +113,7 @@ def sphere(
         The solid, for `make_world`.
     """
     return Solid(
-        centre, axes, (radius, radius, 0.0), True, material or Material(), object_id=object_id
+        center, axes, (radius, radius, 0.0), True, material or Material(), object_id=object_id
     )
 
 

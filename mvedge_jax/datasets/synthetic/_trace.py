@@ -114,7 +114,7 @@ def trace_view(
     """Image, depth and ids of one view."""
     height, width = mode.size
     samples = mode.samples
-    dtype = world.solids.centre.dtype
+    dtype = world.solids.center.dtype
     per_pixel = samples * samples
     # Tiles, nearly square and nearly equal: their rays pass by most solids.
     side = max(1, math.isqrt(_RAYS // per_pixel))
@@ -150,16 +150,16 @@ def trace_view(
         visible = jnp.where(hidden, 1.0 - light.shadow, 1.0)
         direction = (direction[0][:shaded], direction[1][:shaded], direction[2][:shaded])
         footprint = jnp.where(hit < 0, 1.0, distance) / pinhole.focal.min()
-        colour = shade(world, origin, direction, distance, hit, footprint, axis, visible)
-        return colour.reshape(3, per_pixel, tall, wide).mean(1), depth, index
+        color = shade(world, origin, direction, distance, hit, footprint, axis, visible)
+        return color.reshape(3, per_pixel, tall, wide).mean(1), depth, index
 
     def picture(tiles: Array) -> Array:
         whole = tiles.reshape(down, across, tall, wide).swapaxes(1, 2)
         return whole.reshape(down * tall, across * wide)[:height, :width]
 
-    colour, depth, index = lax.map(tile, jnp.arange(down * across, dtype=jnp.int32))
+    color, depth, index = lax.map(tile, jnp.arange(down * across, dtype=jnp.int32))
     depth, index = picture(depth), picture(index)
-    image = jnp.stack([picture(colour[:, c]) for c in range(3)], axis=-1)
+    image = jnp.stack([picture(color[:, c]) for c in range(3)], axis=-1)
     ids = jnp.where(index < 0, 0, world.solids.object_id[jnp.maximum(index, 0)])
     if mode.exposed:
         own = jax.random.fold_in(key, view)
@@ -177,7 +177,7 @@ def trace_view(
 @partial(jax.jit, static_argnames=("size",))
 def sees(world: World, source: Pinhole, target: Pinhole, *, size: tuple[int, int]) -> Array:
     height, width = size
-    dtype = world.solids.centre.dtype
+    dtype = world.solids.center.dtype
     y, x = jnp.meshgrid(
         jnp.arange(height, dtype=dtype), jnp.arange(width, dtype=dtype), indexing="ij"
     )

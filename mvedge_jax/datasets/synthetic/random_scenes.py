@@ -175,7 +175,7 @@ def _fitted(solid: Solid, front: float, back: float) -> Solid:
         reach = solid.half[0] + depths[2] * solid.half[2]
     else:
         reach = sum(d * h for d, h in zip(depths, solid.half, strict=True))
-    middle = solid.centre[2]
+    middle = solid.center[2]
     room = 0.999 * min(middle - front, back - middle)
     if reach <= room:
         return solid
@@ -198,7 +198,7 @@ def _light(dice: Dice) -> dict[str, Any]:
     lit = dice.index(3)
     return {
         "lamp": towards(),
-        "lamp_colour": tinted(1.0, dice.even(-0.1, 0.2)),
+        "lamp_color": tinted(1.0, dice.even(-0.1, 0.2)),
         "lamp_strength": dice.even(0.4, 1.5),
         "sky": tinted(sky, dice.even(-0.15, 0.1)),
         "ground": tinted(sky * dice.even(0.4, 0.9), dice.even(0.0, 0.15)),

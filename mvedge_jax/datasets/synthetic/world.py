@@ -62,7 +62,7 @@ class Solid:
     """One object; made by `plane`, `box`, `sphere` or `bar`.
 
     Attributes:
-        centre: where it is, meters, in the center camera's frame (x right, y down, z forward).
+        center: where it is, meters, in the center camera's frame (x right, y down, z forward).
         axes: its three orthonormal axes in that frame, as rows.
         half: half its extent along each axis; radius and half length if `round`.
         round: a sphere or a bar with round ends along its third axis, otherwise a box.
@@ -72,7 +72,7 @@ class Solid:
         object_id: what the ground truth calls it, 1 or more; 0 numbers it by its place in the list.
     """
 
-    centre: Triple
+    center: Triple
     axes: tuple[Triple, Triple, Triple]
     half: Triple
     round: bool = False
@@ -86,7 +86,7 @@ class Solids(eqx.Module):
     """`Solid`s as arrays, padded.
 
     Attributes:
-        centre: meters.
+        center: meters.
         axes: rows, orthonormal.
         half: half extents, meters.
         round: spheres and bars.
@@ -96,7 +96,7 @@ class Solids(eqx.Module):
         count: how many are there; the rest is padding.
     """
 
-    centre: Float[Array, "n 3"]
+    center: Float[Array, "n 3"]
     axes: Float[Array, "n 3 3"]
     half: Float[Array, "n 3"]
     round: Bool[Array, " n"]
@@ -126,7 +126,7 @@ class Light(eqx.Module):
 
     Attributes:
         direction: towards the lamp, unit length.
-        colour: of the lamp, linear.
+        color: of the lamp, linear.
         sky: light from above, linear.
         ground: light from below, linear.
         softness: half the angle under which the lamp is seen, radians; it blurs shadows.
@@ -135,7 +135,7 @@ class Light(eqx.Module):
     """
 
     direction: Float[Array, "3"]
-    colour: Float[Array, "3"]
+    color: Float[Array, "3"]
     sky: Float[Array, "3"]
     ground: Float[Array, "3"]
     softness: Float[Array, ""]

@@ -15,7 +15,7 @@ from mvedge_jax.diffusion import AutoSolver, System, diffuse, edge_weights
 from mvedge_jax.image import gradient_magnitude, gradient_square
 
 from .._points import EdgePoints
-from .._raster import rasterise
+from .._raster import rasterize
 from ._profile import profiles, step_response
 
 
@@ -102,7 +102,7 @@ def bidirectional(
     shift = params.offset * points.normal
 
     def solve(xy: Array) -> tuple[Array, Array]:
-        raster = rasterise(xy, points.disparity, points.valid, (gray.shape[0], gray.shape[1]))
+        raster = rasterize(xy, points.disparity, points.valid, (gray.shape[0], gray.shape[1]))
         weight = params.data * raster.hit.astype(gray.dtype)
         dense = diffuse(
             System(weight, raster.values(points.disparity), tx, ty), solver=params.solver

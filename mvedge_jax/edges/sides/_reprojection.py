@@ -66,7 +66,7 @@ def _arm_error(arm: Arm, disparity: Array, radius: int) -> tuple[Array, Array]:
         for c in range(channels):
             value = (1 - part) * jnp.take_along_axis(planes[c], left, axis=-1)
             value = value + part * jnp.take_along_axis(planes[c], right, axis=-1)
-            difference = difference + jnp.abs(value - arm.planes[arm.centre, c])
+            difference = difference + jnp.abs(value - arm.planes[arm.center, c])
         weight = seen.astype(disparity.dtype)
         return (total[0] + weight * difference / channels, total[1] + weight), None
 

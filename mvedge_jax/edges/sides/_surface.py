@@ -12,7 +12,7 @@ from mvedge_jax._params import accepts_numpy, cast, number
 from mvedge_jax.image import nearest_pixels
 
 from .._points import EdgePoints
-from .._raster import rasterise
+from .._raster import rasterize
 from ._evidence import map_evidence, neighbor_evidence
 
 
@@ -81,7 +81,7 @@ def surface_vectors(
     Source: Thesis 4.2.2.
     """
     params = cast(params, points.disparity.dtype)
-    raster = rasterise(points.xy, points.disparity, points.valid, shape)
+    raster = rasterize(points.xy, points.disparity, points.valid, shape)
     score = params.neighbors * neighbor_evidence(
         points, raster, radius=params.radius, cap=params.cap
     )
@@ -124,7 +124,7 @@ def along_edge(
     """
     if reach == 0:
         return score
-    raster = rasterise(points.xy, points.disparity, points.valid, shape)
+    raster = rasterize(points.xy, points.disparity, points.valid, shape)
     index_map, count = raster.slot.reshape(-1), points.disparity.shape[0]
     padded_score = jnp.concatenate([score, jnp.zeros_like(score[:1])])
     padded_normal = jnp.concatenate([points.normal, jnp.zeros_like(points.normal[:1])])

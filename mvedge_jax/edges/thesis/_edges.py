@@ -116,12 +116,12 @@ class ThesisEdges(eqx.Module):
 def _thesis_edges(evidence: Evidence, part: ThesisEdges, key: PRNGKeyArray | None) -> Edges:
     views = evidence.calibrated
     own, down = (jnp.moveaxis(arm.planes, 1, -1) for arm in views.arms)
-    centre = own[own.shape[0] // 2]
-    part = cast(part, centre.dtype)
+    center = own[own.shape[0] // 2]
+    part = cast(part, center.dtype)
     keys = (None, None) if key is None else tuple(jax.random.split(key))
     banks = part.banks
     if banks is None:
-        banks = part.prewitt((down.shape[0], own.shape[0]), centre.dtype)
+        banks = part.prewitt((down.shape[0], own.shape[0]), center.dtype)
     arms = [
         arm_lines(srgb_to_lab(arm), bank, part.lines, key=draw)
         for arm, bank, draw in zip((own, down), banks, keys, strict=True)
@@ -133,7 +133,7 @@ def _thesis_edges(evidence: Evidence, part: ThesisEdges, key: PRNGKeyArray | Non
     valid = jnp.arange(part.capacity, dtype=total.dtype) < total
     xy, disparity, strength, visible = (a[chosen] for a in (xy, disparity, strength, visible))
     if part.joint:
-        color = srgb_to_lab(centre) if part.color == "lab" else centre
+        color = srgb_to_lab(center) if part.color == "lab" else center
         sigmas = part.space_sigma, part.disparity_sigma, part.color_sigma
         disparity = joint_filter(xy, disparity, valid, color, *sigmas)
     row, column, _ = nearest_pixels(xy, evidence.shape)
@@ -142,7 +142,7 @@ def _thesis_edges(evidence: Evidence, part: ThesisEdges, key: PRNGKeyArray | Non
         disparity,
         confidence=strength / (strength + part.half_confidence),
         error=jnp.full_like(disparity, 2 * part.reach / part.filters / math.sqrt(12)),
-        normal=unit_gradient(srgb_to_gray(centre))[row, column],
+        normal=unit_gradient(srgb_to_gray(center))[row, column],
         visible=visible,
         valid=valid,
     )

@@ -16,8 +16,8 @@ from .._model import Renderer
 from .._result import Verdict
 from .._start import Start
 from ..objectives import SelfSupervised, Supervised
-from ..optimisation._routine import Rates
-from ..optimisation._state import State
+from ..optimization._routine import Rates
+from ..optimization._state import State
 from ._evidence import Correction
 
 

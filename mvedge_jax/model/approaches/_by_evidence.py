@@ -6,7 +6,7 @@ from jaxtyping import Array, Float
 
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.losses import all_views, gather_views
-from mvedge_jax.losses.features import Colours
+from mvedge_jax.losses.features import Colors
 from mvedge_jax.losses.terms import Features
 from mvedge_jax.photometry import occluder_radius
 
@@ -15,8 +15,8 @@ from .._model import Renderer
 from .._result import Verdict
 from .._start import Start, StartFit, fit_to_map, trust_labels
 from ..objectives import Supervised
-from ..optimisation._routine import Rates
-from ..optimisation._state import State
+from ..optimization._routine import Rates
+from ..optimization._state import State
 from ._approach import Approach, Prepared, explained
 from ._evidence import ViewAgreement, agreed_correction
 from ._polish import Bending, polish
@@ -41,7 +41,7 @@ class ByEvidence(Approach):
 
     Example:
         >>> ByEvidence(iterations=20).features
-        Colours()
+        Colors()
     """
 
     fit: StartFit = eqx.field(default_factory=StartFit)
@@ -49,7 +49,7 @@ class ByEvidence(Approach):
     polish: Bending = eqx.field(default_factory=Bending)
     rates: Rates = eqx.field(default_factory=Rates.evidence)
     iterations: int = eqx.field(static=True, default=12)
-    features: Features = eqx.field(default_factory=Colours)
+    features: Features = eqx.field(default_factory=Colors)
 
     def prepare(self, light_field: LightField, start: Start, renderer: Renderer) -> Prepared:
         """Fits the model to the polished first map and measures the correction by all views.

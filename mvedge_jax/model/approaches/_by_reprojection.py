@@ -7,7 +7,7 @@ from jaxtyping import Array, Float
 from mvedge_jax._params import number
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.losses import LossWeights, gather_views
-from mvedge_jax.losses.features import Colours
+from mvedge_jax.losses.features import Colors
 from mvedge_jax.losses.terms import Features
 
 from .._host import compiled_render
@@ -15,8 +15,8 @@ from .._model import Renderer
 from .._result import Verdict
 from .._start import Start, StartFit, fit_to_map, trust_labels
 from ..objectives import SelfSupervised, check_subset
-from ..optimisation._routine import Rates
-from ..optimisation._state import State
+from ..optimization._routine import Rates
+from ..optimization._state import State
 from ._approach import Approach, Prepared, crosshair_halves, explained
 from ._polish import Bending, polish
 
@@ -60,7 +60,7 @@ class ByReprojection(Approach):
     fit: StartFit | None = eqx.field(default_factory=StartFit)
     polish: Bending | None = eqx.field(default_factory=Bending)
     weights: LossWeights = eqx.field(default_factory=LossWeights)
-    features: Features = eqx.field(default_factory=Colours)
+    features: Features = eqx.field(default_factory=Colors)
     prior: Float[Array, ""] = number(1e-3)
     label: Float[Array, ""] = number(0.05)
     position: Float[Array, ""] = number(1.0)
@@ -91,7 +91,7 @@ class ByReprojection(Approach):
         """
         free = jnp.asarray(jnp.inf)
         return cls(
-            fit=None, polish=None, features=Colours() if features is None else features,
+            fit=None, polish=None, features=Colors() if features is None else features,
             prior=jnp.asarray(0.0), label=free, position=free, rates=Rates(), subset=subset,
             held_out=False,
         )  # fmt: skip

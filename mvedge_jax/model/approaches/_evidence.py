@@ -82,19 +82,19 @@ def agreed_correction(
     `radius` is the largest distance of occluders, px.
     """
     params = cast(params, disparity.dtype)
-    lab = jnp.moveaxis(srgb_to_lab(jnp.moveaxis(views.centre, 0, -1)), -1, 0)
+    lab = jnp.moveaxis(srgb_to_lab(jnp.moveaxis(views.center, 0, -1)), -1, 0)
     tx, ty = edge_smoothness(lab, disparity, params.edges)
     solver = AutoSolver(tolerance=jnp.asarray(1e-4, disparity.dtype))
     clear = _unbent(disparity, params.depth_step, margin)
-    steps = jnp.pad(views.steps, ((1, 0), (0, 0))).astype(views.centre.dtype)
+    steps = jnp.pad(views.steps, ((1, 0), (0, 0))).astype(views.center.dtype)
     splines = _splines(views, GridShift(steps))
     # A view's step is odd or even; the center view belongs to both halves.
     odd = jnp.mod(jnp.round(jnp.sum(steps, axis=1)), 2) == 1
-    centre = jnp.all(steps == 0, axis=1)
+    center = jnp.all(steps == 0, axis=1)
     measuring = replace(params.measuring, radius=radius)
 
     def propose(half: Bool[Array, "k"]) -> tuple[Array, Array, Array]:
-        part = splines._replace(available=splines.available & (half | centre))
+        part = splines._replace(available=splines.available & (half | center))
         found = part.accumulate(disparity, measuring)
         measured = labels(found, lab, disparity, measuring, passes=passes)
         # A pixel without a measurement has weight 0, instead of a change of 0.
@@ -119,7 +119,7 @@ def agreed_correction(
 
 def _splines(views: Views, shifts: GridShift) -> ViewSplines:
     """All views with the center one first."""
-    images = jnp.concatenate([views.centre[None], views.others])
+    images = jnp.concatenate([views.center[None], views.others])
     there = jnp.pad(views.available, (1, 0), constant_values=True)
     return ViewSplines.of(ViewSet(images, shifts, there))
 

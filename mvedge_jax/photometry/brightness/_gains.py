@@ -28,9 +28,9 @@ class Ratios(NamedTuple):
     vignette: Float[Array, "s 4 4"]
 
 
-def brightening(centre: Float[Array, "y x c"], params: Brightness) -> Float[Array, ""]:
+def brightening(center: Float[Array, "y x c"], params: Brightness) -> Float[Array, ""]:
     """Factor that brings the bright parts of an image to a fixed level."""
-    bright = jnp.sort(centre[::4, ::4].reshape(-1))
+    bright = jnp.sort(center[::4, ::4].reshape(-1))
     level = bright[int(0.99 * (bright.shape[0] - 1))]
     bright, most = params.bright, params.brightest
     return jnp.clip(bright / jnp.maximum(level, bright / most), 1, most)
@@ -144,7 +144,7 @@ def ratios_along(
     views: Float[Array, "s y x c"],
     parallax: Parallax,
     available: Bool[Array, " s"],
-    centre: int,
+    center: int,
     disparity: Float[Array, "y x"],
     params: Brightness,
     *,
@@ -161,7 +161,7 @@ def ratios_along(
         return _blurred_at(view, x, y, params), known, basis_at(y, x, shape)
 
     seen, known, basis = lax.map(sampled, (views, parallax, available))
-    own, count = seen[centre], seen.shape[0]
+    own, count = seen[center], seen.shape[0]
     known = known[..., None] & _shown(own, 0.97)[None] & (seen < 0.97)
     usable = jnp.all(known & (seen > 0), axis=-1)
     logs = _logs(jnp.mean(seen, axis=-1), jnp.mean(own, axis=-1)[None], usable)
@@ -170,11 +170,11 @@ def ratios_along(
     vignette = vignettes(
         _flat(logs), _flat(usable.astype(logs.dtype)), of_view, params,
         least=params.vignette_prior * _narrow(shape, params),
-        moved=product(of_view - of_view[centre][None], flat), shape=shape,
+        moved=product(of_view - of_view[center][None], flat), shape=shape,
     )  # fmt: skip
     vignette = jnp.where(uneven, vignette, 0)
     seen = seen * falloff_at(vignette, of_view).reshape(*usable.shape, 1)
-    own = seen[centre]
+    own = seen[center]
     seen, known = seen.reshape(count, -1), known.reshape(count, -1)
     own = jnp.broadcast_to(own.reshape(1, -1), seen.shape)
     gain = _median(seen / jnp.where(known, own, 1), known)

@@ -90,14 +90,14 @@ def rough_brightness(
     """
     params = Brightness() if params is None else params
     exposure = GridViews(light_field).rough_exposure(params)
-    centre = jnp.moveaxis(light_field.centre_view, -1, 0)
-    noise = measure_noise(exposure.scale * centre, exposure.scale, params=params.noise)
+    center = jnp.moveaxis(light_field.center_view, -1, 0)
+    noise = measure_noise(exposure.scale * center, exposure.scale, params=params.noise)
     return exposure, noise
 
 
 @accepts_numpy
 def measure_noise(
-    centre: Float[Array, "c y x"],
+    center: Float[Array, "c y x"],
     exposure: Float[Array, ""],
     *,
     between: Float[Array, ""] | None = None,
@@ -111,7 +111,7 @@ def measure_noise(
     10 bits if all colors lie on such steps, else that of `NoiseModel.finest`.
 
     Args:
-        centre: the center view, `[c, y, x]`, multiplied by `exposure`.
+        center: the center view, `[c, y, x]`, multiplied by `exposure`.
         exposure: see `Exposure.scale`.
         between: the second estimate, see `between_views_variance`; None leaves it out.
         params: see `NoiseModel`; None for the defaults.
@@ -126,11 +126,11 @@ def measure_noise(
         >>> 0.017 < float(measure_noise(noisy, jnp.asarray(1.0)).deviation) < 0.023
         True
     """
-    params = cast(NoiseModel() if params is None else params, centre.dtype)
-    variance = params.single**2 * single_view_variance(centre, exposure)
+    params = cast(NoiseModel() if params is None else params, center.dtype)
+    variance = params.single**2 * single_view_variance(center, exposure)
     if between is not None:
         variance = jnp.minimum(variance, params.between**2 * between)
-    rounding = _rounding(centre / exposure, params.finest)
+    rounding = _rounding(center / exposure, params.finest)
     return Noise.of(jnp.sqrt(jnp.maximum(variance, (exposure * rounding) ** 2)), rounding)
 
 

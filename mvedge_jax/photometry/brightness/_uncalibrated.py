@@ -46,7 +46,7 @@ class GridViews(eqx.Module):
     @property
     def reference(self) -> tuple[int, int]:
         """Index of the reference among the views of an `Exposure`."""
-        return self.light_field.centre
+        return self.light_field.center
 
     def rough_exposure(self, params: Brightness) -> Exposure:
         """Exposure, gains and vignettes without known disparities, to about 1 %. Differentiable.
@@ -55,7 +55,7 @@ class GridViews(eqx.Module):
         Vignettes are fitted to ratios of means over some 16x16 cells.
         """
         of, views = self.light_field, self.light_field.views
-        params, (vc, uc) = cast(params, views.dtype), of.centre
+        params, (vc, uc) = cast(params, views.dtype), of.center
         means = jnp.concatenate([block_means(arm) for arm in (of.horizontal_arm, of.vertical_arm)])
         there = jnp.concatenate([of.available[vc], of.available[:, uc]])
         ratios = rough_ratios(means, there, uc, views.shape[2:4], params)
@@ -66,7 +66,7 @@ class GridViews(eqx.Module):
 
         gain = placed(shrunk_gains(ratios, params), jnp.ones(views.shape[:2], views.dtype))
         even = jnp.zeros((*views.shape[:2], SIZE, SIZE), views.dtype)
-        scale = brightening(of.centre_view, params)
+        scale = brightening(of.center_view, params)
         return Exposure(scale, gain, placed(ratios.vignette, even))
 
     def exposure_along(
@@ -100,8 +100,8 @@ class GridViews(eqx.Module):
         """The views to compare, after exposure."""
         across, down = self.arms
         shape = across.planes.shape[2:]
-        rows = exposure.factors(down.centre, shape)[:, None]
-        columns = exposure.factors((slice(None), across.centre), shape).swapaxes(-1, -2)[:, None]
+        rows = exposure.factors(down.center, shape)[:, None]
+        columns = exposure.factors((slice(None), across.center), shape).swapaxes(-1, -2)[:, None]
         return Crosshair(
             across._replace(planes=across.planes * rows),
             down._replace(planes=down.planes * columns),

@@ -19,17 +19,17 @@ def lit(arms: Crosshair, params: Brightness) -> Float[Array, "y x"]:
     black in the center view, dark at the same position in half of the others, and so are all pixels
     between it and one side of the frame. The outline of the mask is no edge of the scene.
     """
-    params = cast(params, arms.centre.dtype)
-    centre = jnp.max(arms.centre, axis=0)
+    params = cast(params, arms.center.dtype)
+    center = jnp.max(arms.center, axis=0)
     dark = [
         jnp.sum(jnp.max(arm.planes, axis=1) < params.dark, axis=0, dtype=jnp.int32) for arm in arms
     ]
     views = sum(arm.planes.shape[0] for arm in arms)
-    black = (centre < params.black) & (2 * (dark[0] + dark[1].T) >= views)
+    black = (center < params.black) & (2 * (dark[0] + dark[1].T) >= views)
     dark_from_side = [
         _before_light(black, axis, reverse) for axis in (0, 1) for reverse in (False, True)
     ]
-    unlit = functools.reduce(jnp.logical_or, dark_from_side).astype(centre.dtype)
+    unlit = functools.reduce(jnp.logical_or, dark_from_side).astype(center.dtype)
     window = (2 * params.dark_reach + 1,) * 2
     around = lax.reduce_window(unlit, -jnp.inf, lax.max, window, (1, 1), "SAME")
     return lax.stop_gradient(1 - around)

@@ -36,14 +36,14 @@ class Swept(NamedTuple):
     """An arm prepared for a sweep.
 
     Attributes:
-        centre: colors of the center view, `[c, y, x]`.
+        center: colors of the center view, `[c, y, x]`.
         halves: the other views.
         support: window weights of the cost.
         wide: window weights of the drift: a window twice as wide with as many pixels.
         share: how much of the drift is granted.
     """
 
-    centre: Array
+    center: Array
     halves: tuple[Half, Half]
     support: Array
     wide: Array
@@ -75,7 +75,7 @@ def swept(arm: Arm, lab: Array, share: Array, same_color: Array, window: int) ->
         window: half the width of the window, px.
     """
     return Swept(
-        arm.planes[arm.centre],
+        arm.planes[arm.center],
         halves_of(arm),
         color_weights(lab, same_color, reach=window),
         color_weights(lab, same_color, reach=window, spacing=2),
@@ -91,13 +91,13 @@ def arm_cost(arm: Swept, disparity: Float[Array, ""], limits: Limits) -> Float[A
         disparity: px per view step.
         limits: see `Limits`.
     """
-    size = arm.centre.shape[1], arm.centre.shape[2]
+    size = arm.center.shape[1], arm.center.shape[2]
 
-    def moved(half: Half, centre: Array, disparity: Array) -> list[Array]:
-        return _changes(shifted(half, disparity, (0, 0), size), half.steps, centre, disparity)
+    def moved(half: Half, center: Array, disparity: Array) -> list[Array]:
+        return _changes(shifted(half, disparity, (0, 0), size), half.steps, center, disparity)
 
     # Stored, because both the drift and the cost read them.
-    changes = [no_fuse(moved, half, arm.centre, disparity) for half in arm.halves]
+    changes = [no_fuse(moved, half, arm.center, disparity) for half in arm.halves]
     return _better_half(arm, changes, limits)
 
 
@@ -113,7 +113,7 @@ def moved_cost(
         limits: see `Limits`.
     """
     changes = [
-        no_fuse(_changes, parts, half.steps, arm.centre, disparity)
+        no_fuse(_changes, parts, half.steps, arm.center, disparity)
         for parts, half in zip(moved, arm.halves, strict=True)
     ]
     return _better_half(arm, changes, limits)
@@ -156,10 +156,10 @@ def shifted(half: Half, disparity: Array, corner: Corner, size: tuple[int, int])
     Returns:
         Colors of each view, `[c, y, x + 3]`: four taps lie around every pixel.
     """
-    views, colours = half.planes.shape[:2]
+    views, colors = half.planes.shape[:2]
     places = [shifted_to(half, disparity, s, corner) for s in range(views)]
     return [
-        lax.dynamic_slice(planes, place, (colours, size[0], size[1] + 3))
+        lax.dynamic_slice(planes, place, (colors, size[0], size[1] + 3))
         for planes, (_, *place) in zip(unstack(half.planes), places, strict=True)
     ]
 
@@ -172,15 +172,15 @@ def shifted_to(half: Half, disparity: Array, view: int, corner: Corner) -> list[
     return [jnp.asarray(at, jnp.int32) for at in (view, 0, corner[0], first)]
 
 
-def _changes(moved: list[Array], steps: Array, centre: Array, disparity: Array) -> list[Array]:
+def _changes(moved: list[Array], steps: Array, center: Array, disparity: Array) -> list[Array]:
     """Colors of every view of a half at a disparity minus those of the center view."""
-    width = centre.shape[2]
+    width = center.shape[2]
     result = []
     for part, step in zip(moved, unstack(steps), strict=True):
         shift = step * disparity
         weights = keys_taps(shift - jnp.floor(shift))
         seen = sum(w * part[..., j : j + width] for j, w in enumerate(weights))
-        result.append(seen - centre)
+        result.append(seen - center)
     return result
 
 
@@ -238,13 +238,13 @@ def halves_of(arm: Arm) -> tuple[Half, Half]:
         planes = jnp.pad(arm.planes[chosen], padding, mode="edge")
         return Half(planes, arm.steps[chosen], arm.available[chosen].astype(planes.dtype))
 
-    before = half([i for i in indices if i < arm.centre])
-    return before, half([i for i in indices if i > arm.centre])
+    before = half([i for i in indices if i < arm.center])
+    return before, half([i for i in indices if i > arm.center])
 
 
 def sweep_views(count: int) -> tuple[int, ...]:
     """Views of an arm that a sweep compares: the ends, and those half-way to them."""
-    centre = count // 2
-    near = centre // 2
-    picked = {0, centre - near, centre + near, count - 1} - {centre}
+    center = count // 2
+    near = center // 2
+    picked = {0, center - near, center + near, count - 1} - {center}
     return tuple(sorted(picked))

@@ -173,7 +173,7 @@ def _costs(
 ) -> Float[Array, "d y x"]:
     """The cost of every disparity at every pixel."""
     variance = noise_variance(noise, params)
-    truncation = params.truncation * views.centre.shape[0] * variance
+    truncation = params.truncation * views.center.shape[0] * variance
     limits = Limits(truncation, params.drift, noise.alpha)
     share, alike = shared_drift(noise, lab, params), params.same_color
     if isinstance(views, ViewSet):
@@ -195,7 +195,7 @@ def along_paths(
         lab,
         slant=cheaper * params.slant,
         jump=cheaper * params.jump,
-        colour=params.jump_color,
+        color=params.jump_color,
         reach=params.reach,
     )
 

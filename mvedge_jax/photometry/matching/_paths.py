@@ -15,7 +15,7 @@ def aggregate(
     *,
     slant: Float[Array, ""],
     jump: Float[Array, ""],
-    colour: Float[Array, ""],
+    color: Float[Array, ""],
     reach: int = 1,
 ) -> Float[Array, "d y x"]:
     r"""Sums, over four directions, the cost of the cheapest path that ends at each pixel.
@@ -31,7 +31,7 @@ def aggregate(
         lab: center view in CIELAB, `[c, y, x]`.
         slant: penalty of a step to the next disparity, in units of `cost`.
         jump: penalty of any other step between pixels of the same color.
-        colour: step of CIELAB color that halves the penalty of a jump.
+        color: step of CIELAB color that halves the penalty of a jump.
         reach: disparities of the largest step that `slant` prices.
 
     Returns:
@@ -43,12 +43,12 @@ def aggregate(
         >>> import jax.numpy as jnp
         >>> cost = jnp.ones((3, 1, 5)).at[2, 0, 0].set(0.0)
         >>> one = jnp.asarray(1.0)
-        >>> total = aggregate(cost, jnp.zeros((3, 1, 5)), slant=one, jump=one, colour=one)
+        >>> total = aggregate(cost, jnp.zeros((3, 1, 5)), slant=one, jump=one, color=one)
         >>> total.argmin(0)[0].tolist()
         [2, 2, 2, 2, 2]
     """
     across, down = of_both(
-        lambda of: _both_ways(*of, slant, jump, colour, reach),
+        lambda of: _both_ways(*of, slant, jump, color, reach),
         (jnp.transpose(cost, (2, 0, 1)), jnp.transpose(lab, (2, 0, 1))),
         (jnp.transpose(cost, (1, 0, 2)), jnp.transpose(lab, (1, 0, 2))),
     )
@@ -56,13 +56,13 @@ def aggregate(
 
 
 def _both_ways(
-    cost: Array, lab: Array, slant: Array, jump: Array, colour: Array, reach: int
+    cost: Array, lab: Array, slant: Array, jump: Array, color: Array, reach: int
 ) -> Array:
     """Paths along the first axis, in its direction and against it."""
     square = jnp.zeros_like(lab[1:, 0])
     for channel in range(lab.shape[1]):
         square = square + jnp.diff(lab[:, channel], axis=0) ** 2
-    price = jump / (1 + safe_sqrt(square) / colour)
+    price = jump / (1 + safe_sqrt(square) / color)
     free = jnp.zeros_like(lab[:1, 0])
     wall = jnp.full_like(cost[0], jnp.inf)
 

@@ -90,6 +90,6 @@ def plane_sweep(
 def _sweep(
     light_field: LightField, limits: Array, params: Matching, *, planes: int, window: int
 ) -> PlaneSweep:
-    lab = jnp.moveaxis(srgb_to_lab(light_field.centre_view), -1, 0)
+    lab = jnp.moveaxis(srgb_to_lab(light_field.center_view), -1, 0)
     arms, tried = crosshair(light_field), jnp.linspace(limits[0], limits[1], planes)
     return PlaneSweep(*best_match(arms, lab, tried, params, window=window))

@@ -44,7 +44,7 @@ def stack_costs(
         Costs, at most 2. Differentiable.
     """
     support, wide = weights
-    reference, shape = views.centre, views.planes.shape[2:]
+    reference, shape = views.center, views.planes.shape[2:]
     window = None
     if agreement is not None:
         floor = agreement.contrast * reference.shape[0] * variance

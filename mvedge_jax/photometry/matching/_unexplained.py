@@ -38,13 +38,13 @@ def between_views_variance(
         The 20 % quantile over the windows; 0 if the reference shows nothing. Differentiable.
     """
     if isinstance(views, ViewSet):
-        unexplained, centre = _of_stack(views), views.centre
+        unexplained, center = _of_stack(views), views.center
     else:
         arm = max(views, key=lambda arm: arm.planes.shape[0])
-        unexplained, centre = _of_arm(arm), arm.planes[arm.centre]
+        unexplained, center = _of_arm(arm), arm.planes[arm.center]
         count = finer * (disparities.shape[0] - 1) + 1
         disparities = jnp.linspace(disparities[0], disparities[-1], count)
-    rows = centre[0, ::_ROWS]
+    rows = center[0, ::_ROWS]
 
     def consider(best: Array, disparity: Array) -> tuple[Array, None]:
         return jnp.minimum(best, unexplained(disparity)), None
@@ -62,19 +62,19 @@ def between_views_variance(
 def _of_arm(arm: Arm) -> Callable[[Array], Array]:
     """Mean square, by disparity, of the half of an arm that agrees better."""
     rows = arm._replace(planes=arm.planes[:, :, ::_ROWS])
-    centre = rows.planes[rows.centre]
+    center = rows.planes[rows.center]
     # Splines: of the contrast of a texture of .4 periods per px, which would pass for noise, Keys'
     # taps lose more than a half between pixels, splines a third.
     halves = halves_of(rows._replace(planes=spline_coefficients(rows.planes, axis=-1)))
 
     def of_half(half: Half, disparity: Array) -> Array:
-        total, width = jnp.zeros_like(centre[0]), centre.shape[2]
-        moved = shifted(half, disparity, (0, 0), (centre.shape[1], width))
+        total, width = jnp.zeros_like(center[0]), center.shape[2]
+        moved = shifted(half, disparity, (0, 0), (center.shape[1], width))
         for part, step, there in zip(moved, half.steps, half.there, strict=True):
             weights, _ = cubic_taps(step * disparity - jnp.floor(step * disparity))
             seen = sum(w * part[..., j : j + width] for j, w in enumerate(weights))
             kept = 1 + spline_noise(weights)
-            total = total + there / (centre.shape[0] * kept) * plane_sum((seen - centre) ** 2)
+            total = total + there / (center.shape[0] * kept) * plane_sum((seen - center) ** 2)
         count = jnp.sum(half.there)
         total = jnp.where(count > 0, total / jnp.maximum(count, 1), jnp.inf)
         return window_sum(total, 3, 1) / 7
@@ -84,7 +84,7 @@ def _of_arm(arm: Arm) -> Callable[[Array], Array]:
 
 def _of_stack(views: ViewSet) -> Callable[[Array], Array]:
     """Mean square, by disparity, of the half of the views that agrees better."""
-    shape, rows = views.planes.shape[2:], views.centre[:, ::_ROWS]
+    shape, rows = views.planes.shape[2:], views.center[:, ::_ROWS]
     others = views.mapped(lambda planes: jnp.moveaxis(planes, 1, -1)).others
 
     def unexplained(disparity: Array) -> Array:

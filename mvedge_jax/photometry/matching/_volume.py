@@ -103,7 +103,7 @@ def _pulled_arm(
 ) -> tuple[Swept, tuple[Array, Limits]]:
     """Cotangents of an arm, and of disparities and limits."""
     reach = reach_of(window)
-    shape = arm.centre.shape[1:]
+    shape = arm.center.shape[1:]
     part = [min(_PART, side) for side in shape]
     size = (min(part[0] + 2 * reach, shape[0]), min(part[1] + 2 * reach, shape[1]))
     across = -(-shape[1] // part[1])
@@ -129,7 +129,7 @@ def _pulled_arm(
         whole = jax.tree.map(lambda a, b: _added(a, b, corner), whole, here)
         return (planes, whole, others), None
 
-    local = arm.centre, arm.support, arm.wide, arm.share
+    local = arm.center, arm.support, arm.wide, arm.share
     steps = tuple((half.steps, half.there) for half in arm.halves)
     start = (
         tuple(half.planes for half in arm.halves),
@@ -138,9 +138,9 @@ def _pulled_arm(
     )
     parts = jnp.arange(-(-shape[0] // part[0]) * across, dtype=jnp.int32)
     total, _ = lax.scan(visit, jax.tree.map(jnp.zeros_like, start), parts)
-    planes, (centre, support, wide, share), (steps, numbers) = total
+    planes, (center, support, wide, share), (steps, numbers) = total
     before, after = (Half(p, *of) for p, of in zip(planes, steps, strict=True))
-    return Swept(centre, (before, after), support, wide, share), numbers
+    return Swept(center, (before, after), support, wide, share), numbers
 
 
 def _level(k: Array, region: _Region, arm: Swept, sweep: Sweep, state: Any) -> Any:
@@ -149,9 +149,9 @@ def _level(k: Array, region: _Region, arm: Swept, sweep: Sweep, state: Any) -> A
     corner, disparity = region.corner, sweep.disparities[k]
 
     def cost(local: Any, moved: Any, of: Any, disparity: Array, limits: Limits) -> Array:
-        centre, support, wide, share = local
+        center, support, wide, share = local
         before, after = (Half(h.planes, *s) for h, s in zip(arm.halves, of, strict=True))
-        part = Swept(centre, (before, after), support, wide, share)
+        part = Swept(center, (before, after), support, wide, share)
         return moved_cost(part, moved, disparity, limits)
 
     size = region.wanted.shape[1], region.wanted.shape[2]

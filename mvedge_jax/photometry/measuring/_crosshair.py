@@ -21,13 +21,13 @@ class ArmSplines(NamedTuple):
     """The views of an arm as coefficients of cubic splines along it.
 
     Attributes:
-        centre: coefficients of the center view.
+        center: coefficients of the center view.
         others: coefficients of the other views, separate to avoid copies.
         steps: view steps from the center view to each other one.
         available: which of the other views are read.
     """
 
-    centre: Float[Array, "c y x"]
+    center: Float[Array, "c y x"]
     others: Float[Array, "s c y x"]
     steps: Float[Array, " s"]
     available: Bool[Array, " s"]
@@ -35,7 +35,7 @@ class ArmSplines(NamedTuple):
     @staticmethod
     def of(arm: Arm) -> "ArmSplines":
         """Coefficients of an arm. Differentiable in the colors."""
-        planes, own = spline_coefficients(arm.planes, axis=-1), arm.centre
+        planes, own = spline_coefficients(arm.planes, axis=-1), arm.center
 
         def others(of: Array) -> Array:
             return jnp.concatenate([of[:own], of[own + 1 :]])
@@ -173,7 +173,7 @@ def _arm_views(arm: ArmSplines, disparity: Array, params: AdaptedMeasurement) ->
     negative, positive = visible_view_range(disparity, radius=params.radius, step=params.slant)
     columns = jnp.arange(disparity.shape[1], dtype=disparity.dtype)[None, :]
     last = disparity.shape[1] - 1
-    centre, slopes = _sample_whole(arm.centre)
+    center, slopes = _sample_whole(arm.center)
 
     @jax.checkpoint
     def one(view: tuple[Array, Array, Array]) -> tuple[Array, ...]:
@@ -183,12 +183,12 @@ def _arm_views(arm: ArmSplines, disparity: Array, params: AdaptedMeasurement) ->
         reach = jnp.where(step < 0, negative, positive)
         inside = (position >= 0) & (position <= last)
         seen = there & inside & (jnp.abs(step) < reach - 0.5)
-        relative = tuple(v - c for v, c in zip(values, centre, strict=True))
+        relative = tuple(v - c for v, c in zip(values, center, strict=True))
         return (seen.astype(disparity.dtype), *relative, *slopes)
 
     # Colors are relative to the center view, whose own are therefore 0.
     seen, *rest = lax.map(one, (arm.others, arm.steps, arm.available))
-    relative, gradients = rest[: len(centre)], rest[len(centre) :]
+    relative, gradients = rest[: len(center)], rest[len(center) :]
     first = _moments(seen, arm.steps, relative, gradients, jnp.ones_like(disparity), slopes)
     own, weight = _trusted(seen, relative, first, params)
     return _ArmViews(own, weight, relative, gradients, slopes)

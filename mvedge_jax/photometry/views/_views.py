@@ -29,7 +29,7 @@ class ViewSet(NamedTuple):
     shown: Float[Array, "s y x"] | None = None
 
     @property
-    def centre(self) -> Float[Array, "c y x"]:
+    def center(self) -> Float[Array, "c y x"]:
         """The reference view."""
         return self.planes[0]
 
@@ -70,7 +70,7 @@ def views_of(light_field: LightField) -> ViewSet:
     """
     views = light_field.views
     rows, columns = views.shape[:2]
-    own = light_field.centre[0] * columns + light_field.centre[1]
+    own = light_field.center[0] * columns + light_field.center[1]
     order = np.concatenate([[own], np.delete(np.arange(rows * columns), own)])
 
     def stack(values: Array) -> Array:

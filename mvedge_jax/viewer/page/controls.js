@@ -1,15 +1,15 @@
 "use strict";
 // What can be set, in which mode, and the elements that set it.
 
-const COLOURS = ["picture", "disparity", "standard error", "difference", "superpixels"];
+const COLORS = ["picture", "disparity", "standard error", "difference", "superpixels"];
 
 function controls(data) {
   const [rows, columns, height, width] = data.shape, [low, high] = data.range, wide = high - low;
   const mapped = data.maps.length > 0, names = data.results.map((r) => r.name);
-  const kinds = [...COLOURS.slice(0, mapped ? 2 : 1)];
-  if (data.results.some((r) => r.error)) kinds.push(COLOURS[2]);
-  if (data.truth >= 0 || names.length > 1) kinds.push(COLOURS[3]);
-  if (data.results.some((r) => r.labels)) kinds.push(COLOURS[4]);
+  const kinds = [...COLORS.slice(0, mapped ? 2 : 1)];
+  if (data.results.some((r) => r.error)) kinds.push(COLORS[2]);
+  if (data.truth >= 0 || names.length > 1) kinds.push(COLORS[3]);
+  if (data.results.some((r) => r.labels)) kinds.push(COLORS[4]);
   const points = data.results.some((r) => r.points), states = Math.max(0, ...data.results.map((r) => r.states.length));
   const slide = (name, label, modes, min, max, value, step = (max - min) / 200) => ({ name, label, modes, min, max, value, step });
   const check = (name, label, modes, value, hint) => ({ name, label, modes, value, check: true, hint });
@@ -24,11 +24,11 @@ function controls(data) {
     pick("shape", "shape of the aperture", "F", Object.keys(SHAPES)),
     slide("focus", "focus, disparity", "F", low, high, data.middle),
     mapped && slide("sharp", "sharp within ± (by the map)", "F", 0, wide, 0),
-    kinds.length > 1 && pick("colour", "overlay", "F", kinds, "picture"),
+    kinds.length > 1 && pick("color", "overlay", "F", kinds, "picture"),
     kinds.length > 1 && slide("opacity", "opacity of the overlay", "F", 0, 1, 0.8, 0.02),
     points && check("edgeLines", "lines of the edge points in the EPIs", "F", true),
     points && check("marks", "edge points over the picture", "F", false),
-    mapped && pick("colours", "colours", "G", kinds, "picture"),
+    mapped && pick("colors", "colors", "G", kinds, "picture"),
     mapped && check("dense", "points of the map", "G", true),
     data.results.some((r) => r.hidden) && check("hidden", "what only other views show", "G", true),
     points && check("edges", "edge points", "G", true),

@@ -80,7 +80,7 @@ class Field {
   }
 
   // Lines of the chosen pixel, with two standard errors, and of edge points within half a pixel, over the slices.
-  drawLines(pen, state, map, points, colour) {
+  drawLines(pen, state, map, points, color) {
     const { width, height, rows, columns } = this, [x, y] = state.at;
     const line = (place, d, row, ink, dash = []) => {
       const count = row ? columns : rows, step = count >> 1;
@@ -102,7 +102,7 @@ class Field {
       pen.globalAlpha = 0.6;
       if (points && state.edgeLines) for (let i = 0; i < points.x.length; i++) {
         if (Math.abs(row ? points.y[i] - y : points.x[i] - x) <= 0.5)
-          line(row ? points.x[i] : points.y[i], points.disparity[i], row, colour(points.disparity[i]));
+          line(row ? points.x[i] : points.y[i], points.disparity[i], row, color(points.disparity[i]));
       }
       pen.globalAlpha = 1;
       const index = Math.round(y) * width + Math.round(x), d = map ? map.disparity[index] : state.focus;

@@ -113,12 +113,12 @@ class Viewer {
   }
 
   drawField(layer, w, h) {
-    const { state, data, field, pen } = this, kind = COLOURS.indexOf(state.colour || "picture");
+    const { state, data, field, pen } = this, kind = COLORS.indexOf(state.color || "picture");
     field.draw({ ...state, card: [0, 0, 0, 0] }, this.common(layer, kind, this.reference(layer)), 0, h);
     const lines = [state.at, layer, state.edgeLines, state.marks && state.p, layer < 0 && state.focus].join();
     if (this.drawn.lines === lines) return; // the viewpoint moves the picture alone
     this.drawn.lines = lines;
-    const result = data.results[this.index(state.result)], points = result && result.points, ink = (d) => colourOf(data, d);
+    const result = data.results[this.index(state.result)], points = result && result.points, ink = (d) => colorOf(data, d);
     field.drawSlices(state, this.common(layer, 0, -1), h);
     pen.clearRect(0, 0, w, h);
     field.drawLines(pen, state, layer < 0 ? null : data.maps[layer], points, ink);
@@ -131,7 +131,7 @@ class Viewer {
 
   drawSpace(layer, w, h) {
     const { state } = this, worst = state.bound >= 1.5 ? 1e9 : 10 ** state.bound;
-    const common = this.common(layer, COLOURS.indexOf(state.colours), this.reference(layer));
+    const common = this.common(layer, COLORS.indexOf(state.colors), this.reference(layer));
     this.space.draw({ ...state, worst, result: Math.max(this.index(state.result), 0) }, common, w, h);
   }
 

@@ -1,7 +1,7 @@
 "use strict";
-// What is written beside the picture: scores, the bar of colours, notes, the line below.
+// What is written beside the picture: scores, the bar of colors, notes, the line below.
 
-function colourOf(data, d) {
+function colorOf(data, d) {
   const [low, high] = data.range, i = 3 * Math.round(255 * Math.min(Math.max((d - low) / (high - low), 0), 1));
   return `rgb(${data.lut[i]} ${data.lut[i + 1]} ${data.lut[i + 2]})`;
 }
@@ -17,7 +17,7 @@ function writeNotes(box, data) {
   const scored = data.results.filter((r) => r.scores.length), [low, high] = data.range;
   if (scored.length) box.append(table(scored));
   if (data.maps.length) {
-    const stops = Array.from({ length: 9 }, (_, i) => colourOf(data, low + (i / 8) * (high - low)));
+    const stops = Array.from({ length: 9 }, (_, i) => colorOf(data, low + (i / 8) * (high - low)));
     const bar = element("div", { className: "bar" });
     bar.style.background = `linear-gradient(to right, ${stops.join(",")})`;
     const ends = data.range.map((r) => element("span", { textContent: r.toFixed(2) }));

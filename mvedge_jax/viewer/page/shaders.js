@@ -1,6 +1,6 @@
 "use strict";
-// Positions are pixels with their centres at integers, y down. `p` is the viewpoint in view steps from the
-// centre: a point at c of the centre view with disparity d is at c - p d, and in view s at c - s d.
+// Positions are pixels with their centers at integers, y down. `p` is the viewpoint in view steps from the
+// center: a point at c of the center view with disparity d is at c - p d, and in view s at c - s d.
 
 const COMMON = `#version 300 es
 precision highp float; precision highp int; precision highp sampler2D; precision highp sampler2DArray;
@@ -65,23 +65,23 @@ void main() {
     vec3 level = texture(views, vec3(from - tap.xy * pace, tap.z)).rgb;
     sum += tap.w * level * level; total += tap.w; // light, nearly, and back without loss
   }
-  vec3 colour = sqrt(sum / max(total, 1e-6));
+  vec3 color = sqrt(sum / max(total, 1e-6));
 #ifdef OVERLAID
   vec2 c = x + p * d;
   if (kind > 0 && layer >= 0) {
     vec3 here = mapped(layer, c);
     float reference = other < 0 ? -1e9 : disparityAt(other, c);
-    colour = mix(colour, meaning(kind, here.x, here.y, here.z, reference), opacity);
+    color = mix(color, meaning(kind, here.x, here.y, here.z, reference), opacity);
   }
-  // A card on a plane: centre x and y, half a width, disparity; what is nearer hides it.
+  // A card on a plane: center x and y, half a width, disparity; what is nearer hides it.
   if (card.z > 0. && (layer < 0 || card.w > d)) {
     vec2 extent = vec2(textureSize(picture, 0));
     vec2 q = (x + p * card.w - card.xy) / card.z * vec2(1, extent.x / extent.y);
     vec4 ink = texture(picture, .5 + .5 * q);
-    if (max(abs(q.x), abs(q.y)) <= 1.) colour = mix(colour, ink.rgb, ink.a);
+    if (max(abs(q.x), abs(q.y)) <= 1.) color = mix(color, ink.rgb, ink.a);
   }
 #endif
-  result = vec4(colour, 1);
+  result = vec4(color, 1);
 }`;
 
 // Slices through the views: of a row below the picture, of a column beside it.
@@ -98,7 +98,7 @@ void main() {
 
 const SPACE = COMMON + `
 uniform mat4 pose; uniform vec4 camera; uniform vec4 frame; uniform float relief, dot_size, by_error, worst, typical;
-// Metres where the camera (focal length, baseline, 1 / focus distance) is known, else a relief.
+// Meters where the camera (focal length, baseline, 1 / focus distance) is known, else a relief.
 vec4 placed(vec2 c, float d) {
   vec2 q = c - .5 * vec2(size - 1);
   if (camera.x <= 0.) return pose * vec4(q.x * frame.x, -q.y * frame.x, relief * (d - frame.y) * frame.z, 1);
@@ -110,28 +110,28 @@ vec4 placed(vec2 c, float d) {
 float dotted(float error) { return by_error > .5 ? dot_size * clamp(sqrt(max(error, 0.) / typical), .6, 5.) : dot_size; }
 `;
 const DENSE = SPACE + `
-out vec3 ink; uniform float centre;
+out vec3 ink; uniform float center;
 void main() {
   vec2 c = vec2(gl_VertexID % size.x, gl_VertexID / size.x);
   vec3 here = mapped(layer, c);
   gl_Position = here.x < UNKNOWN || here.y > worst ? vec4(0, 0, 9, 1) : placed(c, here.x);
   gl_PointSize = dotted(here.y);
-  ink = kind == 0 ? seen(c, centre).rgb
+  ink = kind == 0 ? seen(c, center).rgb
     : meaning(kind, here.x, here.y, here.z, other < 0 ? -1e9 : disparityAt(other, c));
 }`;
 const EDGES = SPACE + `
-// x y disparity error; then normal and surface vector, or of hidden surfaces their colour.
+// x y disparity error; then normal and surface vector, or of hidden surfaces their color.
 layout(location = 0) in vec4 edge; layout(location = 1) in vec4 arrow;
-out vec3 ink; uniform float centre, along; uniform int arrows;
+out vec3 ink; uniform float center, along; uniform int arrows;
 void main() {
   vec2 c = edge.xy;
   if (arrows == 1) c += along * float(gl_VertexID) * arrow.xy;
   if (arrows == 2) c += along * float(gl_VertexID) * arrow.zw;
   gl_Position = edge.w > worst ? vec4(0, 0, 9, 1) : placed(c, edge.z);
   gl_PointSize = dotted(edge.w) + 1.;
-  if (arrows == 3) // the centre view's map knows nothing of it
+  if (arrows == 3) // the center view's map knows nothing of it
     ink = kind == 0 ? arrow.rgb : kind > 2 ? vec3(.5) : meaning(kind, edge.z, edge.w, 0., 0.);
-  else ink = arrows == 1 ? vec3(.34, .71, .91) : arrows == 2 ? vec3(.9, .62, 0) : kind == 0 ? seen(edge.xy, centre).rgb
+  else ink = arrows == 1 ? vec3(.34, .71, .91) : arrows == 2 ? vec3(.9, .62, 0) : kind == 0 ? seen(edge.xy, center).rgb
     : meaning(kind, edge.z, edge.w, mapped(layer, edge.xy).z, other < 0 ? -1e9 : disparityAt(other, edge.xy));
 }`;
 const CAMERAS = SPACE + `

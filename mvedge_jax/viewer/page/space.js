@@ -39,7 +39,7 @@ class Space {
     return { vao, count };
   }
 
-  // Scale and middle of what is shown: metres with a camera, half widths of the view without.
+  // Scale and middle of what is shown: meters with a camera, half widths of the view without.
   frame() {
     const { camera, middle, range } = this.data;
     if (!camera) return [2 / this.width, middle, 1 / Math.max(range[1] - range[0], 1e-6), 0];
@@ -63,7 +63,7 @@ class Space {
     gl.clear(gl.DEPTH_BUFFER_BIT);
     const values = { ...common, pose: this.pose(state, width, height), camera: data.camera ? [...data.camera, 0] : [0, 0, 0, 0],
       frame: this.frame(), relief: state.relief, dot_size: state.dots, by_error: state.byError ? 1 : 0, worst: state.worst,
-      typical: data.typical, centre: (this.rows >> 1) * this.columns + (this.columns >> 1), grid: [this.columns, this.rows] };
+      typical: data.typical, center: (this.rows >> 1) * this.columns + (this.columns >> 1), grid: [this.columns, this.rows] };
     if (state.dense) {
       gl.bindVertexArray(this.empty);
       this.dense(values);

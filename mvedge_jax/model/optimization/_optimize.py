@@ -186,7 +186,7 @@ def advance(state: State, routine: Routine, objective: Objective) -> tuple[State
     return jax.lax.scan(step, state, (routine.rates, routine.restart))
 
 
-def optimise(
+def optimize(
     state: State,
     routine: Routine,
     objective: Objective,

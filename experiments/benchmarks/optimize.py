@@ -1,6 +1,6 @@
-"""Time and memory of one optimisation step, in parts, from 700 to 50,000 points.
+"""Time and memory of one optimization step, in parts, from 700 to 50,000 points.
 
-    python experiments/benchmarks/optimise.py --points 700 5000 20000 50000
+    python experiments/benchmarks/optimize.py --points 700 5000 20000 50000
 
 Points lie on random curves over a 512x512 image with a raster of twice that; the authors' PyTorch
 code took 2.1, 5.1, 18 and 36 s for splat, solve and backward at these counts on such a machine.
@@ -23,7 +23,7 @@ from mvedge_jax.losses import Views
 from mvedge_jax.model import DepthModel, Renderer, render_model
 from mvedge_jax.model._model import opacities, splat_model
 from mvedge_jax.model.objectives import SelfSupervised, unlimited
-from mvedge_jax.model.optimisation import Rates, advance, all_at_once, begin
+from mvedge_jax.model.optimization import Rates, advance, all_at_once, begin
 from mvedge_jax.splatting import SplatLabels
 
 AUTHORS = {700: 2.1, 5000: 5.1, 20000: 18.0, 50000: 36.0}
@@ -69,7 +69,7 @@ def main() -> None:
     parser.add_argument("--size", type=int, default=512)
     parser.add_argument("--repeats", type=int, default=7)
     parser.add_argument("--check", action="store_true", help="fail if a budget is missed")
-    parser.add_argument("--out", type=Path, default=Path("results/benchmark_optimise"))
+    parser.add_argument("--out", type=Path, default=Path("results/benchmark_optimize"))
     arguments = parser.parse_args()
     renderer = Renderer(SplatLabels.thesis())
     rows = []
@@ -121,7 +121,7 @@ def main() -> None:
     print_table(rows, title="one step")
     gib = peak_memory() / 2**30
     print(f"peak memory {gib:.2f} GiB")
-    write_json(arguments.out / "optimise.json", {"rows": rows, "peak GiB": gib})
+    write_json(arguments.out / "optimize.json", {"rows": rows, "peak GiB": gib})
     if arguments.check:
         worst = {r["part"]: r["median s"] for r in rows if r["points"] == max(arguments.points)}
         budgets = {"splat + solve + backward": 1.0, "whole step, 8 views": 1.5}

@@ -71,7 +71,7 @@ class State(eqx.Module):
                 raw = eqx.tree_deserialise_leaves(file, _raw_key(like))
         except (RuntimeError, EOFError, OSError, ValueError, KeyError, TypeError) as error:
             raise ValueError(
-                f"{path} does not hold a whole state of the optimisation in the precision of this "
+                f"{path} does not hold a whole state of the optimization in the precision of this "
                 f"process: {error}"
             ) from error
         return eqx.tree_at(lambda s: s.key, raw, jax.random.wrap_key_data(raw.key))

@@ -17,7 +17,7 @@ from .._model import (
     without_free_places,
 )
 from ..objectives import Objective, SelfSupervised, Supervised
-from ._optimise import Grown, Plan, Strategy
+from ._optimize import Grown, Plan, Strategy
 from ._routine import Routine
 from ._state import State, parts_of, settled_moments, with_parts
 

@@ -1,13 +1,13 @@
 """The optimization loop: state, steps, and strategies between them (Thesis 7.1.4)."""
 
 from ._grow import Growth as Growth
-from ._optimise import (
+from ._optimize import (
     FixedPoints as FixedPoints,
     History as History,
     Progress as Progress,
     Strategy as Strategy,
     advance as advance,
-    optimise as optimise,
+    optimize as optimize,
 )
 from ._routine import (
     Rates as Rates,

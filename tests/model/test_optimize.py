@@ -8,14 +8,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from experiments.peers.least_squares import minimise_least_squares, residuals_of
+from experiments.peers.least_squares import minimize_least_squares, residuals_of
 from mvedge_jax.lightfield import GroundTruth
 from mvedge_jax.losses import SupervisedWeights
 from mvedge_jax.model import DepthModel, Renderer, Start, SupervisedFit, fit_edges, render_model
 from mvedge_jax.model._host import compiled_render
 from mvedge_jax.model._model import with_capacity
 from mvedge_jax.model.objectives import Supervised, Trust, unlimited
-from mvedge_jax.model.optimisation import (
+from mvedge_jax.model.optimization import (
     FixedPoints,
     Growth,
     Rates,
@@ -25,9 +25,9 @@ from mvedge_jax.model.optimisation import (
     all_at_once,
     begin,
     one_at_a_time,
-    optimise,
+    optimize,
 )
-from mvedge_jax.model.optimisation._grow import grow, usefulness
+from mvedge_jax.model.optimization._grow import grow, usefulness
 from mvedge_jax.splatting import SplatLabels, SplatRaster, SplatWidths
 
 SHAPE = (14, 18)
@@ -69,7 +69,7 @@ def test_both_routines_lower_the_loss_and_keep_the_best():
         all_at_once(RATES, iterations=24),
         one_at_a_time(RATES, iterations=3, passes=2),
     ):
-        state, history = optimise(first_state(model), routine, goal, strategy=SIXES)
+        state, history = optimize(first_state(model), routine, goal, strategy=SIXES)
         assert history.loss.shape == (24,)
         assert float(history.loss[-1]) < 0.8 * float(history.loss[0])
         best = loss_of(goal, state.best, state.disparity)
@@ -152,7 +152,7 @@ def test_growing_moves_points_to_what_no_gradient_reaches(until, iterations, rou
     goal = objective(model, renderer=Renderer.on_raster(1))
     routine, told = all_at_once(RATES, iterations=iterations), []
     strategy = Growth(rounds=3, until=jnp.asarray(until))
-    grown, history = optimise(
+    grown, history = optimize(
         first_state(model), routine, goal, strategy=strategy, progress=told.append
     )
     assert [now.iteration for now in told] == list(range(6, iterations + 1, 6))
@@ -165,7 +165,7 @@ def test_growing_moves_points_to_what_no_gradient_reaches(until, iterations, rou
     assert int(grown.best.valid.sum()) == model.valid.size
     if rounds == 3:
         assert int(found[0].recycled) > 0
-        alone, _ = optimise(first_state(model), routine, goal, strategy=SIXES)
+        alone, _ = optimize(first_state(model), routine, goal, strategy=SIXES)
         assert float(grown.best_loss) < 0.5 * float(alone.best_loss)
 
 
@@ -195,7 +195,7 @@ def test_growing_needs_a_known_map_and_does_nothing_where_nothing_may_change():
 
     model, routine = start_model(), all_at_once(RATES, iterations=8)
     with pytest.raises(ValueError, match="needs a known map.*the objective is Unknown"):
-        optimise(first_state(model), routine, Unknown(), strategy=Growth())
+        optimize(first_state(model), routine, Unknown(), strategy=Growth())
     idle = Growth(recycle=False).plan(first_state(model), routine, objective(model))
     assert (idle.piece, idle.last) == (2, -1)
 
@@ -228,12 +228,12 @@ def test_points_that_are_cut_off_are_warned_of():
     )
     message = "Points of `sigma_label` = 4 px still count .* at `radius` = 6 px"
     with pytest.warns(UserWarning, match=message):
-        optimise(first_state(model), nothing, objective(model, renderer=wide))
+        optimize(first_state(model), nothing, objective(model, renderer=wide))
     with pytest.raises(UserWarning, match=message):  # warnings are errors here
-        minimise_least_squares(model, objective(model, renderer=wide), jnp.zeros(SHAPE))
+        minimize_least_squares(model, objective(model, renderer=wide), jnp.zeros(SHAPE))
     full = "entries of the tiles' lists exceed `SplatRaster.capacity`"
     with pytest.warns(UserWarning, match=full):
-        optimise(first_state(model), nothing, objective(model, renderer=few))
+        optimize(first_state(model), nothing, objective(model, renderer=few))
     problems = eqx.filter_jit(render_model)(model, both).problems()
     assert ["`SplatRaster.radius`" in line for line in problems] == [True, False]
     with pytest.warns(UserWarning, match="SplatRaster") as said:

@@ -36,7 +36,7 @@ from mvedge_jax.model import (
     render_model,
 )
 from mvedge_jax.model.codec import decode, encode
-from mvedge_jax.model.optimisation import FixedPoints, Growth
+from mvedge_jax.model.optimization import FixedPoints, Growth
 from mvedge_jax.splatting import SplatRaster, SplatWidths, splat
 
 # %% [markdown]
@@ -62,7 +62,7 @@ for axis, name in zip(axes, ("label_sum", "label", "weight"), strict=True):
     axis.set_title(name)
 
 # %% [markdown]
-# ## Supervised optimisation
+# ## Supervised optimization
 #
 # Noisy points on a disc before a slanted background, and what 40 iterations make of them.
 
@@ -105,7 +105,7 @@ print("mean squared error before and after:", *(f"{value:.5f}" for value in mse)
 #
 # A gradient moves a point by a few pixels, and none that another one hides. `Growth`, which
 # `fit_edges` uses unless told otherwise, moves such points to where the map is wrong, between
-# pieces of the optimisation. `progress` is called after each.
+# pieces of the optimization. `progress` is called after each.
 
 
 # %%
