@@ -5,7 +5,7 @@ import pickle
 import threading
 import time
 from collections.abc import Callable, Iterator
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -18,6 +18,8 @@ from ._key import NoKey, context, described, is_abstract, program_key
 
 # Seconds of tracing and compiling that are worth a file, as for JAX's own cache.
 _WORTH = 0.3
+# Stands for an array among arguments.
+_ARRAY = object()
 
 
 class Program:
@@ -28,7 +30,7 @@ class Program:
         results: what the function returns, with a `jax.ShapeDtypeStruct` for every array.
     """
 
-    def __init__(self, executable: jax.stages.Compiled, results: Any):
+    def __init__(self, executable: Callable[[list[Any]], list[Any]], results: Any):
         self._executable, self.results = executable, results
         self._leaves, self._structure = jax.tree.flatten(results)
 
@@ -53,12 +55,11 @@ class Lowered:
 
     def __init__(
         self,
-        lowered: jax.stages.Lowered,
-        results: Any,
+        traced: "_Traced",
         start: float,
         keep: Callable[[jax.stages.Compiled, Any], None] | None,
     ):
-        self._lowered, self.results, self._start, self._keep = lowered, results, start, keep
+        self._traced, self.results, self._start, self._keep = traced, traced.results, start, keep
         self._context = context()
 
     def compile(self) -> Program | None:
@@ -71,11 +72,21 @@ class Lowered:
             return None
         _listen()
         before = _counts.requests, _counts.hits
-        executable = self._lowered.compile()
-        long = time.perf_counter() - self._start >= _WORTH
-        if self._keep is not None and long and _copyable(*before):
+        executable = self._traced.lowered.compile()
+        if self._keep is None:
+            # JAX keeps what it has compiled for the function until `jax.clear_caches`.
+            return Program(self._traced.function, self.results)
+        if time.perf_counter() - self._start >= _WORTH and _copyable(*before):
             self._keep(executable, self.results)
         return Program(executable, self.results)
+
+
+class _Traced(NamedTuple):
+    """A function of arrays, lowered for some, and what it stands for returns."""
+
+    function: Callable[[list[Any]], list[Any]]
+    lowered: jax.stages.Lowered
+    results: Any
 
 
 def obtain(
@@ -136,7 +147,7 @@ def prepared(
                 files.drop(key)
         keep = functools.partial(_write, files, key, asking)
     traced = _traced(function, arguments, asked)
-    return None if traced is None else Lowered(*traced, start, keep)
+    return None if traced is None else Lowered(traced, start, keep)
 
 
 def _write(
@@ -191,27 +202,28 @@ def _key(function: Callable[..., Any], arguments: Any, asked: dict[str, Any]) ->
         return None
 
 
-def _traced(
-    function: Callable[..., Any], arguments: Any, asked: dict[str, Any]
-) -> tuple[jax.stages.Lowered, Any] | None:
-    """The lowered function and its results; None if it calls back to Python."""
+def _traced(function: Callable[..., Any], arguments: Any, asked: dict[str, Any]) -> _Traced | None:
+    """A lowered function; None if it calls back to Python."""
     leaves, structure = jax.tree.flatten(arguments)
+    # The arrays themselves are not to live as long as the function.
+    fixed = [_ARRAY if _is_array(leaf) else leaf for leaf in leaves]
     results: Any = None
 
     def flat(arrays: list[Any]) -> list[Any]:
         nonlocal results
         given = iter(arrays)
-        filled = (next(given) if _is_array(leaf) else leaf for leaf in leaves)
+        filled = (next(given) if leaf is _ARRAY else leaf for leaf in fixed)
         positional, named = structure.unflatten(filled)
         found = function(*positional, **named)
         results = jax.tree.map(_abstract, found)
         return _arrays(found)
 
     flat.__name__ = function.__name__
-    traced = jax.jit(flat, compiler_options=asked).trace(_arrays(arguments))
+    jitted = jax.jit(flat, compiler_options=asked)
+    traced = jitted.trace(_arrays(arguments))
     if traced.jaxpr.effects or any("callback" in name for name in _primitives(traced.jaxpr.jaxpr)):
         return None
-    return traced.lower(), results
+    return _Traced(jitted, traced.lower(), results)
 
 
 def _arrays(tree: Any) -> list[Any]:

@@ -1,6 +1,7 @@
 """Two programs in a row are what the whole would be, each compiled for arguments of its own."""
 
 import time
+import weakref
 
 import equinox as eqx
 import jax
@@ -34,6 +35,21 @@ def test_a_half_is_traced_for_other_arguments_of_its_own():
     assert _traced(program, X[:3], part)[1] == ["first", "second"]
     jax.clear_caches()
     assert _traced(program, X, part)[1] == ["first", "second"], "forgotten with JAX's own"
+
+
+def test_jax_frees_both_and_no_argument_outlives_its_call():
+    program, x, part = split_jit(), X + 1, Part(jnp.asarray(2.0))
+    program(x, part)
+    given = weakref.ref(x)
+    del x
+    assert given() is None
+
+    def compiled():
+        return [half._executable._cache_size() for half in program._programs.values()]
+
+    assert compiled() == [1, 1]
+    jax.clear_caches()
+    assert compiled() == [0, 0]
 
 
 def test_a_later_process_traces_neither(files):
