@@ -232,7 +232,6 @@ class SplitJit(LeanJit[_P, _T]):
         key, first = self._half(0, given)
         if first is None:
             return None
-        # The compiler runs outside of Python's lock, while the second half is traced here.
         beside = None
         if isinstance(first, Lowered):
             # The compiler runs outside of Python's lock, while the second half is traced here.
