@@ -49,7 +49,7 @@ depth SCENE OUT --memory 0.1 | `memory` must be at least
 depth SCENE OUT --tile 10 | at least twice `overlap`
 depth SCENE OUT --set smoothness.color | depth SCENE OUT --set =1 |
     expected PATH=VALUE, such as smoothness.color=0.3
-depth SCENE OUT --set smoothness.color=1 | no path of `EdgeDepth`: the fields of `ColorAndDepth`
+depth SCENE OUT --set smoothness.colour=1 | no path of `EdgeDepth`: the fields of `ColorAndDepth`
 depth SCENE OUT --set smoothness.color.more=1 | `smoothness.color.more` is no path of `EdgeDepth`
 depth SCENE OUT --set __class__.__name__=1 | --set __class__.__name__: `__class__.__name__` is
 depth SCENE OUT --set smoothness=1 | `smoothness` is a part, whose numbers and static fields are
@@ -93,7 +93,7 @@ optimize SCENE OUT --features vgg16 --vgg16 MAP | is not an .npz file
 optimize SCENE OUT --state nowhere | There is no saved state at
 optimize SCENE OUT --state MAP | does not hold a whole state of the optimization in the
 optimize SCENE OUT --state /dev/zero | There is no saved state at /dev/zero
-learn OUT --what smoothness.color | no path of `EdgeDepth`: the fields of `Col
+learn OUT --what smoothness.colour | no path of `EdgeDepth`: the fields of `Col
 learn OUT --what refine.solves | `refine.solves` holds 2; only numbers and arrays can be
 learn OUT --rate 0 | --rate must be positive, got 0.0
 learn OUT --rate nan | --rate must be positive, got nan
