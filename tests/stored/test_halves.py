@@ -2,6 +2,7 @@
 
 import time
 import weakref
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -38,7 +39,8 @@ def test_a_half_is_traced_for_other_arguments_of_its_own():
 
 
 def test_jax_frees_both_and_no_argument_outlives_its_call():
-    program, x, part = split_jit(), X + 1, Part(jnp.asarray(2.0))
+    x, part = X + 1, Part(jnp.asarray(2.0))
+    program: Any = split_jit()
     program(x, part)
     given = weakref.ref(x)
     del x
