@@ -86,12 +86,16 @@ def program_key(function: Callable[..., Any], arguments: Any, asked: dict[str, A
 
 def is_ordinary(arguments: Any) -> bool:
     """Whether arguments are wherever JAX puts them, on one CPU, and JAX is not diagnosing."""
+    arrays = [leaf for leaf in jax.tree.leaves(arguments) if eqx.is_array(leaf)]
+    if any(getattr(array, "committed", False) for array in arrays):
+        return False
     try:
         _check_ordinary()
-        kinds = [_kind_of_array(x) for x in jax.tree.leaves(arguments) if eqx.is_array(x)]
+        for array in arrays:
+            _kind_of_array(array)
     except NoKey:
         return False
-    return not any("put=True" in kind for kind in kinds)
+    return True
 
 
 def _check_ordinary() -> None:
