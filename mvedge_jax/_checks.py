@@ -15,10 +15,12 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Bool
 
-from ._compiler import Halves, LeanJit, SplitJit
+from ._compiler import LeanJit
 from ._cpu import release_memory
 from ._params import as_number
 from ._paths import replaced, walk
+from ._pullback import primals
+from ._split_jit import Halves, SplitJit
 
 _LOG = logging.getLogger("mvedge_jax")
 # Seconds after which a compiling call is reported.
@@ -63,7 +65,7 @@ class CheckedJit:
 
     def __call__(self, *arguments: Any, **options: Any) -> Any:
         arguments, options = self.check(*arguments, **options)
-        if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves((arguments, options))):
+        if primals((arguments, options)) is None:
             return self.compiled(*arguments, **options)
         with self._announced():
             return self.compiled(*arguments, **options)

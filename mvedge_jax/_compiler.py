@@ -3,15 +3,14 @@
 import functools
 import inspect
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
-from typing import Any, Generic, NamedTuple, ParamSpec, TypeVar
+from typing import Any, Generic, ParamSpec, TypeVar
 
 import equinox as eqx
 import jax
 from jax.core import Tracer
 
 from ._cpu import compiler_options, no_collections, release_memory
-from ._stored import Lowered, Program, ProgramFiles, in_use, is_ordinary, kind_of, obtain, prepared
+from ._stored import Program, ProgramFiles, in_use, kind_of, obtain
 
 _P = ParamSpec("_P")
 _T = TypeVar("_T")
@@ -24,7 +23,7 @@ def _probe(backend: str) -> Callable[[float], Any]:
     return jax.jit(lambda x: x, compiler_options=compiler_options())
 
 
-def _outermost(arguments: Any) -> bool:
+def outermost(arguments: Any) -> bool:
     """Whether JAX would take compiler options of a `jit` of these arguments."""
     if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(arguments)):
         return False
@@ -83,7 +82,7 @@ class LeanJit(Generic[_P, _T]):
         functools.update_wrapper(self, function)
 
     def __call__(self, *arguments: _P.args, **options: _P.kwargs) -> _T:
-        if not _outermost((arguments, options)):
+        if not outermost((arguments, options)):
             return self._nested(*arguments, **options)
         _check_devices(self._function, arguments, options)
         stored = self._stored((arguments, options))
@@ -99,7 +98,7 @@ class LeanJit(Generic[_P, _T]):
             The program; it raises a TypeError for arguments of another kind.
         """
         _check_devices(self._function, arguments, options)
-        files = in_use() if _outermost((arguments, options)) else None
+        files = in_use() if outermost((arguments, options)) else None
         stored = None if files is None else self._load((arguments, options), files)
         if stored is None:
             return self.lower(*arguments, **options).compile()
@@ -162,114 +161,13 @@ class LeanJit(Generic[_P, _T]):
             return self._program(arguments, options).lower(*arguments, **options)
 
     def _program(self, *arguments: Any) -> Any:
-        if not _outermost(arguments):
+        if not outermost(arguments):
             return self._nested
         if self._outermost is None:
             # Not before the first call, because the options depend on the device.
             jit: Any = eqx.filter_jit
             self._outermost = jit(self._function, compiler_options=compiler_options())
         return self._outermost
-
-
-class Halves(NamedTuple):
-    """A function of a module as two others, `second(first(*a), *b)`.
-
-    Attributes:
-        split: takes the function's arguments and returns `a` and `b`.
-        first: of a module, too.
-        second: likewise.
-    """
-
-    split: Callable[..., tuple[tuple[Any, ...], tuple[Any, ...]]]
-    first: Callable[..., Any]
-    second: Callable[..., Any]
-
-
-class SplitJit(LeanJit[_P, _T]):
-    """As `LeanJit`, but two programs outside of JAX's transforms, compiled side by side.
-
-    Either is compiled again only for other arguments of its own. Where JAX or the arguments ask for
-    more than a plain call on one CPU, and where a half calls back to Python, it is one program.
-
-    Args:
-        function: see `LeanJit`.
-        original: see `LeanJit`.
-        halves: of `original`.
-        counted: wraps a half, to count its traces.
-    """
-
-    def __init__(
-        self,
-        function: Callable[_P, _T],
-        original: Callable[..., Any],
-        halves: Halves,
-        counted: Callable[[Callable[..., Any]], Callable[..., Any]],
-    ):
-        super().__init__(function, original)
-        self._split, *parts = halves
-        self._parts = [(counted(part), part) for part in parts]
-
-    def __call__(self, *arguments: _P.args, **options: _P.kwargs) -> _T:
-        program = self._both(arguments, options)
-        if program is None:
-            return super().__call__(*arguments, **options)
-        return program((arguments, options))
-
-    def ahead(self, *arguments: _P.args, **options: _P.kwargs) -> Callable[_P, _T]:
-        """See `LeanJit`."""
-        program = self._both(arguments, options)
-        if program is None:
-            return super().ahead(*arguments, **options)
-        return self._for_one_kind(program, kind_of((arguments, options)))
-
-    def _both(self, arguments: Any, options: Any) -> Callable[[Any], _T] | None:
-        """Both programs in a row, compiled if they are new; None if it has to be one."""
-        if not _outermost((arguments, options)) or not is_ordinary((arguments, options)):
-            return None
-        self._forget()
-        known = len(self._programs)
-        given, others = self._split(*arguments, **options)
-        key, first = self._half(0, given)
-        if first is None:
-            return None
-        beside = None
-        if isinstance(first, Lowered):
-            # The compiler runs outside of Python's lock, while the second half is traced here.
-            thread = ThreadPoolExecutor(1)
-            beside = thread.submit(self._kept, key, first)
-            thread.shutdown(wait=False)
-        second = self._kept(*self._half(1, (first.results, *others)))
-        # Nothing comes from a thread in which other settings of JAX hold.
-        first = (beside and beside.result()) or self._kept(key, first)
-        if len(self._programs) > known:
-            release_memory()
-        if first is None or second is None:
-            return None
-
-        def run(arguments: Any) -> _T:
-            given, others = self._split(*arguments[0], **arguments[1])
-            return second(((first((given, {})), *others), {}))
-
-        return run
-
-    def _half(self, index: int, arguments: tuple[Any, ...]) -> tuple[Any, Program | Lowered | None]:
-        """The key of a half for such arguments, and its program or what is to be compiled."""
-        function, original = self._parts[index]
-        key = index, kind_of((arguments, {}))
-        if key in self._programs:
-            return key, self._programs[key]
-        with no_collections():
-            asked = compiler_options()
-            return key, prepared(function, original, (arguments, {}), asked, in_use())
-
-    def _kept(self, key: Any, found: Program | Lowered | None) -> Program | None:
-        """Compiles a half and keeps it, whatever becomes of the other one."""
-        if isinstance(found, Lowered):
-            found = found.compile()
-            if found is None:
-                return None
-        self._programs[key] = found
-        return found
 
 
 def lean_jit(function: Callable[_P, _T]) -> LeanJit[_P, _T]:

@@ -125,9 +125,10 @@ def test_importing_has_no_side_effects_and_loads_no_library_that_the_chain_does_
 _FLOORS = (
     ("_stored",),
     ("_export", "_params", "_paths", "_linear_map", "_product", "_checkpoint", "_root"),
-    ("_cpu",),
+    ("_cpu", "_pullback"),
     ("_compiler", "_known", "color", "image", "interpolation"),
-    ("_batched", "_checks"),
+    ("_batched", "_split_jit"),
+    ("_checks",),
     ("_positions",),
     ("lightfield",),
     ("_stored_views",),

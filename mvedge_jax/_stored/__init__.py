@@ -5,6 +5,7 @@ from ._key import is_ordinary as is_ordinary, kind_of as kind_of, replaced_name 
 from ._program import (
     Lowered as Lowered,
     Program as Program,
+    is_array as is_array,
     obtain as obtain,
     prepared as prepared,
 )

@@ -121,6 +121,10 @@ def prepared(
     arguments: Any,
     asked: dict[str, Any],
     files: ProgramFiles | None,
+    *,
+    about: Any = None,
+    read: bool = True,
+    trace: bool = True,
 ) -> Program | Lowered | None:
     """Reads a program from its file, or traces it.
 
@@ -131,22 +135,25 @@ def prepared(
             that another program will return.
         asked: compiler options.
         files: where programs are kept; None for nowhere. What can't be kept is not.
+        about: what else the program depends on, as `arguments`.
+        read: whether a file will do.
+        trace: whether to trace it if there is no file.
 
     Returns:
-        The program or what is to be compiled; None if it calls back to Python.
+        The program or what is to be compiled; None if it calls back to Python, or is not traced.
     """
     start, keep = time.perf_counter(), None
-    asking = functools.partial(_key, original, arguments, asked)
+    asking = functools.partial(_key, original, (arguments, about), asked)
     key = None if files is None else asking()
     if files is not None and key is not None:
-        data = files.read(key)
+        data = files.read(key) if read else None
         if data is not None:
             try:
                 return _loaded(data, len(_arrays(arguments)))
             except Exception:  # whatever a file from an account's own past may hold
                 files.drop(key)
         keep = functools.partial(_write, files, key, asking)
-    traced = _traced(function, arguments, asked)
+    traced = _traced(function, arguments, asked) if trace else None
     return None if traced is None else Lowered(traced, start, keep)
 
 
@@ -206,7 +213,7 @@ def _traced(function: Callable[..., Any], arguments: Any, asked: dict[str, Any])
     """A lowered function; None if it calls back to Python."""
     leaves, structure = jax.tree.flatten(arguments)
     # The arrays themselves are not to live as long as the function.
-    fixed = [_ARRAY if _is_array(leaf) else leaf for leaf in leaves]
+    fixed = [_ARRAY if is_array(leaf) else leaf for leaf in leaves]
     results: Any = None
 
     def flat(arrays: list[Any]) -> list[Any]:
@@ -227,10 +234,11 @@ def _traced(function: Callable[..., Any], arguments: Any, asked: dict[str, Any])
 
 
 def _arrays(tree: Any) -> list[Any]:
-    return [leaf for leaf in jax.tree.leaves(tree) if _is_array(leaf)]
+    return [leaf for leaf in jax.tree.leaves(tree) if is_array(leaf)]
 
 
-def _is_array(leaf: Any) -> bool:
+def is_array(leaf: Any) -> bool:
+    """Whether it is an array, or stands for one."""
     return eqx.is_array(leaf) or is_abstract(leaf)
 
 

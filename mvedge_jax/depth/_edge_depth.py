@@ -9,9 +9,9 @@ import lineax as lx
 from jaxtyping import PRNGKeyArray
 
 from mvedge_jax._checks import check_finite, checked_jit, expect, sound, with_numbers
-from mvedge_jax._compiler import Halves
 from mvedge_jax._params import cast
 from mvedge_jax._paths import described, replaced
+from mvedge_jax._split_jit import Halves
 from mvedge_jax.edges import EdgeDetector, Edges
 from mvedge_jax.edges.sides import SideChoice
 from mvedge_jax.lightfield import LightField

@@ -30,13 +30,13 @@ class Tiling(NamedTuple):
     """How an image is cut.
 
     Attributes:
-        side: of a tile, px; tiles of shorter images are as short.
-        overlap: that neighboring tiles share, px: of each of them, half is kept.
+        side: of a tile, px, at most: tiles are as small as their number allows, in steps of 16 px.
+        overlap: that neighboring tiles share at least, px: of each of them, half is kept.
 
     Example:
-        >>> tiles = Tiling(side=64, overlap=16).of(100, 64)
-        >>> [(tile.window.top, tile.core.top, tile.core.height) for tile in tiles]
-        [(0, 0, 50), (36, 50, 50)]
+        >>> tiles = Tiling(side=64, overlap=16).of(80, 48)
+        >>> [(tile.window.top, tile.window.height, tile.core.top) for tile in tiles]
+        [(0, 48, 0), (32, 48, 40)]
     """
 
     side: int = 768
@@ -86,8 +86,11 @@ class Tiling(NamedTuple):
 
     def _along(self, length: int) -> list["_Interval"]:
         """Starts and lengths along an axis."""
-        side = min(self.side, length)
-        count = 1 if side == length else math.ceil((length - self.overlap) / (side - self.overlap))
+        side, count = min(self.side, length), 1
+        if side < length:
+            count = math.ceil((length - self.overlap) / (side - self.overlap))
+            enough = math.ceil((length - self.overlap) / count) + self.overlap
+            side = min(side, 16 * math.ceil(enough / 16))
         starts = np.round(np.linspace(0, length - side, count)).astype(int).tolist()
         cuts = [0, *((a + side + b) // 2 for a, b in zip(starts, starts[1:], strict=False)), length]
         return [

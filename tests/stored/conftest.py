@@ -5,7 +5,7 @@ import pytest
 from jax.experimental.compilation_cache import compilation_cache
 from stored import programs
 
-from mvedge_jax import _compiler
+from mvedge_jax import _compiler, _split_jit
 from mvedge_jax._stored import ProgramFiles, _key, _program
 
 
@@ -27,7 +27,8 @@ def _keep_in(folder):
 def files(tmp_path, monkeypatch):
     """A folder of programs in use, in which the functions of `programs` count as the package's."""
     files = ProgramFiles(tmp_path / "programs")
-    monkeypatch.setattr(_compiler, "in_use", lambda: files)
+    for module in (_compiler, _split_jit):
+        monkeypatch.setattr(module, "in_use", lambda: files)
     monkeypatch.setattr(_program, "_WORTH", 0.0)
     monkeypatch.setattr(_key, "_TRUSTED", _key._TRUSTED | {programs.__name__.partition(".")[0]})
     monkeypatch.setattr(_key, "_seen", {})

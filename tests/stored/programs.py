@@ -7,7 +7,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from mvedge_jax._compiler import Halves, SplitJit, lean_jit
+from mvedge_jax._compiler import lean_jit
+from mvedge_jax._split_jit import Halves, SplitJit
 
 TRACES = []
 

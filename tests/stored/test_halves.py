@@ -113,7 +113,7 @@ def test_arrays_that_were_put_somewhere_stay_there():
 
 def test_within_a_transform_it_is_one_program(files):
     program, part = split_jit(), Part(jnp.asarray(2.0))
-    slope = jax.grad(lambda x: program(x, part)["a"].sum())(X)
+    slope = jax.jit(jax.grad(lambda x: program(x, part)["a"].sum()))(X)
     np.testing.assert_allclose(slope, 8 * X)
     mapped = jax.jit(jax.vmap(lambda x: program(x, part)["a"]))(X)
     np.testing.assert_allclose(mapped, 4 * X**2)

@@ -37,6 +37,12 @@ def test_every_pixel_is_in_one_core_and_away_from_inner_borders(height, width):
     assert shapes == {(min(64, height), min(64, width))}
 
 
+def test_tiles_are_as_small_as_their_number_allows():
+    tiles = Tiling(side=1152, overlap=96).of(2048, 1500)
+    assert {(window.height, window.width) for window, _ in tiles} == {(1072, 800)}
+    assert len(tiles) == 4
+
+
 def test_tilings_that_cannot_be():
     with pytest.raises(ValueError, match="at least twice `overlap`"):
         Tiling(side=64, overlap=48).of(100, 100)
