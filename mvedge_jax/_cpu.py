@@ -38,10 +38,10 @@ _WISHES = {
 def compiler_options() -> dict[str, bool | int | float | str]:
     """XLA options of `lean_jit` and every program of this package, for a `jax.jit` of yours.
 
-    `EdgeDepth` and others set them when called directly. JAX applies the options of the outermost
-    `jit` only, so within your own `jit`, and under `grad` without one, yours count. The options
-    change speed and memory of compiling and running on the CPU, but not the results, except for
-    rounding.
+    `EdgeDepth` and others set them when called directly; `EdgeDepth` does under `grad`, too. JAX
+    applies the options of the outermost `jit` only, so within your own `jit`, yours count. The
+    options change speed and memory of compiling and running on the CPU, but not the results,
+    except for rounding.
 
     Returns:
         Options for `jax.jit(..., compiler_options=...)`; empty on other devices, or if the

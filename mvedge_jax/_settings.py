@@ -34,7 +34,7 @@ def with_settings(model: _Module, settings: Mapping[str, Setting]) -> _Module:
 
     Args:
         model: any.
-        settings: by path; None leaves out a part that a model may lack.
+        settings: by path; None leaves out a part that a model may lack, and is a word among words.
 
     Returns:
         The new model.
@@ -50,6 +50,8 @@ def with_settings(model: _Module, settings: Mapping[str, Setting]) -> _Module:
     """
     for path, value in settings.items():
         now = value_at(model, path)
+        if value is None and isinstance(now, str):
+            value = "none"  # one of several words, such as those of `refine.sharpen.mode`
         if value is not None or not _may_lack(model, path):
             _check_kind(path, value, now)
         model = replaced(model, {path: value})

@@ -208,8 +208,9 @@ def estimate_depth(
     """Runs the chain: what calling an `EdgeDepth` does.
 
     Outside of JAX's transforms it is two programs, compiled side by side: up to the labels, and
-    their diffusion. Either is compiled for every shape of a light field and every combination of
-    static fields that it reads. Both have some 1300 memory maps (2500 without `compiler_options`).
+    their diffusion. Under `jax.grad` outside of others, either is two: value and pullback. They are
+    compiled for every shape of a light field and every combination of static fields that they
+    read. The first two have some 1300 memory maps (2500 without `compiler_options`).
     The compiler crashes beyond the 65530 maps that Linux allows, so a process that compiles more
     than about 25 chains should call `jax.clear_caches()` now and then.
 

@@ -15,6 +15,7 @@ def test_presets_and_settings_make_the_model():
         "smoothness.color=.3",
         "refine.solves=1",
         "refine.outline=none",
+        "refine.sharpen.mode=none",
         "solver.tolerance=0",
         "solver.by_residual=false",
     )
@@ -22,6 +23,7 @@ def test_presets_and_settings_make_the_model():
     assert isinstance(model.smoothness, ColorAndDepth)
     assert float(model.smoothness.color) == pytest.approx(0.3)
     assert (model.refine.solves, model.refine.outline) == (1, None)
+    assert model.refine.sharpen.mode == "none", "a word, not a part that is left out"
     assert isinstance(model.solver, AutoSolver)
     assert not model.solver.by_residual
     assert model.measurement is not None
