@@ -64,8 +64,11 @@ def _arm_error(arm: Arm, disparity: Array, radius: int) -> tuple[Array, Array]:
         seen = (step != 0) & there & inside & (jnp.abs(step) < reach - 0.5)
         difference = jnp.zeros_like(disparity)
         for c in range(channels):
-            value = (1 - part) * jnp.take_along_axis(planes[c], left, axis=-1)
-            value = value + part * jnp.take_along_axis(planes[c], right, axis=-1)
+            at_left, at_right = (
+                jnp.take_along_axis(planes[c], place, axis=-1, mode="promise_in_bounds")
+                for place in (left, right)
+            )
+            value = (1 - part) * at_left + part * at_right
             difference = difference + jnp.abs(value - arm.planes[arm.center, c])
         weight = seen.astype(disparity.dtype)
         return (total[0] + weight * difference / channels, total[1] + weight), None

@@ -241,7 +241,8 @@ def cheapest(total: Float[Array, "d y x"], disparities: Float[Array, " d"]) -> A
     inner = jnp.clip(winner, 1, max(count - 2, 1))
 
     def at(index: Array) -> Array:
-        return jnp.take_along_axis(total, jnp.clip(index, 0, count - 1), axis=0)[0]
+        places = jnp.clip(index, 0, count - 1)
+        return jnp.take_along_axis(total, places, axis=0, mode="promise_in_bounds")[0]
 
     before, here, after = at(inner - 1), at(inner), at(inner + 1)
     shift = jnp.clip(vertex(before, here, after), -0.5, 0.5)
