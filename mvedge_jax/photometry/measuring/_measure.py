@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
-from mvedge_jax._cpu import unstack
+from mvedge_jax._cpu import plane_sum, unstack
 from mvedge_jax._params import cast
 from mvedge_jax._root import safe_sqrt
 from mvedge_jax.image import box_mean
@@ -301,7 +301,7 @@ def _surface_weights(features: _SurfaceFeatures, spacing: int) -> Float[Array, "
         row, column = offset // 3, offset % 3
         start = (0, row * spacing, column * spacing)
         others = lax.dynamic_slice(padded, start, own.shape)
-        distance = jnp.sum(((others - own) / scales) ** 2, axis=0)
+        distance = plane_sum(((others - own) / scales) ** 2)
         return taps[row] * taps[column] * jnp.exp(-distance)
 
     return lax.map(weigh, jnp.arange(9))
