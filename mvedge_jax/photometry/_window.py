@@ -95,24 +95,13 @@ def _summed_jvp(window: _Window, primals: Any, tangents: Any) -> tuple[Array, Ar
 
     def weights_from(images: Array, out: Array) -> Array:
         padded = window.padded(images, count)
-        size, (height, width) = window.size(count), shape[1:]
-        reach = (size - 1) * window.spacing
 
-        def row(y: Array) -> Array:
-            # A row of the window at a time: one pass over the images for all of its offsets.
-            start = window.start(y * size, count)
-            strip = lax.dynamic_slice(padded, start, (shape[0], height, width + reach))
-            return jnp.stack([products(strip, x * window.spacing) for x in range(size)])
+        # One offset at a time: stacks of several are not vectorized.
+        def products(offset: Array) -> Array:
+            others = lax.dynamic_slice(padded, window.start(offset, count), shape)
+            return plane_sum(others * out)
 
-        def products(strip: Array, x: int) -> Array:
-            # By hand: XLA on CPU does not vectorize a sum over a leading axis.
-            total = strip[0, :, x : x + width] * out[0]
-            for a, b in zip(strip[1:], out[1:], strict=True):
-                total = total + a[:, x : x + width] * b
-            return total
-
-        rows = lax.map(row, jnp.arange(size, dtype=jnp.int32))
-        return rows.reshape(count, height, width)
+        return lax.map(products, jnp.arange(count, dtype=jnp.int32))
 
     along = linear_map(lambda w, i: _summed(window, i, w), images_from, weights, images_dot)
     turned = linear_map(partial(_summed, window), weights_from, images, weights_dot)
