@@ -1,7 +1,8 @@
 """Reverse mode outside of `jit`: a value with residuals, and its pullback, as programs."""
 
+import uuid
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -49,7 +50,7 @@ class Pullback:
 
     def __init__(self, forward: Any, backward: Any, moving: tuple[bool, ...]):
         self._forward, self._backward, self._moving = forward, backward, moving
-        self.results = forward.results[0]
+        self.results = forward.results.results
 
     def __call__(self, arguments: tuple[Any, ...]) -> tuple[Any, Callable[[Any], list[Array]]]:
         """The results, and the pullback.
@@ -57,14 +58,12 @@ class Pullback:
         The pullback maps cotangents of the floating results (`floating`) to those of the arguments
         that move. Its first call frees the residuals, which later ones compute again.
         """
-        results, *kept = self._forward((arguments, {"moving": self._moving}))
-        residuals = _residuals(arguments, *kept)
-        del kept
+        given = arguments, {"moving": self._moving}
+        results, residuals = _parted(arguments, self._forward(given))
 
         def pull(cotangents: Any) -> list[Array]:
             if not residuals:
-                _, *again = self._forward((arguments, {"moving": self._moving}))
-                residuals.extend(_residuals(arguments, *again))
+                residuals.extend(_parted(arguments, self._forward(given))[1])
             found = self._backward(((residuals, cotangents), {}))
             residuals.clear()
             return found
@@ -106,9 +105,10 @@ def pullback(
         return prepared(of.forward, original, given, asked, files, read=read)
 
     def backward(found: Program | Lowered, *, trace: bool) -> Program | Lowered | None:
-        results, *kept = found.results
-        pulled = (_residuals(arguments, *kept), floating(results)), {}
-        about = "pullback", given
+        results, residuals = _parted(arguments, found.results)
+        pulled = (residuals, floating(results)), {}
+        # Residuals of one trace are for the pullback of that trace alone.
+        about = given, found.results.trace
         return prepared(
             of.backward, original, pulled, asked, files, about=about, read=not trace, trace=trace
         )
@@ -118,7 +118,6 @@ def pullback(
     if isinstance(first, Program):
         second = backward(first, trace=False)
         if second is None:
-            # Residuals of one trace are for the pullback of that trace alone.
             first = forward(read=False)
     if first is None:
         return None
@@ -137,6 +136,22 @@ def is_floating(leaf: Any) -> bool:
     return is_array(leaf) and jnp.issubdtype(leaf.dtype, jnp.inexact)
 
 
+class _Kept(NamedTuple):
+    """What a function returns with its residuals.
+
+    Attributes:
+        results: of the function.
+        fresh: residuals that are no arguments.
+        places: for each residual which argument it is, if any.
+        trace: name of the trace, another one every time.
+    """
+
+    results: Any
+    fresh: list[Array]
+    places: tuple[int | None, ...]
+    trace: str
+
+
 class _Function:
     """What the two programs of a function compute."""
 
@@ -144,10 +159,8 @@ class _Function:
         self._function = function
         self._structure: Any = None
 
-    def forward(
-        self, *arguments: Any, moving: tuple[bool, ...]
-    ) -> tuple[Any, list[Array], tuple[int | None, ...]]:
-        """The results, residuals, and for each residual which argument it is, if any."""
+    def forward(self, *arguments: Any, moving: tuple[bool, ...]) -> _Kept:
+        """The results and the residuals."""
         leaves, structure = jax.tree.flatten(arguments)
         static: Any = None
 
@@ -169,17 +182,18 @@ class _Function:
         place = {id(leaf): number for number, leaf in enumerate(leaves) if eqx.is_array(leaf)}
         places = tuple(place.get(id(residual)) for residual in residuals)
         fresh = [x for x, known in zip(residuals, places, strict=True) if known is None]
-        return eqx.combine(kept, others, static), fresh, places
+        return _Kept(eqx.combine(kept, others, static), fresh, places, uuid.uuid4().hex)
 
     def backward(self, residuals: list[Array], cotangents: Any) -> list[Array]:
         """Cotangents of the arguments that move."""
         return self._structure.unflatten(residuals)(cotangents)[0]
 
 
-def _residuals(arguments: Any, fresh: list[Any], places: tuple[int | None, ...]) -> list[Any]:
-    """The residuals of a pullback, some of which are arguments."""
-    leaves, others = jax.tree.leaves(arguments), iter(fresh)
-    return [next(others) if place is None else leaves[place] for place in places]
+def _parted(arguments: Any, kept: _Kept) -> tuple[Any, list[Any]]:
+    """The results and all residuals, some of which are arguments."""
+    leaves, others = jax.tree.leaves(arguments), iter(kept.fresh)
+    residuals = [next(others) if place is None else leaves[place] for place in kept.places]
+    return kept.results, residuals
 
 
 def attach(leaves: list[Array], tracers: list[Any], push: _Push, pull: _Pull) -> list[Any]:
