@@ -6,12 +6,17 @@
 Of every stage, traced and compiled alone: equations of its jaxpr, instructions, fusions and loops
 of what XLA makes of it, and seconds of CPU to trace and to compile it. Instructions hardly depend
 on the size of the views. "whole" is the program that a call of the model compiles, or, with
-`--gradient`, that of a value and its derivative in all numbers and in the views.
+`--gradient`, that of a value and its derivative in all numbers and in the views. `--runs` runs
+every program once more, under JAX's profiler, and counts what it executes: kernels, those in loops
+as often as they run, and conditionals and loops.
 """
 
 import argparse
+import gzip
+import json
 import re
 import sys
+import tempfile
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -33,6 +38,14 @@ from mvedge_jax.lightfield import LightField
 from mvedge_jax.photometry import first_labels, gather_evidence, prepare_views
 from mvedge_jax.warping import outline
 
+# A name and a kind, such as "fusion"; a tuple may stand between them.
+_INSTRUCTION = re.compile(
+    r"^\s+(?:ROOT )?%?([\w.\-]+) = (?:\([^=]*?\)|\S+) ([\w\-]+)\(", re.MULTILINE
+)
+_NO_KERNELS = ("while", "conditional", "call", "tuple", "get-tuple-element", "parameter", "bitcast")
+# JAX's profiler writes no more.
+_MOST_EVENTS = 1_000_000
+
 
 def main() -> None:
     """Compiles the stages of one preset."""
@@ -43,6 +56,7 @@ def main() -> None:
     parser.add_argument("--size", type=int, default=96, help="side of the views, px")
     parser.add_argument("--gradient", action="store_true", help="value and gradient of every stage")
     parser.add_argument("--only-whole", action="store_true", help="the whole chain alone")
+    parser.add_argument("--runs", action="store_true", help="count what a call executes")
     arguments = parser.parse_args()
     shape = (arguments.views, arguments.views, arguments.size, arguments.size)
     scene = synthetic.scene("demo")
@@ -53,7 +67,8 @@ def main() -> None:
         found += stages(model, light_field)
     rows = []
     for name, function, of in found:
-        rows.append({"stage": name, **_measured(function, of, gradient=arguments.gradient)})
+        counts = _measured(function, of, gradient=arguments.gradient, runs=arguments.runs)
+        rows.append({"stage": name, **counts})
         print_table(rows[-1:], title=name)
     kind = "value and gradient" if arguments.gradient else "value"
     print_table(rows, title=f"preset {arguments.preset}, {kind}, {shape}")
@@ -99,7 +114,9 @@ def stages(model: EdgeDepth, light_field: LightField) -> list[tuple[str, Callabl
     return stages
 
 
-def _measured(function: Callable[..., Any], arguments: Any, *, gradient: bool) -> dict[str, Any]:
+def _measured(
+    function: Callable[..., Any], arguments: Any, *, gradient: bool, runs: bool
+) -> dict[str, Any]:
     arrays, rest = eqx.partition(arguments, eqx.is_array)
 
     def value(arguments: Any) -> list[jax.Array]:
@@ -120,15 +137,54 @@ def _measured(function: Callable[..., Any], arguments: Any, *, gradient: bool) -
     traced = jax.jit(program, compiler_options=compiler_options()).trace(arrays)
     lowered = traced.lower()
     middle = time.process_time()
-    text = lowered.compile().as_text() or ""
+    program = lowered.compile()
+    spent, text = time.process_time() - middle, program.as_text() or ""
     return {
         "equations": sum(1 for _ in _equations(traced.jaxpr.jaxpr)),
         "instructions": len(re.findall(r"^\s+(?:ROOT )?%?[\w.\-]+ = ", text, re.MULTILINE)),
         "fusions": len(re.findall(r" fusion\(", text)),
         "loops": len(re.findall(r" while\(", text)),
         "tracing CPU s": middle - start,
-        "compiling CPU s": time.process_time() - middle,
+        "compiling CPU s": spent,
+        **(_executed(lambda: program(arrays), text) if runs else {}),
     }
+
+
+def _executed(call: Callable[[], Any], text: str) -> dict[str, int]:
+    """How many kernels, loops and conditionals a call runs."""
+    loops, conditionals = (kernels_run(call, text, kind) for kind in ("while", "conditional"))
+    return {
+        "kernels run": sum(map(len, kernels_run(call, text).values())),
+        "loops run": sum(map(len, loops.values())),
+        "conditionals run": sum(map(len, conditionals.values())),
+    }
+
+
+def kernels_run(
+    call: Callable[[], Any], text: str, control: str | None = None
+) -> dict[str, list[float]]:
+    """Microseconds of every kernel that a warm call runs, by the name of its instruction.
+
+    Args:
+        call: runs a compiled program.
+        text: of the compiled program.
+        control: kind of control flow to time instead, such as "while".
+    """
+    jax.block_until_ready(call())
+    with tempfile.TemporaryDirectory() as folder:
+        with jax.profiler.trace(folder):
+            jax.block_until_ready(call())
+        (path,) = Path(folder).rglob("*.trace.json.gz")
+        events = json.loads(gzip.decompress(path.read_bytes()))["traceEvents"]
+    if len(events) >= _MOST_EVENTS:
+        print("The profiler dropped events: counts and times are too low.")
+    kinds = dict(_INSTRUCTION.findall(text))
+    found: dict[str, list[float]] = {}
+    for event in events:
+        kind = kinds.get(event.get("name"))
+        if "dur" in event and kind and (kind == control if control else kind not in _NO_KERNELS):
+            found.setdefault(event["name"], []).append(event["dur"])
+    return found
 
 
 def _equations(program: Jaxpr) -> Iterator[Any]:
