@@ -34,7 +34,8 @@ def with_settings(model: _Module, settings: Mapping[str, Setting]) -> _Module:
 
     Args:
         model: any.
-        settings: by path; None leaves out a part that a model may lack, and is a word among words.
+        settings: by path; None leaves out a part that a model may lack, and stands for the word
+            "none" where a field holds a word.
 
     Returns:
         The new model.
