@@ -19,7 +19,7 @@ import jax.numpy as jnp
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from _report import print_table, write_csv, write_json
-from program_size import kernels_run
+from program_size import executed
 
 from mvedge_jax import compiler_options
 from mvedge_jax.datasets import load_light_field, synthetic
@@ -56,7 +56,8 @@ def main() -> None:
     program = jitted.lower(model, light_field).compile()
     text = program.as_text() or ""
     places, by_place = functions(text), defaultdict[str, list[float]](list)
-    for name, times in kernels_run(lambda: program(model, light_field), text).items():
+    kernels, _ = executed(lambda: program(model, light_field), text)
+    for name, times in kernels.items():
         by_place[places.get(name, "?")] += times
     total = sum(map(sum, by_place.values()))
     order = sorted(by_place.items(), key=lambda item: -sum(item[1]))

@@ -18,6 +18,7 @@ import re
 import sys
 import tempfile
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -152,23 +153,24 @@ def _measured(
 
 def _executed(call: Callable[[], Any], text: str) -> dict[str, int]:
     """How many kernels, loops and conditionals a call runs."""
-    loops, conditionals = (kernels_run(call, text, kind) for kind in ("while", "conditional"))
+    kernels, control = executed(call, text)
     return {
-        "kernels run": sum(map(len, kernels_run(call, text).values())),
-        "loops run": sum(map(len, loops.values())),
-        "conditionals run": sum(map(len, conditionals.values())),
+        "kernels run": sum(map(len, kernels.values())),
+        "loops run": control["while"],
+        "conditionals run": control["conditional"],
     }
 
 
-def kernels_run(
-    call: Callable[[], Any], text: str, control: str | None = None
-) -> dict[str, list[float]]:
-    """Microseconds of every kernel that a warm call runs, by the name of its instruction.
+def executed(call: Callable[[], Any], text: str) -> tuple[dict[str, list[float]], Counter[str]]:
+    """What a warm call runs, from the trace of JAX's profiler.
 
     Args:
         call: runs a compiled program.
         text: of the compiled program.
-        control: kind of control flow to time instead, such as "while".
+
+    Returns:
+        Microseconds of every kernel, by the name of its instruction; and how often control flow
+        ran, by its kind.
     """
     jax.block_until_ready(call())
     with tempfile.TemporaryDirectory() as folder:
@@ -179,12 +181,17 @@ def kernels_run(
     if len(events) >= _MOST_EVENTS:
         print("The profiler dropped events: counts and times are too low.")
     kinds = dict(_INSTRUCTION.findall(text))
-    found: dict[str, list[float]] = {}
+    kernels: dict[str, list[float]] = {}
+    control = Counter[str]()
     for event in events:
         kind = kinds.get(event.get("name"))
-        if "dur" in event and kind and (kind == control if control else kind not in _NO_KERNELS):
-            found.setdefault(event["name"], []).append(event["dur"])
-    return found
+        if "dur" not in event or kind is None:
+            continue
+        if kind in _NO_KERNELS:
+            control[kind] += 1
+        else:
+            kernels.setdefault(event["name"], []).append(event["dur"])
+    return kernels, control
 
 
 def _equations(program: Jaxpr) -> Iterator[Any]:
