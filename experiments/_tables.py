@@ -273,6 +273,22 @@ def parts(results: Results) -> str:
     return _table(("", head[0], *_HEADS[1:], head[1], *_HEADS[1:]), lines)
 
 
+def learned(results: Results) -> str:
+    """docs/learned.md: preset `learned` beside `full`, scene by scene."""
+    columns = ("MSE*100", "BP(.01)", "BP(.03)", "BP(.07)")
+    rows = results.rows("table_learned")
+    places = [(row["scene"], "rows") for row in rows if row["method"] == "full"]
+    lines = []
+    for scene, part in [*places, ("mean", "summary"), ("worst", "summary")]:
+        before, after = (
+            _cells(results.row("table_learned", part, scene=scene, method=method), columns)
+            for method in ("full", "learned")
+        )
+        pairs = zip(before, after, strict=True)
+        lines.append((scene, *(f"{a.removesuffix(' %')} → {b}" for a, b in pairs)))
+    return _table(("`full` → `learned`", _HEADS[0], *columns[1:]), lines)
+
+
 def scores(results: Results, name: str, scene: str, method: str, *columns: str) -> str:
     """In a sentence: scores of a row, by the names of their columns."""
     part = "summary" if scene in ("mean", "worst") else "rows"
@@ -367,7 +383,7 @@ def origins(results: Results) -> str:
 TABLES: dict[str, Callable[..., str]] = {
     make.__name__: make
     for make in (
-        accuracy, edges, parts, views, times, sizes, gradient, scores, step, program, calibrated,
-        calibration, codec, beside, origins,
+        accuracy, edges, learned, parts, views, times, sizes, gradient, scores, step, program,
+        calibrated, calibration, codec, beside, origins,
     )
 }  # fmt: skip

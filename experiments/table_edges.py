@@ -54,7 +54,7 @@ def summary(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     return found
 
 
-def _searched(light_field: LightField, limits: tuple[float, float]) -> LightField:
+def searched(light_field: LightField, limits: tuple[float, float]) -> LightField:
     """The views and truth, to be searched over `limits` where the scene lies within them."""
     low, high = scene_range(light_field)
     if low < limits[0] or high > limits[1]:
@@ -81,7 +81,7 @@ def main() -> None:
     rows: list[dict[str, Any]] = []
     for name in names:
         found = find_scene(name, arguments.data, size=arguments.size)
-        light_field = _searched(found, tuple(arguments.range))
+        light_field = searched(found, tuple(arguments.range))
         blind = light_field.without_truth()
         for method in METHODS:
             row = score(name, method, light_field, 0.0, method.run(blind))

@@ -120,8 +120,12 @@ def walk(module: Any) -> Iterator[Described]:
     """All that `describe` lists, and whatever else a user's module holds, such as functions.
 
     What has parts is not listed itself; `declared` tells numbers with a unit from other arrays.
+    Static fields of Equinox' layers are left out: they repeat the shapes of the arrays.
     """
+    layer = type(module).__module__.startswith("equinox.nn.")
     for part in _parts(module):
+        if layer and part.static:
+            continue
         inner = [] if part.static else list(walk(part.value))
         if not inner:
             yield part

@@ -52,6 +52,7 @@ def learn(
     size: int = 96,
     views: int = 5,
     range: tuple[float, float] = (-2.0, 2.0),
+    zoom: tuple[float, float] = (1.0, 1.0),
     checkpoint: Path | None = None,
     seed: int = 0,
     overwrite: bool = False,
@@ -81,6 +82,8 @@ def learn(
         size: side of the views of random scenes, px.
         views: views along a side of the grid of random scenes; odd.
         range: of the disparities of random scenes, px per view step.
+        zoom: least and largest factor by which views show less than a random scene, so that small
+            views look like crops of larger ones.
         checkpoint: folder of the checkpoint, OUT.checkpoint by default.
         seed: of random scenes, and of their order.
         overwrite: replace OUT if it is an earlier result of mvedge, with nothing else in it.
@@ -96,7 +99,9 @@ def learn(
     given, out = scenes_and_out(paths) if len(paths) > 1 else ([], *map(Path, paths))
     shape, key = (views, views, size, size), jax.random.key(seed)
     fields, held = (
-        _loaded(given, validation) if given else _random(random, validation, shape, range, key)
+        _loaded(given, validation)
+        if given
+        else _random(random, validation, shape=shape, disparity_range=range, zoom=zoom, key=key)
     )
     with stage("choosing sizes"):
         model = options.model(fields[0].without_truth())
@@ -151,21 +156,12 @@ def _loaded(paths: Sequence[Path], held: int) -> tuple[_Fields, _Fields | None]:
     return ranged[: len(ranged) - held], ranged[len(ranged) - held :] or None
 
 
-def _random(
-    count: int,
-    held: int,
-    shape: tuple[int, int, int, int],
-    limits: tuple[float, float],
-    key: jax.Array,
-) -> tuple[_Fields, _Fields | None]:
+def _random(count: int, held: int, **options: Any) -> tuple[_Fields, _Fields | None]:
     """Random scenes to learn from, and others that are held out."""
-    fields = random_light_fields(shape=shape, count=count, disparity_range=limits, key=key)
+    fields = random_light_fields(count=count, **options)
     if not held:
         return fields, None
-    others = random_light_fields(
-        shape=shape, split="validation", count=held, disparity_range=limits, key=key
-    )
-    return fields, others
+    return fields, random_light_fields(split="validation", count=held, **options)
 
 
 def _write(folder: Path, found: Learned, preset: str, report: dict[str, Any]) -> None:

@@ -4,15 +4,15 @@ import contextlib
 import dataclasses
 import json
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Any, TypeVar
 
 import equinox as eqx
 import numpy as np
 import tyro
 
-from mvedge_jax._paths import describe, value_at
+from mvedge_jax._paths import describe, replaced, value_at
 from mvedge_jax._settings import Setting, of_preset, with_settings
-from mvedge_jax.depth import EdgeDepth
+from mvedge_jax.depth import EdgeDepth, Preset
 from mvedge_jax.lightfield import LightField
 
 _Module = TypeVar("_Module", bound=eqx.Module)
@@ -26,16 +26,18 @@ class ModelOptions:
     """The options of every command that runs an `EdgeDepth`.
 
     Attributes:
-        preset: of the steps: full has edges and a label measured at every pixel; edges has the
-            edges alone, splatted with transmittance; thesis has the steps of Chapters 4 and 6.
+        preset: of the steps: full has edges and a label measured at every pixel; learned is full
+            with numbers and a network learned from random scenes; edges has the edges alone,
+            splatted with transmittance; thesis has the steps of Chapters 4 and 6.
         set: a number or static field of the model by its path, such as smoothness.color=.3 or
             refine.solves=1, or refine.outline=none to leave a part out; may be given several times.
             report.json lists all paths.
-        learned: learned.json of `mvedge learn`, whose factors the numbers are multiplied by, or
-            best.json of `mvedge sweep`, whose setting they take; of the same preset. --set wins.
+        learned: learned.json of `mvedge learn`, whose factors the numbers are multiplied by and
+            whose arrays replace those of networks, or best.json of `mvedge sweep`, whose setting
+            they take; of the same preset. --set wins.
     """
 
-    preset: Literal["full", "edges", "thesis"] = "full"
+    preset: Preset = "full"
     set: Settings = ()
     learned: Annotated[Path | None, tyro.conf.arg(name="model", metavar="FILE")] = None
 
@@ -98,6 +100,8 @@ def with_learned(model: _Module, path: Path, preset: str) -> _Module:
             values = {
                 name: factor * float(value_at(model, name)) for name, factor in factors.items()
             }
+            arrays = {n: v for n, v in found.get("numbers", {}).items() if np.ndim(v) > 0}
+            model = _with_arrays(model, arrays) if made == preset else model
         if made == preset:
             return with_settings(model, values)
     except KeyError as missing:
@@ -108,6 +112,19 @@ def with_learned(model: _Module, path: Path, preset: str) -> _Module:
     except (ValueError, TypeError, AttributeError, RecursionError) as mistake:
         raise ValueError(f"--model {path}: {mistake}") from None
     raise ValueError(f"--model {path}: it is for --preset {made}, not {preset}.")
+
+
+def _with_arrays(model: _Module, arrays: dict[str, Any]) -> _Module:
+    """A model with other arrays, such as the weights of a network."""
+    for name, values in arrays.items():
+        new = np.asarray(values, np.float32)
+        now = np.asarray(value_at(model, name))
+        if new.shape != now.shape:
+            raise ValueError(f"`{name}` has the shape {now.shape} in the model, not {new.shape}.")
+        if not np.isfinite(new).all():
+            raise ValueError(f"`{name}` must be finite.")
+        model = replaced(model, {name: new})
+    return model
 
 
 def settings_of(words: tuple[str, ...]) -> dict[str, Setting]:

@@ -3,9 +3,14 @@
 Subpackage: `solves` (from labels to the map).
 """
 
-from ._dense import DenseLabels as DenseLabels, MeasuredLabels as MeasuredLabels
+from ._dense import (
+    DenseLabels as DenseLabels,
+    LabelContext as LabelContext,
+    MeasuredLabels as MeasuredLabels,
+)
 from ._edge_depth import (
     EdgeDepth as EdgeDepth,
+    Preset as Preset,
     depth as depth,
     estimate_depth as estimate_depth,
     multiview_edges as multiview_edges,
@@ -18,6 +23,7 @@ from ._labels import (
     SplattedLabels as SplattedLabels,
     StepWeight as StepWeight,
 )
+from ._learned import ConfidenceNetwork as ConfidenceNetwork, LearnedLabels as LearnedLabels
 from ._problems import map_problems as map_problems
 from ._refine import Refine as Refine
 from ._result import DepthResult as DepthResult, DepthStats as DepthStats

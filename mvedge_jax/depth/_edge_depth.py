@@ -26,7 +26,7 @@ from ._labels import PointLabels
 from ._refine import Parts, Refine
 from ._result import DepthResult
 
-Preset = Literal["full", "edges", "thesis"]
+Preset = Literal["full", "learned", "edges", "thesis"]
 _MAKERS = "`load_light_field` reads one, `LightField(views)` makes one of an array [v, u, y, x, c]"
 
 
@@ -100,8 +100,9 @@ class EdgeDepth(eqx.Module):
 
         Args:
             light_field: its disparity range is measured if it has none.
-            preset: `"full"`: edges and dense labels; `"edges"`: the edges alone, splatted with
-                transmittance; `"thesis"`: the steps of Chapters 4 and 6.
+            preset: `"full"`: edges and dense labels; `"learned"`: the same, with numbers, and a
+                network that weighs the dense labels, learned from random scenes; `"edges"`: the
+                edges alone, splatted with transmittance; `"thesis"`: the steps of Chapters 4 and 6.
             views: the views to measure labels in, see `Measurement`.
             choices: numbers and static fields to set, by path, such as `{"refine.solves": 1}`.
 
@@ -116,7 +117,7 @@ class EdgeDepth(eqx.Module):
         """
         expect("light_field", light_field, LightField, _MAKERS)
         parts = _presets.parts_for(light_field, preset, views)
-        model = EdgeDepth(**parts)
+        model = EdgeDepth(**parts).replace(_presets.learned(preset))
         return model.replace(_presets.for_few_views(model, light_field.farthest)).replace(choices)
 
     def replace(self, choices: Mapping[str, Any] | None = None, /, **parts: Any) -> "EdgeDepth":

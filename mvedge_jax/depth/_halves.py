@@ -15,7 +15,6 @@ from mvedge_jax.image import gradient_magnitude
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.photometry import Calibration, Evidence, Noise, gather_evidence
 from mvedge_jax.photometry.brightness import Exposure
-from mvedge_jax.photometry.matching import Hypotheses
 from mvedge_jax.photometry.measuring import Measurement
 from mvedge_jax.warping import outline
 
@@ -52,7 +51,6 @@ class Labeled(NamedTuple):
         first: the map to start from, `[y, x]`.
         edges: the points.
         surface: their surface vectors.
-        hypotheses: those of the first map; None if there is none.
         noise: of the views.
         exposure: removed from the views.
         iterations: of the diffusions that chose the sides, `[k]`.
@@ -64,7 +62,6 @@ class Labeled(NamedTuple):
     first: Float[Array, "y x"]
     edges: Edges
     surface: SurfaceVectors
-    hypotheses: Hypotheses | None
     noise: Noise
     exposure: Exposure
     iterations: Array
@@ -91,11 +88,11 @@ def find_labels(light_field: LightField, parts: Front, key: PRNGKeyArray | None)
             searched[1] - searched[0],
             sides.edge,
             views.lit,
+            views.hypotheses,
         ),
         measured.disparity if parts.dense and measured is not None else sides.initial,
         edges,
         sides.surface,
-        views.hypotheses,
         views.noise,
         views.exposure,
         sides.iterations,
@@ -141,7 +138,7 @@ def _outlined(
         disparity, error = (jnp.ravel(a)[shown] for a in (disparity, error))
     # `where` hides NaN parameters, so NaN is propagated explicitly.
     unknown = jnp.asarray(jnp.nan, disparity.dtype)
-    hypotheses = labeled.hypotheses
+    hypotheses = labeled.given.hypotheses
     around = None if hypotheses is None else hypotheses.variance_around(disparity)
     error = refine.error(error, disparity, around)
     return jnp.where(fine, disparity, unknown), jnp.where(fine, error, unknown)

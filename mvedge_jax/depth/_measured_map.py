@@ -20,6 +20,7 @@ from mvedge_jax.photometry.measuring import (
     residual_variance,
 )
 
+from ._dense import LabelContext
 from ._diffused import diffused
 from ._refine import Given, Map, Parts, Refine, cut_edges, labeled_share
 from ._standard_error import steepest
@@ -206,7 +207,8 @@ def _solve(
         share = jnp.where(turn.kind == _AROUND, alone, 1)
         sparse = sparse._replace(weight=share * sparse.weight)
     dense = save_residual(measured(found, disparity))
-    both = parts.dense(sparse, dense, disparity, params, refine.precision, given.lit)
+    context = LabelContext(params, refine.precision, given.lab, given.hypotheses, given.lit)
+    both = parts.dense(sparse, dense, disparity, context)
     solved, (iterations, converged) = diffused(
         both,
         cut_edges(given, disparity, parts.smoothness),

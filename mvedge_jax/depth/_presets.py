@@ -21,6 +21,7 @@ from mvedge_jax.smoothness import ColorAndDepth, ThesisSmoothness
 
 from ._dense import MeasuredLabels
 from ._labels import NearestLabels, SharedLabels, SplattedLabels, StepWeight
+from ._learned import learned_labels, learned_numbers
 from ._refine import Refine
 from ._sharpen import Sharpen
 
@@ -30,7 +31,7 @@ if TYPE_CHECKING:
 # Relative residuals at which diffusions stop. With labels at edges alone, the right-hand side is
 # so small that single precision gets no further; maps do not change.
 _DENSE, _SPARSE = 1e-5, 1e-4
-PRESETS = ("full", "edges", "thesis")
+PRESETS = ("full", "learned", "edges", "thesis")
 # Slots for points, per pixel. They set shapes and memory; overflow is counted.
 _FILL = 0.65
 # Ranges in files are rounded: differences up to this, px per view step, are ignored.
@@ -118,9 +119,14 @@ def parts_for(
     return common | {
         "sides": MapSides(),
         "labels": SharedLabels(),
-        "dense": MeasuredLabels(),
+        "dense": learned_labels() if preset == "learned" else MeasuredLabels(),
         "refine": Refine(),
     }
+
+
+def learned(preset: str) -> dict[str, Any]:
+    """Numbers for 9x9 views that are not the defaults of parts, by path."""
+    return dict(learned_numbers()) if preset == "learned" else {}
 
 
 def for_few_views(model: "EdgeDepth", farthest: int) -> dict[str, Any]:

@@ -9,6 +9,7 @@ from jaxtyping import Array, Float
 
 from mvedge_jax._params import at_least, number
 from mvedge_jax.photometry import PreparedViews
+from mvedge_jax.photometry.matching import Hypotheses
 from mvedge_jax.smoothness import Smoothness
 from mvedge_jax.warping import Outline
 
@@ -104,6 +105,7 @@ class Given(NamedTuple):
             evidence.
         depth_edge: depth-edge confidence, px per px, `[y, x]`.
         lit: 0 in the vignette mask, where labels have no weight and no edge is cut.
+        hypotheses: of the first map; None if there are none.
     """
 
     from_points: Labels
@@ -113,6 +115,7 @@ class Given(NamedTuple):
     span: Float[Array, ""]
     depth_edge: Float[Array, "y x"]
     lit: Float[Array, "y x"] | None = None
+    hypotheses: Hypotheses | None = None
 
 
 class Parts(NamedTuple):

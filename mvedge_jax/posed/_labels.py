@@ -2,9 +2,9 @@
 
 from jaxtyping import Array, Float
 
-from mvedge_jax.depth import MeasuredLabels
+from mvedge_jax.depth import LabelContext, MeasuredLabels
 from mvedge_jax.depth.solves import Labels
-from mvedge_jax.photometry.measuring import AdaptedMeasurement, PhotometricLabels
+from mvedge_jax.photometry.measuring import PhotometricLabels
 
 
 class PhotographLabels(MeasuredLabels):
@@ -19,11 +19,9 @@ class PhotographLabels(MeasuredLabels):
         from_points: Labels,
         measured: PhotometricLabels,
         disparity: Float[Array, "y x"],
-        measuring: AdaptedMeasurement,
-        precision: Float[Array, ""],
-        lit: Float[Array, "y x"] | None,
+        context: LabelContext,
     ) -> Labels:
         """See `DenseLabels`; `from_points` are those of the hypotheses."""
-        weight = measured.weight(measuring, precision=precision, trust=self.trust)
+        weight = self.weight(from_points, measured, disparity, context)
         left = from_points._replace(weight=(1 - weight) * from_points.weight)
-        return super().__call__(left, measured, disparity, measuring, precision, lit)
+        return super().__call__(left, measured, disparity, context)

@@ -161,6 +161,7 @@ def _stereo(
         span,
         nothing,
         lit,
+        hypotheses,
     )
     parts = Parts(model.dense, model.smoothness, model.solver, model.refine)
     found = refine_disparity(given, first, parts)

@@ -79,6 +79,19 @@ def test_factors_multiply_what_the_views_ask_for(tmp_path):
         assert float(ModelOptions("edges", words, path).model(field).refine.precision) == 0.125
 
 
+def test_weights_of_a_network_are_taken_as_they_are(tmp_path):
+    where, plain = "dense.network.last.bias", ModelOptions("learned").check()
+    numbers = {where: [[[0.25]]], "dense.trust": 2.0}
+    path = _file(tmp_path, {"preset": "learned", "factors": {"dense.trust": 2}, "numbers": numbers})
+    found = ModelOptions("learned", (), path).check()
+    assert float(np.ravel(value_at(found, where))[0]) == 0.25
+    before, after = (float(value_at(model, "dense.trust")) for model in (plain, found))
+    assert after == pytest.approx(2 * before)
+    _file(tmp_path, {"preset": "learned", "factors": {}, "numbers": {where: [[[float("nan")]]]}})
+    with pytest.raises(ValueError, match=r"`dense.network.last.bias` must be finite"):
+        ModelOptions("learned", (), path).check()
+
+
 def test_the_setting_of_a_sweep_is_taken_as_it_is(tmp_path):
     setting = {"refine.precision": 0.25, "refine.solves": 1}
     path = _file(tmp_path, {"preset": "full", "setting": setting})
@@ -96,6 +109,10 @@ def test_the_setting_of_a_sweep_is_taken_as_it_is(tmp_path):
         ({"preset": "edges", "factors": {"refine": 1}}, "float() argument must be"),
         ({"preset": "edges", "factors": {"refine.precision": -1}}, "must be finite and not neg"),
         ({"preset": "edges", "factors": [1]}, "has no attribute"),
+        (
+            {"preset": "edges", "factors": {}, "numbers": {"smoothness.color": [1.0, 2.0]}},
+            "`smoothness.color` has the shape () in the model, not (2,)",
+        ),
         ({"preset": "edges", "setting": {"refine.solves": 0}}, "`solves` must be at least 1"),
         pytest.param("[" * 200_000, "", id="deep"),
         ("no json", "Expecting value"),

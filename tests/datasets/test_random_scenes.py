@@ -97,3 +97,20 @@ def test_double_precision_reaches_the_views():
     leaves = jax.tree.leaves(scene_of(0, dtype=jnp.float64))
     floating = {leaf.dtype for leaf in leaves if jnp.issubdtype(leaf.dtype, jnp.floating)}
     assert floating == {jnp.dtype(jnp.float64)}
+
+
+def test_parts_of_scenes_look_like_crops_of_larger_views():
+    options: Any = {"split": "test", "count": 2, "disparity_range": (-1.0, 1.0)}
+    fields: Any = random_scenes.random_light_fields(
+        shape=SHAPE, zoom=(2.0, 4.0), views="crosshair", key=jax.random.key(5), **options
+    )
+    whole: Any = random_scenes.random_light_fields(shape=SHAPE, key=jax.random.key(5), **options)
+    part, other = np.asarray(fields[1].truth.disparity), np.asarray(whole[1].truth.disparity)
+    assert part.min() >= -1
+    assert part.max() <= 1
+    assert set(np.unique(fields[1].truth.object_ids)) <= set(np.unique(whole[1].truth.object_ids))
+    assert np.abs(np.diff(part)).mean() < np.abs(np.diff(other)).mean()
+    with pytest.raises(ValueError, match=r"`zoom` must be a range of factors of at least 1, got"):
+        random_scenes.random_light_fields(
+            shape=SHAPE, zoom=(0.5, 1.0), key=jax.random.key(0), **options
+        )

@@ -1,5 +1,6 @@
 """The renderer against closed forms: disparity, ids, occlusion, photo-consistency, mistakes."""
 
+import inspect
 import resource
 from typing import Any
 
@@ -307,3 +308,38 @@ def test_camera_and_crop_agree_with_the_truth(pictures):
     assert_array_equal(truth.object_ids, truth.view_ids[1, 1])
     assert truth.valid.all()
     assert field.crop_views(1).truth.view_ids.shape == (1, 1, *PICTURE[2:])
+
+
+@pytest.mark.parametrize("towards", [(0.0, 0.0), (1.0, -1.0), (0.25, 0.5)])
+def test_a_part_of_a_scene_is_a_crop_of_a_larger_view(towards):
+    near = 2.5  # the nearest surface is the one that a part is chosen by
+    disparities = GAIN / 6.0 - GAIN / FOCUS, GAIN / near - GAIN / FOCUS
+    card = synthetic.plane((0.1, 0.05, near), (1.2, 0.9))
+    world = synthetic.make_world([card], dtype=jnp.float64)
+    scene = synthetic.make_scene(world, disparity_range=disparities)
+    large, part = render(scene, (1, 3, 64, 64)), render(scene.zoomed(2.0, towards), (1, 3, 32, 32))
+    x, y = (round(16 + 16 * side) for side in towards)
+    assert_allclose(part.views, large.views[:, :, y : y + 32, x : x + 32], atol=1e-9)
+    assert_allclose(part.truth.disparity, large.truth.disparity[y : y + 32, x : x + 32], atol=1e-9)
+
+
+def test_parts_of_scenes_are_checked():
+    scene = synthetic.scene("edges")
+    for factor, towards, name in ((0.5, (0.0, 0.0), "factor"), (2.0, (0.0, 1.1), "towards")):
+        with pytest.raises(ValueError, match=f"`{name}` must be"):
+            scene.zoomed(factor, towards)
+
+
+def test_the_crosshair_alone_is_that_of_all_views():
+    scene, shape = synthetic.scene("noisy"), (3, 5, 20, 18)
+    whole = render(scene, shape)
+    cross: Any = synthetic.render(scene, shape=shape, views="crosshair", samples=1, key=KEY)
+    available = np.asarray(cross.available)
+    assert available.sum() == 7
+    assert_array_equal(np.asarray(cross.views)[available], np.asarray(whole.views)[available])
+    assert not np.asarray(cross.views)[~available].any()
+    assert cross.truth.view_disparity is None
+    assert_array_equal(cross.truth.disparity, whole.truth.disparity)
+    plain: Any = inspect.unwrap(synthetic.render)
+    with pytest.raises(ValueError, match=r"`views` must be 'all' or 'crosshair', got 'row'"):
+        plain(scene, shape=shape, views="row", key=KEY)

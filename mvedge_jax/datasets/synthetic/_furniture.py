@@ -82,8 +82,8 @@ def material(dice: Dice, theme: Material | None = None) -> Material:
         )
     if dice.chance(0.3):
         found = replace(found, specular=dice.even(0.2, 0.9), shininess=dice.log(20.0, 200.0))
-    if dice.chance(0.12):
-        found = replace(found, mirror=dice.log(0.04, 0.5))
+    if dice.chance(0.25):
+        found = replace(found, mirror=dice.log(0.04, 0.9))
     return found
 
 

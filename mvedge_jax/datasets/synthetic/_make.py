@@ -179,7 +179,7 @@ def make_scene(
 
     return Scene(
         world,
-        Rig(number(focal), number(gain), number(focus)),
+        Rig(number(focal), number(gain), number(focus), jnp.zeros(2, dtype)),
         Sensor(*map(number, (blur, read_noise, shot_noise, 0.0, 0.0, 0.0, 0.0))),
         jnp.asarray(np.asarray([low, high], float), dtype),
         name,

@@ -2,7 +2,8 @@
 
 import concurrent.futures
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from typing import Literal
 
 import jax.numpy as jnp
 import numpy as np
@@ -21,8 +22,13 @@ def trace_views(
     mode: Mode,
     progress: Callable[[int, int], None] | None,
     key: PRNGKeyArray,
+    numbers: Sequence[int] | None = None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Traces views on all cores, straight into arrays: one view per core is in flight."""
+    """Traces views on all cores, straight into arrays: one view per core is in flight.
+
+    A view's noise is that of its number; by default views are counted.
+    """
+    numbers = range(len(pinholes)) if numbers is None else numbers
     dtype = np.dtype(scene.world.solids.center.dtype)
     count = len(pinholes)
     images = np.empty((count, *mode.size, 3), dtype)
@@ -30,7 +36,7 @@ def trace_views(
     ids = np.empty((count, *mode.size), np.int32)
 
     def trace(k: int) -> None:
-        view = np.asarray(k, np.int32)
+        view = np.asarray(numbers[k], np.int32)
         result = trace_view(scene.world, scene.sensor, pinholes[k], key, view, mode=mode)
         images[k], depth[k], ids[k] = (np.asarray(part) for part in result)
 
@@ -83,8 +89,9 @@ def grid_pinhole(
     focal_px = focal * max(height, width)
     du, dv = position
     baseline = gain / focal_px
+    right, down = np.asarray(scene.rig.place)
     return Pinhole(
-        origin=np.asarray([du * baseline, dv * baseline, 0.0], dtype),
+        origin=np.asarray([right + du * baseline, down + dv * baseline, 0.0], dtype),
         rotation=np.eye(3, dtype=dtype),
         focal=np.asarray([focal_px, focal_px], dtype),
         principal=np.asarray(
@@ -103,6 +110,7 @@ def render(
     *,
     shape: tuple[int, int, int, int],
     positions: Float[Array, "v u 2"] | np.ndarray | None = None,
+    views: Literal["all", "crosshair"] = "all",
     samples: int = 3,
     progress: Callable[[int, int], None] | None = None,
     key: PRNGKeyArray,
@@ -116,6 +124,8 @@ def render(
         scene: see `scene` for those with a name and `make_world` for your own.
         shape: view rows, view columns (both odd), height and width in px.
         positions: of the views, see `LightField`; None for a regular grid.
+        views: `"crosshair"` renders the center row and column; the other views are missing, and
+            the truth is that of the center view.
         samples: the image averages `samples**2` rays per pixel, spread like a tent of half width
             1 px; the ground truth is that of the pixel's center.
         progress: called with the number of views that are done and that there are.
@@ -140,7 +150,13 @@ def render(
     """
     shape = check_grid(shape, samples)
     rows, columns, height, width = shape
-    places = [regular(shape, v, u) for v in range(rows) for u in range(columns)]
+    if views not in ("all", "crosshair"):
+        raise ValueError(f"`views` must be 'all' or 'crosshair', got {views!r}.")
+    vc, uc = rows // 2, columns // 2
+    available = np.full((rows, columns), views == "all")
+    available[vc], available[:, uc] = True, True
+    rendered = np.argwhere(available).tolist()
+    places = [regular(shape, v, u) for v, u in rendered]
     if positions is not None:
         given = np.asarray(positions, float)
         if given.shape != (rows, columns, 2):
@@ -148,34 +164,45 @@ def render(
                 f"`positions` must have the shape {(rows, columns, 2)}, got {given.shape}."
             )
         check_positions(given)
-        places = [(x, y) for x, y in given.reshape(-1, 2).tolist()]
+        places = [(x, y) for x, y in given[available].tolist()]
     pinholes = [grid_pinhole(scene, shape, place) for place in places]
     mode = mode_of(scene, (height, width), samples)
-    images, depth, ids = trace_views(scene, pinholes, mode, progress, key)
+    numbers = np.flatnonzero(available).tolist()
+    images, depth, ids = trace_views(scene, pinholes, mode, progress, key, numbers)
     # Moved into JAX one by one: what is held twice is one array at a time.
-    views = jnp.asarray(images.reshape(*shape, 3))
+    shown = _on_grid(images, available)
     del images
     gain, focus = float(scene.rig.gain), float(scene.rig.focus)
     np.divide(gain, depth, out=depth)
     np.subtract(depth, gain / focus, out=depth)
-    disparity = jnp.asarray(depth.reshape(shape))
+    disparity = _on_grid(depth, available)
     del depth
-    ids = jnp.asarray(ids.reshape(shape))
-    vc, uc = rows // 2, columns // 2
+    object_ids = _on_grid(ids, available)
+    every = available.all()
     return LightField(
-        views,
+        shown,
+        available=available,
         positions=positions,
         disparity_range=scene.disparity_range,
         truth=GroundTruth(
             disparity=disparity[vc, uc],
             valid=jnp.ones((height, width), bool),
-            object_ids=ids[vc, uc],
-            view_disparity=disparity,
-            view_ids=ids,
+            object_ids=object_ids[vc, uc],
+            view_disparity=disparity if every else None,
+            view_ids=object_ids if every else None,
         ),
         camera=scene.rig.camera(height, width),
         name=scene.name,
     )
+
+
+def _on_grid(rendered: np.ndarray, available: np.ndarray) -> Array:
+    """Views at their places in the grid, 0 where a view is missing."""
+    if available.all():
+        return jnp.asarray(rendered.reshape(*available.shape, *rendered.shape[1:]))
+    placed = np.zeros((*available.shape, *rendered.shape[1:]), rendered.dtype)
+    placed[available] = rendered
+    return jnp.asarray(placed)
 
 
 def visibility(

@@ -21,6 +21,8 @@ Split = Literal["train", "validation", "test"]
 _SPLITS = get_args(Split)
 # Share of the disparity range that scenes leave free at either end.
 _MARGIN = (0.01, 0.06)
+# Bytes of rendered views that a sequence keeps.
+_KEPT = 4 << 30
 
 
 def random_scene(
@@ -88,6 +90,8 @@ def random_light_fields(
     split: Split = "train",
     count: int,
     disparity_range: tuple[float, float] = (-2.0, 2.0),
+    zoom: tuple[float, float] = (1.0, 1.0),
+    views: Literal["all", "crosshair"] = "all",
     samples: int = 2,
     key: PRNGKeyArray,
 ) -> Sequence[LightField]:
@@ -98,20 +102,26 @@ def random_light_fields(
         split: see `random_scene`.
         count: of scenes.
         disparity_range: of all scenes, so that one program serves them.
+        zoom: least and largest factor by which views show less than the scene, somewhere within it,
+            see `Scene.zoomed`: small views that look like crops of larger ones.
+        views: see `render`.
         samples: see `render`.
         key: of all scenes; scene `i` is that of the `i`-th key folded from it.
 
     Returns:
-        A sequence; what was rendered is kept.
+        A sequence; what was rendered is kept, up to 4 GiB, and rendered again beyond.
 
     Raises:
-        ValueError: `count` is below 1; or as `render` and `random_scene` do.
+        ValueError: `count` is below 1, or `zoom` no range of factors; or as `render` and
+            `random_scene` do.
     """
     if count < 1:
         raise ValueError(f"`count` must be at least 1, got {count}.")
     check_grid(shape, samples)
     _check_choice(split, disparity_range)
-    return _Rendered(key, split, count, shape, disparity_range, samples)
+    if not 1 <= zoom[0] <= zoom[1] < float("inf"):
+        raise ValueError(f"`zoom` must be a range of factors of at least 1, got {zoom}.")
+    return _Rendered(key, split, count, disparity_range, zoom, shape, views, samples)
 
 
 class _Rendered(Sequence[LightField]):
@@ -120,8 +130,9 @@ class _Rendered(Sequence[LightField]):
     def __init__(self, key: PRNGKeyArray, split: Split, count: int, *options: Any):
         self._key, self._count = key, count
         self._split: Split = split
-        self._shape, self._range, self._samples = options
+        self._range, self._zoom, self._shape, self._views, self._samples = options
         self._known: dict[int, LightField] = {}
+        self._room = _KEPT
 
     def __len__(self) -> int:
         return self._count
@@ -130,12 +141,19 @@ class _Rendered(Sequence[LightField]):
         if isinstance(index, slice):
             return [self[i] for i in range(*index.indices(self._count))]
         place = range(self._count)[index]
-        if place not in self._known:
-            own = jax.random.fold_in(self._key, place)
-            scene = random_scene(split=self._split, disparity_range=self._range, key=own)
-            field = render(scene, shape=self._shape, samples=self._samples, key=own)
-            self._known[place] = field.renamed(f"{self._split} scene {place}")
-        return self._known[place]
+        if place in self._known:
+            return self._known[place]
+        own = jax.random.fold_in(self._key, place)
+        scene = random_scene(split=self._split, disparity_range=self._range, key=own)
+        draws = jax.random.uniform(jax.random.fold_in(own, 0), (3,)).tolist()
+        factor = self._zoom[0] * (self._zoom[1] / self._zoom[0]) ** draws[0]
+        scene = scene.zoomed(factor, (2 * draws[1] - 1, 2 * draws[2] - 1))
+        field = render(scene, shape=self._shape, views=self._views, samples=self._samples, key=own)
+        field = field.renamed(f"{self._split} scene {place}")
+        self._room -= field.views.nbytes
+        if self._room >= 0:
+            self._known[place] = field
+        return field
 
 
 def _check_choice(split: str, limits: tuple[float, float] | None) -> None:
