@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from depth.parts import SHAPE, check_part, given
+from helpers import check_modes
 from numpy.testing import assert_allclose, assert_array_equal
 
 from mvedge_jax import EdgeDepth, LightField, describe
@@ -58,6 +59,17 @@ def test_a_network_starts_as_the_rule_and_then_changes_weights():
     assert_allclose(start.weight, rule.weight, rtol=1e-6)
     assert_allclose(start.value, rule.value, rtol=1e-6)
     assert float(jnp.abs(later.weight / rule.weight - 1).max()) > 0.1
+
+
+def test_derivatives_of_labels():
+    """In the weights of the network, and in all that it sees; both modes against differences."""
+
+    def loss(tree):
+        labels = called(*tree)
+        wave = jnp.cos(jnp.arange(labels.weight.size, dtype=labels.weight.dtype))
+        return jnp.sum(wave.reshape(SHAPE) * labels.weight * (1 + labels.value))
+
+    check_modes(loss, (trained(), given()), rtol=1e-5, step=1e-7, key=jax.random.key(2))
 
 
 def test_the_unit_of_disparity_is_free():
