@@ -24,7 +24,7 @@ from _report import peak_memory, print_table, write_json
 
 from mvedge_jax import EdgeDepth
 from mvedge_jax.datasets.synthetic import random_scenes
-from mvedge_jax.depth import ConfidenceNetwork, LearnedLabels
+from mvedge_jax.depth import LearnedLabels
 from mvedge_jax.learn import Learned, Progress, learn, plot_learning
 
 NETWORK = "dense.network"
@@ -83,7 +83,6 @@ def trained(arguments: Arguments, seed: int) -> Learned:
 
     scenes = drawn("train", arguments.scenes)
     model = EdgeDepth.for_light_field(scenes[0].without_truth())
-    network = ConfidenceNetwork(key=jax.random.key(seed))
 
     def kind(path: str) -> str:
         return "network" if path.startswith(NETWORK) else "numbers"
@@ -97,7 +96,7 @@ def trained(arguments: Arguments, seed: int) -> Learned:
         for name, rate in rates.items()
     }
     return learn(
-        model.replace(dense=LearnedLabels(network=network)),
+        model.replace(dense=LearnedLabels.untrained(key=jax.random.key(seed))),
         chosen,
         scenes,
         validation=drawn("validation", arguments.held),

@@ -82,6 +82,18 @@ class LearnedLabels(MeasuredLabels):
 
     network: ConfidenceNetwork = eqx.field(kw_only=True)
 
+    @staticmethod
+    def untrained(*, key: PRNGKeyArray) -> "LearnedLabels":
+        """Labels with a network that changes nothing yet.
+
+        Args:
+            key: of all weights but the last ones, which are 0.
+
+        Returns:
+            The part, to be learned.
+        """
+        return LearnedLabels(network=ConfidenceNetwork(key=key))
+
     def weight(
         self,
         from_points: Labels,

@@ -96,7 +96,12 @@ def test_help_in_a_narrow_locale():
         words = [sys.executable, "-m", module, "depth", "--help"]
         run = subprocess.run(words, capture_output=True, env=environment, check=True)
         said = run.stdout.decode("ascii")
-        wanted = ["--overwrite", "--preset {full,edges,thesis}", "--set PATH=VALUE", "--seed"]
+        wanted = [
+            "--overwrite",
+            "--preset {full,learned,edges,thesis}",
+            "--set PATH=VALUE",
+            "--seed",
+        ]
         for text in (*wanted, "smoothness.color=.3"):
             assert text in said
 

@@ -13,7 +13,6 @@ from mvedge_jax import EdgeDepth, LightField, describe
 from mvedge_jax._params import cast
 from mvedge_jax._paths import value_at
 from mvedge_jax.depth import (
-    ConfidenceNetwork,
     DenseLabels,
     LabelContext,
     LearnedLabels,
@@ -34,7 +33,7 @@ def called(part, of):
 
 
 def untrained():
-    return LearnedLabels(network=cast(ConfidenceNetwork(key=jax.random.key(0)), jnp.float64))
+    return cast(LearnedLabels.untrained(key=jax.random.key(0)), jnp.float64)
 
 
 def trained():
