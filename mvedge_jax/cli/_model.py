@@ -4,7 +4,7 @@ import contextlib
 import dataclasses
 import json
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any, Literal, TypeVar
 
 import equinox as eqx
 import numpy as np
@@ -12,7 +12,7 @@ import tyro
 
 from mvedge_jax._paths import describe, replaced, value_at
 from mvedge_jax._settings import Setting, of_preset, with_settings
-from mvedge_jax.depth import EdgeDepth, Preset
+from mvedge_jax.depth import EdgeDepth
 from mvedge_jax.lightfield import LightField
 
 _Module = TypeVar("_Module", bound=eqx.Module)
@@ -37,7 +37,7 @@ class ModelOptions:
             they take; of the same preset. --set wins.
     """
 
-    preset: Preset = "full"
+    preset: Literal["full", "learned", "edges", "thesis"] = "full"
     set: Settings = ()
     learned: Annotated[Path | None, tyro.conf.arg(name="model", metavar="FILE")] = None
 

@@ -3,14 +3,9 @@
 Subpackage: `solves` (from labels to the map).
 """
 
-from ._dense import (
-    DenseLabels as DenseLabels,
-    LabelContext as LabelContext,
-    MeasuredLabels as MeasuredLabels,
-)
+from ._dense import DenseLabels as DenseLabels, MeasuredLabels as MeasuredLabels
 from ._edge_depth import (
     EdgeDepth as EdgeDepth,
-    Preset as Preset,
     depth as depth,
     estimate_depth as estimate_depth,
     multiview_edges as multiview_edges,

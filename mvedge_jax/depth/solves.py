@@ -8,6 +8,7 @@ from jaxtyping import Array, Float
 
 from mvedge_jax._checkpoint import checkpoint
 
+from ._dense import LabelContext as LabelContext
 from ._diffused import diffused
 from ._labels import Labels as Labels, precision_weight as precision_weight
 from ._measured_map import measured_map

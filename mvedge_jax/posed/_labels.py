@@ -2,8 +2,8 @@
 
 from jaxtyping import Array, Float
 
-from mvedge_jax.depth import LabelContext, MeasuredLabels
-from mvedge_jax.depth.solves import Labels
+from mvedge_jax.depth import MeasuredLabels
+from mvedge_jax.depth.solves import LabelContext, Labels
 from mvedge_jax.photometry.measuring import PhotometricLabels
 
 

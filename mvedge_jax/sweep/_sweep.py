@@ -5,7 +5,7 @@ import os
 import socket
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import optuna
@@ -15,7 +15,6 @@ from optuna.storages.journal import JournalFileBackend
 from optuna.trial import TrialState
 
 from mvedge_jax._settings import Setting, of_preset, with_settings
-from mvedge_jax.depth import Preset
 from mvedge_jax.lightfield import LightField
 
 from ._evaluate import Objective, check_objective, evaluate
@@ -49,7 +48,7 @@ def sweep(
     scenes: Sequence[str | Path | LightField],
     space: Space,
     *,
-    preset: Preset = "full",
+    preset: Literal["full", "learned", "edges", "thesis"] = "full",
     start: Mapping[str, Setting] | None = None,
     trials: int = 64,
     batch: int = 4,

@@ -14,12 +14,11 @@ from mvedge_jax._params import cast
 from mvedge_jax._paths import value_at
 from mvedge_jax.depth import (
     DenseLabels,
-    LabelContext,
     LearnedLabels,
     MeasuredLabels,
 )
 from mvedge_jax.depth._learned import learned_values
-from mvedge_jax.depth.solves import Labels
+from mvedge_jax.depth.solves import LabelContext, Labels
 from mvedge_jax.photometry.measuring import AdaptedMeasurement
 
 
