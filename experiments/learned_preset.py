@@ -24,7 +24,7 @@ from _report import peak_memory, print_table, write_json
 
 from mvedge_jax import EdgeDepth
 from mvedge_jax.datasets.synthetic import random_scenes
-from mvedge_jax.depth import LearnedLabels
+from mvedge_jax.depth.solves import LearnedLabels
 from mvedge_jax.learn import Learned, Progress, learn, plot_learning
 
 NETWORK = "dense.network"

@@ -18,7 +18,6 @@ from ._labels import (
     SplattedLabels as SplattedLabels,
     StepWeight as StepWeight,
 )
-from ._learned import LearnedLabels as LearnedLabels
 from ._problems import map_problems as map_problems
 from ._refine import Refine as Refine
 from ._result import DepthResult as DepthResult, DepthStats as DepthStats

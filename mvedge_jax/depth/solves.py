@@ -11,6 +11,7 @@ from mvedge_jax._checkpoint import checkpoint
 from ._dense import LabelContext as LabelContext
 from ._diffused import diffused
 from ._labels import Labels as Labels, precision_weight as precision_weight
+from ._learned import LearnedLabels as LearnedLabels
 from ._measured_map import measured_map
 from ._refine import Given as Given, Map as Map, Parts as Parts, cut_edges, labeled_share
 

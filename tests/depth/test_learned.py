@@ -12,13 +12,9 @@ from numpy.testing import assert_allclose, assert_array_equal
 from mvedge_jax import EdgeDepth, LightField, describe
 from mvedge_jax._params import cast
 from mvedge_jax._paths import value_at
-from mvedge_jax.depth import (
-    DenseLabels,
-    LearnedLabels,
-    MeasuredLabels,
-)
+from mvedge_jax.depth import DenseLabels, MeasuredLabels
 from mvedge_jax.depth._learned import learned_values
-from mvedge_jax.depth.solves import LabelContext, Labels
+from mvedge_jax.depth.solves import LabelContext, Labels, LearnedLabels
 from mvedge_jax.photometry.measuring import AdaptedMeasurement
 
 
