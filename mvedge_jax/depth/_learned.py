@@ -40,8 +40,8 @@ class ConfidenceNetwork(eqx.Module):
     mixed: eqx.nn.Conv2d
     last: eqx.nn.Conv2d
 
-    def __init__(self, widths: tuple[int, int, int] = (16, 24, 12), *, key: PRNGKeyArray):
-        half, quarter, full = widths
+    def __init__(self, *, key: PRNGKeyArray):
+        half, quarter, full = 16, 24, 12
         keys = iter(jax.random.split(key, 7))
 
         def convolution(before: int, after: int, side: int = 3, **options: Any) -> eqx.nn.Conv2d:
@@ -77,7 +77,7 @@ class LearnedLabels(MeasuredLabels):
     colors around a pixel, all in units of the standard error or of the noise.
 
     Attributes:
-        network: logarithm of the factor.
+        network: what the log odds of a weight are lowered by.
     """
 
     network: ConfidenceNetwork = eqx.field(kw_only=True)
@@ -167,10 +167,8 @@ def _seen(
 
 def _steps(values: Float[Array, "*c y x"]) -> tuple[Array, Array]:
     """Differences to the right and downwards, 0 at the border."""
-    return tuple(
-        jnp.diff(values, axis=axis, append=jax.lax.slice_in_dim(values, -1, None, axis=axis))
-        for axis in (-1, -2)
-    )  # pyright: ignore[reportReturnType]
+    right = jnp.diff(values, axis=-1, append=values[..., -1:])
+    return right, jnp.diff(values, axis=-2, append=values[..., -1:, :])
 
 
 def _log_odds(weight: Array) -> Array:

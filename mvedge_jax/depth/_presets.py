@@ -126,7 +126,7 @@ def parts_for(
 
 def learned(preset: str) -> dict[str, Any]:
     """Numbers for 9x9 views that are not the defaults of parts, by path."""
-    return dict(learned_numbers()) if preset == "learned" else {}
+    return learned_numbers() if preset == "learned" else {}
 
 
 def for_few_views(model: "EdgeDepth", farthest: int) -> dict[str, Any]:
