@@ -115,7 +115,8 @@ def learn(
             options_of = {"optimizer": adam, "checkpoint": folder_of, "progress": tell, "key": key}
             found = learn_from(model, what, fields, validation=held, **choices, **options_of)
         report = {
-            "scenes": [str(scene) for scene in given] or f"{random} random scenes of {shape}",
+            "scenes": [str(scene) for scene in given]
+            or f"{random} random scenes of {shape}, disparities {range}, zoom {zoom}",
             "validation scenes": len(held or ()),
             "what": list(found.values),
             "rate": rate,

@@ -93,17 +93,14 @@ def with_learned(model: _Module, path: Path, preset: str) -> _Module:
     try:
         found = json.loads(path.read_text(encoding="utf-8"))
         made = found["preset"]
+        if made != preset:
+            raise ValueError(f"it is for --preset {made}, not {preset}.")
         if "setting" in found:
-            values = dict(found["setting"])
-        else:
-            factors = {name: float(factor) for name, factor in found["factors"].items()}
-            values = {
-                name: factor * float(value_at(model, name)) for name, factor in factors.items()
-            }
-            arrays = {n: v for n, v in found.get("numbers", {}).items() if np.ndim(v) > 0}
-            model = _with_arrays(model, arrays) if made == preset else model
-        if made == preset:
-            return with_settings(model, values)
+            return with_settings(model, found["setting"])
+        factors = {name: float(factor) for name, factor in found["factors"].items()}
+        values = {name: factor * float(value_at(model, name)) for name, factor in factors.items()}
+        arrays = {n: v for n, v in found.get("numbers", {}).items() if np.ndim(v) > 0}
+        return with_settings(_with_arrays(model, arrays), values)
     except KeyError as missing:
         raise ValueError(
             f"--model {path}: expected learned.json of `mvedge learn` or best.json of `mvedge "
@@ -111,7 +108,6 @@ def with_learned(model: _Module, path: Path, preset: str) -> _Module:
         ) from None
     except (ValueError, TypeError, AttributeError, RecursionError) as mistake:
         raise ValueError(f"--model {path}: {mistake}") from None
-    raise ValueError(f"--model {path}: it is for --preset {made}, not {preset}.")
 
 
 def _with_arrays(model: _Module, arrays: dict[str, Any]) -> _Module:
