@@ -40,7 +40,8 @@ def describe(module: eqx.Module) -> tuple[Described, ...]:
         module: such as an `EdgeDepth`.
 
     Returns:
-        In the order of the fields, those of modules in tuples and lists included.
+        In the order of the fields, those of modules in tuples and lists included. Static fields of
+        the layers of `equinox.nn` are left out: they repeat the shapes of the arrays.
 
     Example:
         >>> from mvedge_jax.smoothness import ColorAndDepth
@@ -120,7 +121,6 @@ def walk(module: Any) -> Iterator[Described]:
     """All that `describe` lists, and whatever else a user's module holds, such as functions.
 
     What has parts is not listed itself; `declared` tells numbers with a unit from other arrays.
-    Static fields of Equinox' layers are left out: they repeat the shapes of the arrays.
     """
     layer = type(module).__module__.startswith("equinox.nn.")
     for part in _parts(module):

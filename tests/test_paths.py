@@ -177,3 +177,12 @@ def test_parts_of_the_chain_are_replaced_by_name_and_by_path(chain):
     assert wide.labels.splat.raster.radius == 3
     with pytest.raises(ValueError, match=r"`side` is no path of `EdgeDepth`: .*'sides'"):
         chain.replace(side=NoSides())
+
+
+def test_of_a_layer_only_the_arrays_are_described():
+    layers = [
+        eqx.nn.Linear(2, 3, key=jax.random.key(0)),
+        eqx.nn.Conv2d(1, 2, 3, key=jax.random.key(1)),
+    ]
+    paths = [row.path for layer in layers for row in describe(layer)]
+    assert paths == ["weight", "bias"] * 2
