@@ -42,7 +42,7 @@ class Arguments:
         views: views along a side of the grid; odd.
         steps: of Adam.
         batch: scenes per step.
-        seeds: of the first run, and how many runs: each has its own weights and order of scenes.
+        seeds: one run each, with weights and an order of scenes of its own.
         rate: the learning rate at first, of logarithms of numbers.
         network_rate: that of the weights of the network.
         check_every: steps between validations.

@@ -23,7 +23,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from experiments._depth import THESIS, chain, score
+from experiments._depth import THESIS, Method, chain, score
 from experiments._report import print_table, shared_data, write_csv, write_json
 from experiments._scenes import DEVELOPMENT, find_scene, stored
 from mvedge_jax.datasets import synthetic
@@ -40,6 +40,7 @@ METHODS = (
     chain("full without edges", choices={"labels.weight": 0.0}),
     chain("full"),
 )
+RANGE = (-1.6, 1.6)  # px, searched unless told otherwise
 COLUMNS = ("MSE*100", "Q25*100", "BP(.01)", "BP(.03)", "BP(.07)")
 
 
@@ -54,7 +55,7 @@ def summary(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     return found
 
 
-def searched(light_field: LightField, limits: tuple[float, float]) -> LightField:
+def _searched(light_field: LightField, limits: tuple[float, float]) -> LightField:
     """The views and truth, to be searched over `limits` where the scene lies within them."""
     low, high = scene_range(light_field)
     if low < limits[0] or high > limits[1]:
@@ -67,36 +68,63 @@ def searched(light_field: LightField, limits: tuple[float, float]) -> LightField
     )
 
 
-def main() -> None:
-    """Runs every method on every scene."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--out", type=Path, default=Path("results/table_edges"))
-    parser.add_argument("--data", type=Path, default=shared_data())
-    parser.add_argument("--scenes", nargs="*", default=[], help="by name; all 13 if none")
-    parser.add_argument("--size", type=int, default=256, help="side of the rendered scenes, px")
-    parser.add_argument("--range", type=float, nargs=2, default=(-1.6, 1.6), metavar="PX")
-    arguments = parser.parse_args()
-    there = [name for name in DEVELOPMENT if stored(name, arguments.data)]
-    names = arguments.scenes or [*there, *synthetic.scene_names()]
+def compare(
+    methods: Sequence[Method],
+    names: Sequence[str],
+    *,
+    data: Path | None,
+    size: int,
+    limits: tuple[float, float],
+    out: Path,
+) -> None:
+    """Runs every method on every scene; prints and writes the scores, `out.json` and `out.csv`.
+
+    Args:
+        methods: rows of every scene.
+        names: of the scenes, see `find_scene`.
+        data: folder of development data.
+        size: side of the rendered scenes, px.
+        limits: searched where a scene lies within them, px.
+        out: without its ending.
+    """
     rows: list[dict[str, Any]] = []
     for name in names:
-        found = find_scene(name, arguments.data, size=arguments.size)
-        light_field = searched(found, tuple(arguments.range))
+        light_field = _searched(find_scene(name, data, size=size), limits)
         blind = light_field.without_truth()
-        for method in METHODS:
+        for method in methods:
             row = score(name, method, light_field, 0.0, method.run(blind))
             rows.append({key: row[key] for key in ("scene", "method", *COLUMNS)})
         print_table([row for row in rows if row["scene"] == name], title=name)
         # After every scene: a run that is stopped leaves what it has.
         table = {"rows": rows, "summary": summary(rows)}
-        write_json(arguments.out / "table_edges.json", table)
-        write_csv(arguments.out / "table_edges.csv", [*rows, *table["summary"]])
+        write_json(out.with_suffix(".json"), table)
+        write_csv(out.with_suffix(".csv"), [*rows, *table["summary"]])
         if light_field.disparity_range is not None and not np.allclose(
-            light_field.disparity_range, arguments.range
+            light_field.disparity_range, limits
         ):
             # Programs of its own: many of them exceed Linux' limit of memory maps.
             jax.clear_caches()
     print_table(summary(rows), title=f"over {len(names)} scenes")
+
+
+def main() -> None:
+    """Compares the presets and their parts."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--out", type=Path, default=Path("results/table_edges"))
+    parser.add_argument("--data", type=Path, default=shared_data())
+    parser.add_argument("--scenes", nargs="*", default=[], help="by name; all 13 if none")
+    parser.add_argument("--size", type=int, default=256, help="side of the rendered scenes, px")
+    parser.add_argument("--range", type=float, nargs=2, default=RANGE, metavar="PX")
+    arguments = parser.parse_args()
+    there = [name for name in DEVELOPMENT if stored(name, arguments.data)]
+    compare(
+        METHODS,
+        arguments.scenes or [*there, *synthetic.scene_names()],
+        data=arguments.data,
+        size=arguments.size,
+        limits=tuple(arguments.range),
+        out=arguments.out / "table_edges",
+    )
 
 
 if __name__ == "__main__":
