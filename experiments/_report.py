@@ -173,14 +173,17 @@ def digests(patterns: Iterable[str], root: Path = ROOT) -> dict[str, str]:
         root: top of a checkout.
 
     Returns:
-        By pattern, 12 hexadecimal digits. Comments, docstrings and layout do not change them.
+        By pattern, 12 hexadecimal digits. Comments, docstrings and layout do not change them; of
+        files that are no code, every byte does.
     """
     found = {}
     for pattern in patterns:
         digest = hashlib.sha256()
         for path in sorted(root.glob(pattern)):
             digest.update(f"{path.relative_to(root).as_posix()}\n".encode())
-            digest.update(code_of(path.read_text(encoding="utf-8")).encode())
+            code = path.suffix == ".py"
+            text = code_of(path.read_text(encoding="utf-8")).encode() if code else path.read_bytes()
+            digest.update(text)
         found[pattern] = digest.hexdigest()[:12]
     return found
 
@@ -188,8 +191,8 @@ def digests(patterns: Iterable[str], root: Path = ROOT) -> dict[str, str]:
 def imported_code() -> list[str]:
     """Patterns of the repository's files that this process runs.
 
-    Of the package, the folders that a module was imported from; of the experiments, the modules
-    besides this one.
+    Of the package, the folders that a module was imported from, with arrays that lie there; of the
+    experiments, the modules besides this one.
     """
     files = (getattr(module, "__file__", None) for module in list(sys.modules.values()))
     paths = (Path(file).resolve() for file in [*files, sys.argv[0]] if file)
@@ -200,6 +203,10 @@ def imported_code() -> list[str]:
         place = path.relative_to(ROOT)
         if place.parts[0] == "mvedge_jax":
             patterns.add(f"{place.parent.as_posix()}/*.py")
+            if list(
+                path.parent.glob("*.npz")
+            ):  # what was learned is no code, but figures are of it
+                patterns.add(f"{place.parent.as_posix()}/*.npz")
         elif place.parts[0] == "experiments":
             patterns.add(place.as_posix())
     return sorted(patterns)

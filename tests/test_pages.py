@@ -98,6 +98,17 @@ def test_a_result_is_stale_when_code_changes_but_not_when_a_comment_does(copy, c
     assert pages.main(["--check", "--strict"], copy) == 1
 
 
+def test_figures_depend_on_what_was_learned(copy):
+    import mvedge_jax.depth  # noqa: F401  its arrays are among what this process runs
+
+    pattern = "mvedge_jax/depth/*.npz"
+    assert pattern in _report.imported_code()
+    before = _report.digests([pattern], copy)
+    learned = copy / "mvedge_jax" / "depth" / "learned.npz"
+    learned.write_bytes(learned.read_bytes() + b"1")
+    assert _report.digests([pattern], copy) != before
+
+
 def test_published_tables_are_those_that_the_thesis_prints():
     (ours,) = published("6.1", scene="average", method="Ours")
     assert (ours["MSE*100"], ours["Q25*100"], ours["seconds"]) == (2.43, 1.05, 35.4)
