@@ -14,7 +14,7 @@ one size share programs; figures differ in the third digit from those with the s
 
 import argparse
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -75,9 +75,8 @@ def compare(
     data: Path | None,
     size: int,
     limits: tuple[float, float],
-    out: Path,
-) -> None:
-    """Runs every method on every scene; prints and writes the scores, `out.json` and `out.csv`.
+) -> Iterator[dict[str, Any]]:
+    """Runs every method on every scene and prints the scores.
 
     Args:
         methods: rows of every scene.
@@ -85,7 +84,9 @@ def compare(
         data: folder of development data.
         size: side of the rendered scenes, px.
         limits: searched where a scene lies within them, px.
-        out: without its ending.
+
+    Yields:
+        After every scene, the rows so far and their summary: a run that is stopped leaves these.
     """
     rows: list[dict[str, Any]] = []
     for name in names:
@@ -95,10 +96,7 @@ def compare(
             row = score(name, method, light_field, 0.0, method.run(blind))
             rows.append({key: row[key] for key in ("scene", "method", *COLUMNS)})
         print_table([row for row in rows if row["scene"] == name], title=name)
-        # After every scene: a run that is stopped leaves what it has.
-        table = {"rows": rows, "summary": summary(rows)}
-        write_json(out.with_suffix(".json"), table)
-        write_csv(out.with_suffix(".csv"), [*rows, *table["summary"]])
+        yield {"rows": rows, "summary": summary(rows)}
         if light_field.disparity_range is not None and not np.allclose(
             light_field.disparity_range, limits
         ):
@@ -117,14 +115,16 @@ def main() -> None:
     parser.add_argument("--range", type=float, nargs=2, default=RANGE, metavar="PX")
     arguments = parser.parse_args()
     there = [name for name in DEVELOPMENT if stored(name, arguments.data)]
-    compare(
+    tables = compare(
         METHODS,
         arguments.scenes or [*there, *synthetic.scene_names()],
         data=arguments.data,
         size=arguments.size,
         limits=tuple(arguments.range),
-        out=arguments.out / "table_edges",
     )
+    for table in tables:
+        write_json(arguments.out / "table_edges.json", table)
+        write_csv(arguments.out / "table_edges.csv", [*table["rows"], *table["summary"]])
 
 
 if __name__ == "__main__":

@@ -18,7 +18,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from experiments._depth import Method, chain
-from experiments._report import shared_data
+from experiments._report import shared_data, write_csv, write_json
 from experiments._scenes import DEVELOPMENT, stored
 from experiments.table_edges import RANGE, compare
 from mvedge_jax import EdgeDepth
@@ -50,14 +50,16 @@ def main() -> None:
     parser.add_argument("--size", type=int, default=256, help="side of the rendered scenes, px")
     arguments = parser.parse_args()
     there = [name for name in (*DEVELOPMENT, "vinyl") if stored(name, arguments.data)]
-    compare(
+    tables = compare(
         [chain("full"), chain("learned", preset="learned"), *map(_of_file, arguments.values)],
         arguments.scenes or [*there, *synthetic.scene_names()],
         data=arguments.data,
         size=arguments.size,
         limits=RANGE,
-        out=arguments.out / "table_learned",
     )
+    for table in tables:
+        write_json(arguments.out / "table_learned.json", table)
+        write_csv(arguments.out / "table_learned.csv", [*table["rows"], *table["summary"]])
 
 
 if __name__ == "__main__":
