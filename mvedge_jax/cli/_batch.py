@@ -13,6 +13,7 @@ from ._model import FULL, ModelArg
 from ._output import MARKER, refuse_inputs, write_csv, write_json
 from ._paths import scenes_and_out
 from ._slurm import slurm_script
+from ._video import COLUMNS
 
 
 def batch(
@@ -49,7 +50,8 @@ def batch(
         range: lowest and highest disparity of all, px per view step; measured if unknown.
         all_views: measure disparity in all views at the end.
         video: the light fields are the frames of one video, in order. The range is measured in the
-            first frame, and again if a later map has problems.
+            first frame, and again if a later map has problems. The summary says how much maps
+            change from frame to frame where the center view does not.
         again: replace existing results.
         workers: processes of a Dask cluster on this machine; 0 for none.
         scheduler: address of a Dask scheduler to use instead, such as tcp://host:8786; its workers
@@ -72,8 +74,7 @@ def batch(
         refuse_inputs((out / name).resolve(), scenes)
     if out.exists() and not out.is_dir():
         raise FileExistsError(f"{out} is a file, expected a folder to write into.")
-    # A given range is kept.
-    asked = Options(views, scale, range, all_views, video and range is None, again, options, seed)
+    asked = Options(views, scale, range, all_views, video, again, options, seed)
     if slurm:
         note(slurm_script(_words(scenes, out, asked)))
         return 0
@@ -88,14 +89,23 @@ def batch(
         if client is not None:  # workers have folders of their own to start from
             left, out = {name: scene.resolve() for name, scene in left.items()}, out.resolve()
         if left:
-            rows |= _run(client, left, out, asked)
+            earlier = [(scene, out / name) for name, scene in zip(names, scenes, strict=True)]
+            before = dict(zip(names[1:], earlier, strict=False)) if video else {}
+            rows |= _run(client, left, out, asked, before)
     return _summary({name: rows[name] for name in names}, out)
 
 
 def _run(
-    client: Any, scenes: Mapping[str, Path], out: Path, options: Options
+    client: Any,
+    scenes: Mapping[str, Path],
+    out: Path,
+    options: Options,
+    before: Mapping[str, tuple[Path, Path]],
 ) -> dict[str, dict[str, Any]]:
-    """Rows of the summary: light fields of one kind after those of another."""
+    """Rows of the summary: light fields of one kind after those of another.
+
+    `before` has light field and result of the frame before each one of a video.
+    """
     rows: dict[str, dict[str, Any]] = {}
     kinds: dict[str, Kind] = {}
     ranges: dict[Kind, tuple[float, float]] = {}
@@ -111,7 +121,7 @@ def _run(
         ranges[kinds[name]] = min(low, ends[0]), max(high, ends[1])
     order = {kind: place for place, kind in enumerate(dict.fromkeys(kinds.values()))}
     calls = {
-        name: (name, scenes[name], out, kinds[name], ranges[kinds[name]], options)
+        name: (name, scenes[name], out, kinds[name], ranges[kinds[name]], options, before.get(name))
         for name in sorted(kinds, key=lambda name: order[kinds[name]])
     }
     try:
@@ -175,6 +185,8 @@ def _names(scenes: Sequence[Path]) -> list[str]:
 def _summary(rows: dict[str, dict[str, Any]], out: Path) -> int:
     first = ("name", "state", "seconds", "compilation", "converged")
     columns = [*first, *SCORES, "warnings", "reason"]
+    if any("unchanged" in row for row in rows.values()):
+        columns[len(first) : len(first)] = COLUMNS
     if any("worker" in row for row in rows.values()):
         columns += ["worker", "attempt"]
     named = (

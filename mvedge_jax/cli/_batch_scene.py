@@ -17,6 +17,7 @@ from ._depth import write_depth
 from ._model import ModelOptions
 from ._output import MARKER, output_folder
 from ._source import read_json, read_scene, source_of
+from ._video import Video
 
 
 class Kind(NamedTuple):
@@ -52,23 +53,34 @@ def survey(
 
 
 def make(
-    name: str, scene: Path, out: Path, kind: Kind, ends: tuple[float, float], options: Options
+    name: str,
+    scene: Path,
+    out: Path,
+    kind: Kind,
+    ends: tuple[float, float],
+    options: Options,
+    before: tuple[Path, Path] | None = None,
 ) -> dict[str, Any]:
     """Estimates depth of a light field and writes its folder; returns the row of the summary.
 
     A folder that is complete is not made again: a worker may die after it wrote one. `ends` are
-    lowest and highest disparity of all light fields of the kind.
+    lowest and highest disparity of all light fields of the kind, `before` the light field and the
+    result of the frame before.
     """
     report_file = out / name / "report.json"
     if not options.again and (out / name / MARKER).exists():
         return row_of(report_file, "done")
+    reading: dict[str, Any] = {"views": options.views, "scale": options.scale}
     with stage(f"reading {scene}"):
-        found, said = read_scene(scene, views=options.views, scale=options.scale)
-    result, model, seconds = estimate_of(kind, options, ends)(found, name)
+        found, said = read_scene(scene, **reading)
+    estimate = estimate_of(kind, options, ends)
+    result, model, seconds = estimate(found, name)
     # What is there is an earlier result of ours, or the folder refuses.
     with output_folder(out / name, inputs=[scene], overwrite=True) as folder:
         told = options.model.described(model) | {"seed": options.seed, "seconds": seconds}
-        told["source"] = source_of(scene, views=options.views, scale=options.scale)
+        told["source"] = source_of(scene, **reading)
+        if options.video:
+            told["change"] = estimate.video.change(found, result, scene, before, **reading)
         write_depth(folder, found, found.truth, model, result, told | {"warnings": said})
     return row_of(report_file, "done")
 
@@ -83,6 +95,7 @@ def row_of(report: Path, state: str) -> dict[str, Any]:
             "seconds": content["seconds"]["estimation"],
             "compilation": content["seconds"]["compilation"],
             "converged": content["converged"],
+            **content.get("change", {}),
             "warnings": content.get("warnings", []),
             **{name: scores.get(name) for name in SCORES},
         }
@@ -99,6 +112,7 @@ class _Estimate:
         self._kind, self._options, self._ends = kind, options, ends
         self._key = jax.random.key(options.seed)
         self._program: tuple[Any, EdgeDepth] | None = None
+        self.video = Video()
 
     def __call__(
         self, light_field: LightField, name: str
@@ -112,7 +126,8 @@ class _Estimate:
         with stage(f"estimating depth of {name}"):
             result = jax.block_until_ready(program(views, model, key=self._key))
         seconds = {"compilation": ready - start, "estimation": time.perf_counter() - ready}
-        if self._options.video and result.problems() and self._widened(views, name):
+        fixed = self._options.range is not None
+        if self._options.video and not fixed and result.problems() and self._widened(views, name):
             result, model, more = self(light_field, name)
             seconds = {key: seconds[key] + more[key] for key in seconds}
         return result, model, {key: round(value, 3) for key, value in seconds.items()}

@@ -14,6 +14,10 @@ from ._consistency import (
 )
 from ._region import edge_band as edge_band
 from ._reprojection import Reprojection as Reprojection, reprojection_error as reprojection_error
+from ._temporal import (
+    TemporalConsistency as TemporalConsistency,
+    temporal_consistency as temporal_consistency,
+)
 from .depth import DepthScores as DepthScores, depth_scores as depth_scores
 
 register(__name__)

@@ -1,5 +1,6 @@
 import csv
 import json
+import shutil
 
 import numpy as np
 import pytest
@@ -66,7 +67,7 @@ def test_frames_take_their_range_from_the_frame_before(tmp_path, mvedge, monkeyp
 
     monkeypatch.setattr(_batch_scene, "scene_range", counted)
     depths = [0.2, 0.25, 1.6, 1.5]
-    frames = [write_plane(tmp_path / f"f{i}", disparity=d, seed=i) for i, d in enumerate(depths)]
+    frames = [write_plane(tmp_path / f"f{i}", disparity=d) for i, d in enumerate(depths)]
     out = tmp_path / "out"
     mvedge("batch", *frames, out, "--video")
     # The first frame, and the one that leaves its range; so do the programs.
@@ -74,6 +75,17 @@ def test_frames_take_their_range_from_the_frame_before(tmp_path, mvedge, monkeyp
     for frame, depth in zip(frames, depths, strict=True):
         found = read_pfm(out / frame.name / "disparity.pfm")
         assert np.median(np.abs(found - depth)) < 0.02, frame.name
+    # The center views are all the same; only depth changes.
+    rows = list(_summary(out).values())
+    assert rows[0]["unchanged"] == rows[0]["change"] == ""
+    assert [float(row["unchanged"]) for row in rows[1:]] == [1, 1, 1]
+    assert [float(row["change"]) for row in rows[1:]] == pytest.approx([0.05, 1.35, 0.1], abs=0.01)
+    # A later run knows the frame before from its files.
+    shutil.rmtree(out / frames[2].name)
+    mvedge("batch", *frames, out, "--video")
+    again = list(_summary(out).values())
+    assert [row["state"] for row in again].count("there already") == 3
+    assert float(again[2]["change"]) == pytest.approx(float(rows[2]["change"]), abs=0.01)
 
 
 def test_names_are_told_apart(tmp_path):
