@@ -183,3 +183,37 @@ def plane_sum(planes: Float[Array, "n *s"]) -> Float[Array, "*s"]:
 def _added(_: None, planes: Array) -> Array:
     parts = unstack(planes)
     return sum(parts[1:], parts[0]) if parts else jnp.zeros(planes.shape[1:], planes.dtype)
+
+
+@eqx.filter_custom_jvp
+def convolution(layer: eqx.nn.Conv2d, planes: Float[Array, "k y x"]) -> Float[Array, "l Y X"]:
+    """`layer(planes)`, for networks within the chain; on a CPU up to ten times as fast there.
+
+    In a loop, such as that of the solves, XLA on the CPU is slow where channels come first. Here
+    they come last, but not in derivatives, whose transposes are slower that way.
+
+    Args:
+        layer: any; with groups or borders other than zeros it is called as it is.
+        planes: its input.
+
+    Returns:
+        Its output. Differentiable in both.
+    """
+    if layer.groups != 1 or layer.padding_mode.upper() != "ZEROS":
+        return layer(planes)
+    found = lax.conv_general_dilated(
+        jnp.moveaxis(planes, 0, -1)[None],
+        jnp.transpose(layer.weight, (2, 3, 1, 0)),
+        layer.stride,
+        layer.padding,
+        rhs_dilation=layer.dilation,
+        dimension_numbers=("NHWC", "HWIO", "NHWC"),
+    )
+    found = jnp.moveaxis(found[0], -1, 0)
+    return found if layer.bias is None else found + layer.bias
+
+
+@convolution.def_jvp
+def _convolution_jvp(primals: Any, tangents: Any) -> tuple[Array, Array]:
+    slope = eqx.filter_jvp(lambda layer, planes: layer(planes), primals, tangents)[1]
+    return convolution(*primals), slope

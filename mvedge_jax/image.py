@@ -7,6 +7,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int, Shaped
 
+from mvedge_jax._cpu import convolution as convolution
 from mvedge_jax._linear_map import linear_map
 from mvedge_jax._params import accepts_numpy
 from mvedge_jax._root import safe_sqrt

@@ -2,13 +2,14 @@
 
 from functools import partial
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy import ndimage
 
-from mvedge_jax.image import nearest_pixels, unit_gradient, window_sum
+from mvedge_jax.image import convolution, nearest_pixels, unit_gradient, window_sum
 
 
 def test_points_are_on_their_nearest_pixels():
@@ -47,3 +48,35 @@ def test_transposed_window_sums_are_those_of_the_matrix(radius, border, axis):
     # Twice transposed, it is itself.
     again = jax.linear_transpose(lambda ct: transpose(ct)[0], image)
     np.testing.assert_allclose(again(image)[0], sums(image), atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"padding": 1},
+        {"stride": 2, "padding": ((0, 1), (2, 1))},
+        {"dilation": 2, "padding": "SAME", "use_bias": False},
+        {"groups": 2, "padding": 1, "padding_mode": "REFLECT"},
+    ],
+    ids=["plain", "strides", "dilation", "groups"],
+)
+def test_a_convolution_is_that_of_the_layer_with_its_derivatives(options):
+    layer = eqx.nn.Conv2d(4, 6, 3, dtype=jnp.float64, **options, key=jax.random.key(0))
+    planes = jnp.asarray(np.random.default_rng(0).normal(size=(4, 11, 14)))
+    arrays, static = eqx.partition(layer, eqx.is_array)
+
+    def ours(arrays, planes):
+        return jnp.sum(convolution(eqx.combine(arrays, static), planes) ** 3)
+
+    def plain(arrays, planes):
+        return jnp.sum(eqx.combine(arrays, static)(planes) ** 3)
+
+    for transform in (
+        lambda f: f,
+        lambda f: jax.grad(f, (0, 1)),
+        lambda f: lambda *at: jax.jvp(f, at, at),
+        lambda f: lambda *at: jax.jvp(jax.grad(f, (0, 1)), at, at),
+        lambda f: lambda *at: jax.vmap(jax.grad(f), (None, 0))(at[0], jnp.stack([at[1]] * 2)),
+    ):
+        found, expected = (jax.jit(transform(f))(arrays, planes) for f in (ours, plain))
+        jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-9), found, expected)

@@ -35,7 +35,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("results/by_function"))
     parser.add_argument("--scene", type=Path, help="a light field; default: a rendered one")
     parser.add_argument("--size", type=int, default=512, help="side of the rendered views, px")
-    parser.add_argument("--preset", choices=["full", "edges"], default="full")
+    parser.add_argument("--preset", choices=["full", "edges", "learned"], default="full")
     parser.add_argument("--gradient", action="store_true", help="value and gradient in the model")
     parser.add_argument("--most", type=int, default=40, help="rows of the table")
     arguments = parser.parse_args()

@@ -40,6 +40,7 @@ def main() -> None:
     """Compares programs with and without each trick."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, default=Path("results/cpu_tricks"))
+    parser.add_argument("--preset", choices=["full", "edges", "learned"], default="full")
     parser.add_argument("--views", type=int, default=5, help="in a row and in a column")
     parser.add_argument("--size", type=int, default=256, help="side of the views, px")
     parser.add_argument("--runs", type=int, default=5, help="warm calls of each program")
@@ -51,7 +52,7 @@ def main() -> None:
     shape = (arguments.views, arguments.views, arguments.size, arguments.size)
     scene = synthetic.scene("demo")
     light_field = synthetic.render(scene, shape=shape, key=jax.random.key(0)).bare()
-    model = EdgeDepth.for_light_field(light_field)
+    model = EdgeDepth.for_light_field(light_field, preset=arguments.preset)
     if arguments.whole:
         programs = [("whole", lambda m, of: m(of), (model, light_field))]
     else:
@@ -109,6 +110,7 @@ _TRICKS: dict[str, Off] = {
     "stages": lambda: _replaced("checkpoint_stage", checkpoint),
     "loops over both arms": lambda: _replaced("of_both", _each),
     "plane sums": lambda: _replaced("plane_sum", lambda planes: jnp.sum(planes, axis=0)),
+    "convolutions": lambda: _replaced("convolution", lambda layer, planes: layer(planes)),
     "unstack": lambda: _replaced("unstack", list),
     "collections": lambda: _replaced("no_collections", contextlib.nullcontext),
     "emitters": _without_option("fusion_emitters"),

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
+from mvedge_jax.image import convolution
 from mvedge_jax.photometry.measuring import PhotometricLabels
 
 from ._dense import LabelContext, MeasuredLabels
@@ -44,29 +45,31 @@ class ConfidenceNetwork(eqx.Module):
         half, quarter, full = 16, 24, 12
         keys = iter(jax.random.split(key, 7))
 
-        def convolution(before: int, after: int, side: int = 3, **options: Any) -> eqx.nn.Conv2d:
+        def layer(before: int, after: int, side: int = 3, **options: Any) -> eqx.nn.Conv2d:
             padding = options.get("dilation", 1) * (side // 2)
             return eqx.nn.Conv2d(before, after, side, padding=padding, key=next(keys), **options)
 
-        self.halved = convolution(_INPUTS, half, stride=2)
-        self.quartered = convolution(half, quarter, stride=2)
-        self.deep = [convolution(quarter, quarter, dilation=d) for d in (2, 4)]
-        self.joined = convolution(half + quarter, half)
-        self.mixed = convolution(half + _INPUTS, full)
+        self.halved = layer(_INPUTS, half, stride=2)
+        self.quartered = layer(half, quarter, stride=2)
+        self.deep = [layer(quarter, quarter, dilation=d) for d in (2, 4)]
+        self.joined = layer(half + quarter, half)
+        self.mixed = layer(half + _INPUTS, full)
         # The rule, until something is learned.
-        self.last = jax.tree.map(jnp.zeros_like, convolution(full, 1, side=1))
+        self.last = jax.tree.map(jnp.zeros_like, layer(full, 1, side=1))
 
     def __call__(self, seen: Float[Array, "k y x"]) -> Float[Array, "y x"]:
         """One number per pixel; sides need not be multiples of 4."""
         height, width = seen.shape[1:]
         seen = jnp.pad(seen, ((0, 0), (0, -height % 4), (0, -width % 4)), mode="edge")
-        half = jax.nn.relu(self.halved(seen))
-        quarter = jax.nn.relu(self.quartered(half))
+        half = jax.nn.relu(convolution(self.halved, seen))
+        quarter = jax.nn.relu(convolution(self.quartered, half))
         for layer in self.deep:
-            quarter = quarter + jax.nn.relu(layer(quarter))
-        half = jax.nn.relu(self.joined(jnp.concatenate([half, _doubled(quarter)])))
-        full = jax.nn.relu(self.mixed(jnp.concatenate([seen, _doubled(half)])))
-        return self.last(full)[0, :height, :width]
+            quarter = quarter + jax.nn.relu(convolution(layer, quarter))
+        half = jnp.concatenate([half, _doubled(quarter)])
+        half = jax.nn.relu(convolution(self.joined, half))
+        full = jnp.concatenate([seen, _doubled(half)])
+        full = jax.nn.relu(convolution(self.mixed, full))
+        return convolution(self.last, full)[0, :height, :width]
 
 
 class LearnedLabels(MeasuredLabels):
