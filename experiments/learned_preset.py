@@ -45,6 +45,8 @@ class Arguments:
         seeds: one run each, with weights and an order of scenes of its own.
         rate: the learning rate at first, of logarithms of numbers.
         network_rate: that of the weights of the network.
+        prior: pull of every value back to its start, see `learn`.
+        zoom: how much less than the scene its views show, see `random_light_fields`.
         check_every: steps between validations.
         out: folder for curves, weights and checkpoints.
     """
@@ -59,6 +61,8 @@ class Arguments:
     seeds: tuple[int, ...] = (0, 1, 2)
     rate: float = 0.03
     network_rate: float = 0.003
+    prior: float = 0.0
+    zoom: tuple[float, float] = (2.0, 5.0)
     check_every: int = 26
     out: Path = Path("results/learned_preset")
 
@@ -72,7 +76,7 @@ def trained(arguments: Arguments, seed: int) -> Learned:
             split=split,
             count=count,
             disparity_range=(-1.6, 1.6),
-            zoom=(2.0, 5.0),
+            zoom=arguments.zoom,
             views="crosshair",
             key=jax.random.key(0),
         )
@@ -103,6 +107,7 @@ def trained(arguments: Arguments, seed: int) -> Learned:
         optimizer=optax.multi_transform(steps, lambda values: {p: kind(p) for p in values}),
         steps=arguments.steps,
         batch=arguments.batch,
+        prior=arguments.prior,
         limit=1.0,
         check_every=arguments.check_every,
         checkpoint=arguments.out / f"seed {seed}",
