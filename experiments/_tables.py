@@ -233,6 +233,40 @@ def sizes(results: Results) -> str:
     )
 
 
+def curves(results: Results) -> str:
+    """docs/compile.md: seconds and memory by number of views and by range."""
+    return _table(
+        ("views", "range, px per view step", "first call", "later calls"),
+        [
+            (
+                f"{row['views']:.0f}x{row['views']:.0f}",
+                f"{row['range px']:.1f}",
+                f"{row['first s']:.0f} s",
+                f"{row['warm s']:.2f} s, {row['peak GiB']:.1f} GiB",
+            )
+            for row in results.rows("curves")
+        ],
+    )
+
+
+def machines(results: Results) -> str:
+    """docs/sweeps.md: many light fields on a cluster."""
+    return _table(
+        ("workers", "of them killed", "light fields a second", "results", "second attempts"),
+        [
+            (
+                f"{row['workers']:.0f}",
+                f"{row['killed']:.0f}",
+                f"{row['light fields per s']:.1f} ({row['ratio to one worker']:.2f} times)",
+                f"{row['results']:.0f}, {row['lost']:.0f} lost, "
+                f"{row['estimated twice']:.0f} made twice",
+                f"{row['second attempts']:.0f}",
+            )
+            for row in results.rows("batch_machines")
+        ],
+    )
+
+
 def gradient(results: Results) -> str:
     """README, in a sentence: seconds and memory of value and gradient."""
     row = results.row("times", stage="gradient")
@@ -383,7 +417,7 @@ def origins(results: Results) -> str:
 TABLES: dict[str, Callable[..., str]] = {
     make.__name__: make
     for make in (
-        accuracy, edges, learned, parts, views, times, sizes, gradient, scores, step, program,
-        calibrated, calibration, codec, beside, origins,
+        accuracy, edges, learned, parts, views, times, sizes, curves, machines, gradient, scores,
+        step, program, calibrated, calibration, codec, beside, origins,
     )
 }  # fmt: skip

@@ -8,6 +8,9 @@ the plane sweep of the same views, OpenCV's SGBM of the center view and the oute
 right, and one diffusion of the labels of `diffusion.py` by this library and by PyAMG (classical
 coarsening, conjugate gradients, set-up included), both to the same residual. Gradients and batches
 are measured up to `--gradient` and `--batch` px.
+
+Then calls at 256 px by the number of views and by the width of the range that is searched, which
+the scene itself fills at a factor of 1.
 """
 
 import argparse
@@ -42,6 +45,7 @@ from mvedge_jax.photometry.matching import plane_sweep
 from mvedge_jax.tiles import StoredViews, Window
 
 SETTINGS = 16
+CURVES = 256  # px
 # Of one diffusion: relative residual, and largest over smallest smoothness.
 RESIDUAL, CONTRAST = 1e-5, 1e4
 
@@ -50,9 +54,11 @@ def main() -> None:
     """Measures every size; every column that needs it in a process of its own."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, default=Path("results/benchmark_table"))
-    parser.add_argument("--sizes", nargs="+", type=int, default=[128, 256, 512, 1024])
+    parser.add_argument("--sizes", nargs="*", type=int, default=[128, 256, 512, 1024])
     parser.add_argument("--gradient", type=int, default=512, help="largest side, px")
     parser.add_argument("--batch", type=int, default=128, help="largest side, px")
+    parser.add_argument("--views", nargs="*", type=int, default=[3, 5, 9, 17], help="per side")
+    parser.add_argument("--ranges", nargs="*", type=float, default=[1, 2, 4], help="factors")
     parser.add_argument("--repeats", type=int, default=3)
     parser.add_argument("--child", nargs=2, metavar=("WHAT", "FILE"), help=argparse.SUPPRESS)
     arguments = parser.parse_args()
@@ -78,6 +84,21 @@ def main() -> None:
         print_table([{"": key, "value": value} for key, value in row.items()], title=f"{size} px")
         # After every size: a run that is stopped leaves what it has.
         write_json(arguments.out / "sizes.json", rows)
+    curves = [("views", views, 1.0) for views in arguments.views]
+    curves += [("range", 9, factor) for factor in arguments.ranges]
+    rows = [_point(*point, repeats=arguments.repeats) for point in curves]
+    if rows:
+        print_table(rows, title=f"{CURVES} px")
+        write_json(arguments.out / "curves.json", rows)
+
+
+def _point(curve: str, views: int, factor: float, *, repeats: int) -> dict[str, Any]:
+    """A point of a curve: views in a row, searched over `factor` times the scene's range."""
+    with tempfile.TemporaryDirectory() as name:
+        file = Path(name) / "views.npz"
+        width = _render(CURVES, file, views=views, factor=factor)
+        place = {"curve": curve, "views": views, "range px": width}
+        return place | _child("value", file, repeats)
 
 
 def _child(what: str, file: Path, repeats: int, cache: Path | None = None) -> dict[str, Any]:
@@ -91,12 +112,23 @@ def _child(what: str, file: Path, repeats: int, cache: Path | None = None) -> di
     return json.loads(done.stdout.splitlines()[-1])
 
 
-def _render(size: int, file: Path) -> None:
+def _render(size: int, file: Path, *, views: int = 9, factor: float = 1.0) -> float:
+    """Writes views, and a range of `factor` times the width of the scene's own; that width."""
     scene, key = synthetic.scene("demo"), jax.random.key(0)
-    stored, truth = render_stored(scene, shape=(9, 9, size, size), samples=2, key=key)
-    places = np.array(list(stored.planes))
-    ends = np.array(stored.disparity_range)
-    np.savez(file, places=places, ends=ends, truth=truth, views=[*stored.planes.values()])
+    stored, truth = render_stored(scene, shape=(views, views, size, size), samples=2, key=key)
+    assert stored.disparity_range is not None
+    low, high = stored.disparity_range
+    middle, half = (low + high) / 2, factor * (high - low) / 2
+    places, ends = np.array(list(stored.planes)), np.array([middle - half, middle + half])
+    np.savez(
+        file,
+        places=places,
+        ends=ends,
+        truth=truth,
+        views=[*stored.planes.values()],
+        grid=np.array([views, views]),
+    )
+    return 2 * half
 
 
 def _opened(file: Path) -> tuple[LightField, np.ndarray]:
@@ -105,8 +137,10 @@ def _opened(file: Path) -> tuple[LightField, np.ndarray]:
         places = [(int(v), int(u)) for v, u in found["places"]]
         planes = dict(zip(places, found["views"], strict=True))
         low, high = found["ends"].tolist()
-        truth = found["truth"]
-    stored = StoredViews(planes, (9, 9), disparity_range=(low, high), camera=None, name="demo")
+        truth, (rows, columns) = found["truth"], found["grid"].tolist()
+    stored = StoredViews(
+        planes, (rows, columns), disparity_range=(low, high), camera=None, name="demo"
+    )
     return stored.window(Window(0, 0, *truth.shape)), truth
 
 
