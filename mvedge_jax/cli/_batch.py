@@ -104,7 +104,7 @@ def _run(
 ) -> dict[str, dict[str, Any]]:
     """Rows of the summary: light fields of one kind after those of another.
 
-    `before` has light field and result of the frame before each one of a video.
+    `before` has, for the frames of a video, light field and result of the frame before.
     """
     rows: dict[str, dict[str, Any]] = {}
     kinds: dict[str, Kind] = {}

@@ -32,7 +32,7 @@ class Video:
         before: tuple[Path, Path] | None,
         **reading: Any,
     ) -> dict[str, float]:
-        """What `temporal_consistency` says of a frame; empty if none is before it of its size.
+        """`temporal_consistency` of a frame and the one before; empty without a map of its size.
 
         Args:
             light_field: the frame.
