@@ -36,21 +36,22 @@ def temporal_consistency(
     view: Float[Array, "y x c"],
     view_before: Float[Array, "y x c"],
     *,
-    noise: float | Float[Array, ""] = 0.0,
+    noise: float | Float[Array, ""] = 1 / 255 / 12**0.5,
 ) -> TemporalConsistency:
     """Change of the disparity between two frames of a video, where the views show no change.
 
     A pixel is *unchanged* if the mean squared difference of colors in the 5x5 pixels around it is
-    at most twice that of noise and of the rounding to 8 bits. What looks the same has the same
-    depth as a rule; but a plain surface may move without a trace, and a moving camera leaves little
-    unchanged. A constant map never changes: read the figures beside the error of the maps.
+    at most twice that of noise. What looks the same has the same depth as a rule; but a plain
+    surface may move without a trace, and a moving camera leaves little unchanged. A constant map
+    never changes: read the figures beside the error of the maps.
 
     Args:
         disparity: Of the later frame, `[y, x]`, px per view step.
         before: Of the earlier frame.
         view: Center view of the later frame, `[y, x, c]`, in [0, 1].
         view_before: Center view of the earlier frame.
-        noise: Standard deviation of a channel of either view, traced.
+        noise: Standard deviation of a channel of either view, traced; by default that of the
+            rounding to 8 bits.
 
     Returns:
         The share of unchanged pixels, and the change there. Differentiable in both maps.
@@ -82,10 +83,8 @@ def _change(
     disparity: Array, before: Array, view: Array, view_before: Array, noise: Array
 ) -> TemporalConsistency:
     differs = box_mean(jnp.mean((view - view_before) ** 2, axis=-1), _RADIUS)
-    # Rounding to steps of 1/255 has a variance of a twelfth of the step's square.
-    alone = 2 * (noise**2 + (1 / 255) ** 2 / 12)
     known = jnp.isfinite(disparity) & jnp.isfinite(before)
-    same = known & (differs <= _FACTOR * alone)
+    same = known & (differs <= _FACTOR * 2 * noise**2)
     change = jnp.abs(jnp.where(same, disparity - before, 0))
     count = jnp.sum(same, dtype=jnp.int32).astype(disparity.dtype)
     return TemporalConsistency(
