@@ -203,9 +203,8 @@ def imported_code() -> list[str]:
         place = path.relative_to(ROOT)
         if place.parts[0] == "mvedge_jax":
             patterns.add(f"{place.parent.as_posix()}/*.py")
-            if list(
-                path.parent.glob("*.npz")
-            ):  # what was learned is no code, but figures are of it
+            # What was learned is no code, but figures are of it.
+            if any(path.parent.glob("*.npz")):
                 patterns.add(f"{place.parent.as_posix()}/*.npz")
         elif place.parts[0] == "experiments":
             patterns.add(place.as_posix())
