@@ -23,10 +23,10 @@ from . import _presets
 from ._dense import DenseLabels
 from ._halves import Front, diffuse_labels, find_labels, found_edges
 from ._labels import PointLabels
+from ._presets import Preset
 from ._refine import Parts, Refine
 from ._result import DepthResult
 
-Preset = Literal["full", "learned", "edges", "thesis"]
 _MAKERS = "`load_light_field` reads one, `LightField(views)` makes one of an array [v, u, y, x, c]"
 
 

@@ -1,7 +1,7 @@
 """The parts that each preset of `EdgeDepth` is made of."""
 
 import math
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 from jax.core import Tracer
@@ -31,7 +31,8 @@ if TYPE_CHECKING:
 # Relative residuals at which diffusions stop. With labels at edges alone, the right-hand side is
 # so small that single precision gets no further; maps do not change.
 _DENSE, _SPARSE = 1e-5, 1e-4
-PRESETS = ("full", "learned", "edges", "thesis")
+Preset = Literal["full", "learned", "edges", "thesis"]
+PRESETS = get_args(Preset)
 # Slots for points, per pixel. They set shapes and memory; overflow is counted.
 _FILL = 0.65
 # Ranges in files are rounded: differences up to this, px per view step, are ignored.
