@@ -1,10 +1,12 @@
 """The crosshair of a light field as its files hold it, for images that are read in parts."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
 
-import jax.numpy as jnp
+import equinox as eqx
+import jax
 import numpy as np
 from jaxtyping import Bool, Float, Shaped
 
@@ -56,6 +58,18 @@ class StoredViews:
     disparity_range: tuple[float, float] | None = None
     camera: Camera | None = None
     name: str = "light field"
+
+    def __post_init__(self) -> None:
+        """Refuses colors that are none, once for all windows."""
+        for (v, u), plane in self.planes.items():
+            if not np.issubdtype(plane.dtype, np.floating):
+                continue
+            low, high = float(plane.min()), float(plane.max())
+            if not (low >= -1e-3 and high <= 1 + 1e-3):
+                raise ValueError(
+                    f"`planes` must be sRGB in [0, 1], got values from {low:.4g} to {high:.4g} in "
+                    f"view (v, u) = ({v}, {u})."
+                )
 
     @staticmethod
     def of(light_field: LightField) -> "StoredViews":
@@ -112,7 +126,7 @@ class StoredViews:
         Returns:
             float32, without ground truth; views off the crosshair are missing.
         """
-        views = np.zeros((*self.grid, window.height, window.width, 3), np.float32)
+        views = _blank((*self.grid, window.height, window.width, 3))
         for place, plane in self.planes.items():
             np.divide(window.of(plane), _white(plane), out=views[place], casting="same_kind")
         return self._light_field(views, self.disparity_range)
@@ -135,13 +149,23 @@ class StoredViews:
         return self._light_field(views, limits), factor
 
     def _light_field(self, views: np.ndarray, limits: tuple[float, float] | None) -> LightField:
-        return LightField(
-            jnp.asarray(views),
+        # Its checks would read every view again.
+        field = LightField(
+            np.zeros((*self.grid, 1, 1, 3), np.float32),
             available=self.available,
             positions=self.positions,
             disparity_range=limits,
             name=self.name,
         )
+        return eqx.tree_at(lambda field: field.views, field, jax.device_put(views))
+
+
+def _blank(shape: tuple[int, ...]) -> Float[np.ndarray, "*s"]:
+    """Zeros that JAX takes without a copy on a CPU, so that missing views take no memory at all."""
+    aligned, size = 64, math.prod(shape) * np.dtype(np.float32).itemsize
+    memory = np.zeros(size + aligned, np.uint8)
+    start = -memory.ctypes.data % aligned
+    return memory[start : start + size].view(np.float32).reshape(shape)
 
 
 def _white(plane: np.ndarray) -> np.float32:

@@ -1,6 +1,6 @@
 """Dense depth of the center view from multi-view edges: a chain of parts (Thesis 4 and 6.1).
 
-Subpackage: `solves` (from labels to the map).
+Subpackages: `solves` (from labels to the map), `steps` (of images that are read in parts).
 """
 
 from ._dense import DenseLabels as DenseLabels, MeasuredLabels as MeasuredLabels

@@ -176,7 +176,7 @@ def depth(
     return EdgeDepth.for_light_field(light_field, preset=preset)(light_field, key=key)
 
 
-def _validate(light_field: Any, model: Any, **options: Any) -> tuple[Any, ...]:
+def validate(light_field: Any, model: Any, **options: Any) -> tuple[Any, ...]:
     """Validates the arguments of `estimate_depth` and `multiview_edges`."""
     order = "the order is (light_field, model)"
     expect("light_field", light_field, LightField, f"{_MAKERS}, and {order}")
@@ -192,7 +192,7 @@ def _validate(light_field: Any, model: Any, **options: Any) -> tuple[Any, ...]:
     return (light_field.bare(), with_numbers(model)), options
 
 
-def _halves(
+def chain_in_halves(
     light_field: LightField, model: EdgeDepth, *, key: PRNGKeyArray | None = None
 ) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
     """Arguments of `find_labels`, and those of `diffuse_labels` besides its result."""
@@ -202,7 +202,7 @@ def _halves(
     return (light_field, front, key), (Parts(model.dense, model.smoothness, model.solver, refine),)
 
 
-@checked_jit(_validate, Halves(_halves, find_labels, diffuse_labels))
+@checked_jit(validate, Halves(chain_in_halves, find_labels, diffuse_labels))
 def estimate_depth(
     light_field: LightField, model: EdgeDepth, *, key: PRNGKeyArray | None = None
 ) -> DepthResult:
@@ -239,11 +239,11 @@ def estimate_depth(
 
     Source: Thesis 6.1, 4.2.2 and 4.3; docs/differences.md lists the differences and their reasons.
     """
-    first, rest = _halves(light_field, model, key=key)
+    first, rest = chain_in_halves(light_field, model, key=key)
     return diffuse_labels(find_labels(*first), *rest)
 
 
-@checked_jit(_validate)
+@checked_jit(validate)
 def multiview_edges(
     light_field: LightField, model: EdgeDepth, *, key: PRNGKeyArray | None = None
 ) -> Edges:

@@ -104,8 +104,12 @@ def find_labels(light_field: LightField, parts: Front, key: PRNGKeyArray | None)
 def diffuse_labels(labeled: Labeled, parts: Parts) -> DepthResult:
     """The second half of the chain: from labels to a map."""
     parts = cast(parts, labeled.first.dtype)
+    return result_of(refine_disparity(labeled.given, labeled.first, parts), labeled, parts)
+
+
+def result_of(found: Map, labeled: Labeled, parts: Parts) -> DepthResult:
+    """Outlines, standard errors and statistics of a map."""
     given, fine = labeled.given, sound(parts) & labeled.sound
-    found = refine_disparity(given, labeled.first, parts)
     disparity, error = _outlined(found, labeled, parts.refine, fine)
     stats = DepthStats(
         labeled.edges.stats,

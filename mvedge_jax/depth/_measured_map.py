@@ -22,12 +22,13 @@ from mvedge_jax.photometry.measuring import (
 
 from ._dense import LabelContext
 from ._diffused import diffused
+from ._labels import Labels
 from ._refine import Given, Map, Parts, Refine, cut_edges, labeled_share
 from ._standard_error import steepest
 
 # What a turn does: a solve, measured around the last map in the crosshair or in all views; a look
-# at a map that will be sharpened; sharpening and a solve.
-_PLAIN, _AROUND, _BLURRED, _SHARPENED = range(4)
+# at a map that will be sharpened; sharpening and a solve; nothing.
+_PLAIN, _AROUND, _BLURRED, _SHARPENED, _IDLE = range(5)
 
 
 def measured_map(given: Given, first: Float[Array, "y x"], parts: Parts) -> Map:
@@ -46,11 +47,8 @@ def measured_map(given: Given, first: Float[Array, "y x"], parts: Parts) -> Map:
 
     # One accumulation and one solver in the loop keep the program small. Steps differ by a branch,
     # and the two maps that a sharpening compares are measured in steps of their own.
-    def step(state: _State, turn: _Turn) -> tuple[_State, tuple[Array, Array, Array]]:
-        if state.blurred is None:
-            found = save_residual(_look(given, state.disparity))
-        else:
-            state, found = _sharpened(given, state, turn, parts)
+    def step(state: _State, turn: Turn) -> tuple[_State, tuple[Array, Array, Array]]:
+        state, found = _measured(given, state, turn, parts)
         if every:
             around = partial(_around, given, parts=parts)
             found = lax.cond(turn.kind == _AROUND, around, lambda f, _: f, found, state.disparity)
@@ -64,21 +62,54 @@ def measured_map(given: Given, first: Float[Array, "y x"], parts: Parts) -> Map:
         )
         return state._replace(disparity=disparity, error=error), stats
 
-    nothing = jnp.zeros_like(first)
-    state = _State(first, nothing, None)
-    if _BLURRED in kinds:
-        shapes = jax.eval_shape(lambda d: _look(given, d), first)
-        unseen = jax.tree.map(lambda of: jnp.zeros(of.shape, of.dtype), shapes)
-        state = state._replace(blurred=_Blurred(unseen, nothing))
     turns = _turns(kinds, parts.refine, first.dtype)
-    state, (iterations, converged, labeled) = lax.scan(checkpoint(step), state, turns)
+    start = _start(given, first, sharpens=_BLURRED in kinds)
+    state, (iterations, converged, labeled) = lax.scan(checkpoint(step), start, turns)
     solves = np.flatnonzero(kinds != _BLURRED)
     return Map(
         state.disparity, state.error, iterations[solves], jnp.all(converged), labeled[solves[-1]]
     )
 
 
-class _Turn(NamedTuple):
+def turns_by_solve(refine: Refine, dtype: DTypeLike) -> list["Turn"]:
+    """The two turns up to every solve, the first of which may be idle."""
+    kinds = _kinds(refine, every=False)
+    turns, pairs = _turns(kinds, refine, dtype), []
+    for last in np.flatnonzero(kinds != _BLURRED).tolist():
+        before = max(last - 1, 0)
+        kind = jnp.asarray([_BLURRED if kinds[before] == _BLURRED else _IDLE, kinds[last]])
+        slack, sloped, final = (jnp.stack([of[before], of[last]]) for of in turns[1:4])
+        pairs.append(Turn(kind, slack, sloped, final))
+    return pairs
+
+
+def measured_labels(
+    given: Given, disparity: Float[Array, "y x"], turns: "Turn", parts: Parts
+) -> tuple[Float[Array, "y x"], Labels]:
+    """The local part of `measured_map` up to a solve: what it starts from, and its labels.
+
+    Args:
+        given: see `measured_map`; it may be a part of an image.
+        disparity: the map so far.
+        turns: see `turns_by_solve`.
+        parts: see `measured_map`.
+
+    Returns:
+        The map, sharpened where the residual allows it, and the labels measured around it.
+    """
+
+    def visit(so_far: Any, turn: Turn) -> tuple[Any, None]:
+        look = partial(_measured, given, so_far[0], turn, parts)
+        return lax.cond(turn.kind == _IDLE, lambda: so_far, look), None
+
+    sharpens = parts.refine.sharpen.mode != "none"
+    start = _start(given, disparity, sharpens=sharpens), _unseen(given, disparity)
+    (state, found), _ = lax.scan(visit, start, turns)
+    last = jax.tree.map(lambda of: of[-1], turns)
+    return state.disparity, _labels(given, found, state.disparity, last, parts)
+
+
+class Turn(NamedTuple):
     """One step of the loop of `measured_map`.
 
     Attributes:
@@ -86,12 +117,14 @@ class _Turn(NamedTuple):
         slack: factor by which the residual of a sharpened map may be larger.
         sloped: whether the solve uses the slopes of the map.
         last: whether to compute the error of the map.
+        ends: least and largest disparity of the whole map, where this one is a part of it.
     """
 
     kind: Array
     slack: Array
     sloped: Array
     last: Array
+    ends: tuple[Array, Array] | None = None
 
 
 class _Blurred(NamedTuple):
@@ -118,9 +151,9 @@ def _kinds(refine: Refine, *, every: bool) -> np.ndarray:
     return np.asarray(kinds + [_AROUND] * (refine.around if every else 0))
 
 
-def _turns(kinds: np.ndarray, refine: Refine, dtype: DTypeLike) -> _Turn:
+def _turns(kinds: np.ndarray, refine: Refine, dtype: DTypeLike) -> Turn:
     index, first = np.arange(len(kinds)), np.flatnonzero(kinds != _BLURRED)[0]
-    return _Turn(
+    return Turn(
         jnp.asarray(kinds),
         jnp.where(index == first, refine.worse_at_first, refine.worse).astype(dtype),
         jnp.asarray(index > first),
@@ -160,21 +193,33 @@ def _around(
     return jax.tree.map(lambda a, c: share * a + (1 - share) * c, whole.per_pixel(), found)
 
 
-def _sharpened(
-    given: Given,
-    state: _State,
-    turn: _Turn,
-    parts: Parts,
+def _start(given: Given, first: Array, *, sharpens: bool) -> _State:
+    """The state before the first turn."""
+    nothing = jnp.zeros_like(first)
+    if not sharpens:
+        return _State(first, nothing, None)
+    return _State(first, nothing, _Blurred(_unseen(given, first), nothing))
+
+
+def _unseen(given: Given, disparity: Array) -> NormalEquations:
+    """Zeros in the shape of what `_look` returns."""
+    shapes = jax.eval_shape(partial(_look, given), disparity)
+    return jax.tree.map(lambda of: jnp.zeros(of.shape, of.dtype), shapes)
+
+
+def _measured(
+    given: Given, state: _State, turn: Turn, parts: Parts
 ) -> tuple[_State, NormalEquations]:
-    """Sharpens the map where the residual allows it; also returns its normal equations."""
-    assert state.blurred is not None
+    """Looks at the map and sharpens it where the residual allows it."""
+    if state.blurred is None:
+        return state, save_residual(_look(given, state.disparity))
     sharpens, params = turn.kind == _SHARPENED, _views(given).params
 
     def disagreement(found: NormalEquations, disparity: Array) -> Array:
         return residual_variance(found, given.lab, disparity, params, passes=params.passes)
 
     def sharper(disparity: Array) -> Array:
-        return parts.refine.sharpen(disparity, given.guide)
+        return parts.refine.sharpen(disparity, given.guide, ends=turn.ends)
 
     moved = save_residual(lax.cond(sharpens, sharper, lambda d: d, state.disparity))
     found = save_residual(_look(given, moved))
@@ -190,10 +235,10 @@ def _sharpened(
     return _State(disparity, state.error, _Blurred(found, differs)), found
 
 
-def _solve(
-    given: Given, found: NormalEquations, disparity: Array, turn: _Turn, parts: Parts
-) -> Any:
-    """Diffuses dense labels together with those of the points."""
+def _labels(
+    given: Given, found: NormalEquations, disparity: Array, turn: Turn, parts: Parts
+) -> Labels:
+    """Dense labels together with those of the points."""
     params, refine, sparse = _views(given).params, parts.refine, given.from_points
     assert parts.dense is not None
 
@@ -208,18 +253,23 @@ def _solve(
         sparse = sparse._replace(weight=share * sparse.weight)
     dense = save_residual(measured(found, disparity))
     context = LabelContext(params, refine.precision, given.lab, given.hypotheses, given.lit)
-    both = parts.dense(sparse, dense, disparity, context)
+    return parts.dense(sparse, dense, disparity, context)
+
+
+def _solve(given: Given, found: NormalEquations, disparity: Array, turn: Turn, parts: Parts) -> Any:
+    """Diffuses all labels."""
+    both = _labels(given, found, disparity, turn, parts)
     solved, (iterations, converged) = diffused(
         both,
         cut_edges(given, disparity, parts.smoothness),
         disparity,
         given.span,
-        refine,
+        parts.refine,
         parts.solver,
         sloped=turn.sloped,
         last=turn.last,
     )
-    return solved, (iterations, converged, labeled_share(both, refine))
+    return solved, (iterations, converged, labeled_share(both, parts.refine))
 
 
 def _share_of_all(disparity: Array, refine: Refine) -> Array:

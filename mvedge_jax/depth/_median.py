@@ -26,6 +26,7 @@ def weighted_median(
     radius: int,
     levels: int,
     quantized: bool = False,
+    ends: tuple[Float[Array, ""], Float[Array, ""]] | None = None,
 ) -> Float[Array, "y x"]:
     r"""Median over a window, with the weights of a guided filter.
 
@@ -40,11 +41,12 @@ def weighted_median(
         radius: radius of the window, px.
         levels: number of slices between the least and the largest value.
         quantized: return the first level past one half.
+        ends: first and last level; None for the least and the largest value.
 
     Returns:
         The median, `[y, x]`. Differentiable, in both modes, at the levels chosen.
     """
-    low, high = jnp.min(values), jnp.max(values)
+    low, high = (jnp.min(values), jnp.max(values)) if ends is None else ends
     spacing = jnp.maximum((high - low) / (levels - 1), LEAST_DIVISOR)
     sliced, still = _prepared(values, low, spacing, guide, epsilon, radius)
     slices = _Slices(radius, levels, quantized)

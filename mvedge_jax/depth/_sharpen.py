@@ -49,13 +49,18 @@ class Sharpen(eqx.Module):
 
     @accepts_numpy
     def __call__(
-        self, disparity: Float[Array, "y x"], guide: Float[Array, "c y x"]
+        self,
+        disparity: Float[Array, "y x"],
+        guide: Float[Array, "c y x"],
+        *,
+        ends: tuple[Float[Array, ""], Float[Array, ""]] | None = None,
     ) -> Float[Array, "y x"]:
         """Sharpens a map.
 
         Args:
             disparity: px per view step, `[y, x]`.
             guide: the center view, sRGB, three channels `[c, y, x]`.
+            ends: least and largest disparity of the whole map, if `disparity` is a part of it.
 
         Returns:
             The sharpened map. Differentiable; which level crosses one half is a selection.
@@ -70,6 +75,7 @@ class Sharpen(eqx.Module):
             radius=self.radius,
             levels=self.levels,
             quantized=self.mode == "quantized",
+            ends=ends,
         )
         if self.mode == "clip":
             return jnp.clip(disparity, median - params.slack, median + params.slack)

@@ -1,8 +1,9 @@
-"""Depth tile by tile, as if of the whole image."""
+"""Depth of an image that is read tile by tile."""
 
 import dataclasses
-from collections.abc import Callable, Sequence
-from typing import Any
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
+from typing import Any, NamedTuple, cast
 
 import equinox as eqx
 import jax
@@ -12,9 +13,21 @@ from jaxtyping import Array, Float, PRNGKeyArray
 
 from mvedge_jax._compiler import lean_jit
 from mvedge_jax._paths import replaced
-from mvedge_jax._stored_views import StoredViews
-from mvedge_jax.depth import DepthResult, DepthStats, EdgeDepth, estimate_depth
-from mvedge_jax.edges import scene_range
+from mvedge_jax._stored_views import StoredViews, Window
+from mvedge_jax.depth import DepthResult, EdgeDepth
+from mvedge_jax.depth.steps import (
+    Labeled,
+    Map,
+    Turn,
+    diffuse_measured,
+    diffuse_points,
+    finish,
+    label_part,
+    measure_part,
+    turns_by_solve,
+)
+from mvedge_jax.edges import EdgePoints, Edges, scene_range
+from mvedge_jax.edges.sides import SurfaceVectors
 from mvedge_jax.lightfield import LightField
 from mvedge_jax.photometry import Calibrate
 from mvedge_jax.photometry.brightness import Exposure, GridViews, Known, measure_noise
@@ -22,9 +35,9 @@ from mvedge_jax.photometry.matching import between_views_variance
 
 from ._layout import Tile, Tiling
 
-# Tiles in which noise is looked for between views; of several, the middle one counts.
-_SAMPLES = 5
-_MAPS = ("disparity", "error", "depth_edge")
+# Tiles in whose middle noise is looked for between views, and up to how many px a side; of several
+# values, the middle one counts.
+_SAMPLES, _SIDE = 5, 512
 
 
 def depth_in_tiles(
@@ -37,29 +50,25 @@ def depth_in_tiles(
 ) -> DepthResult:
     """Depth of an image that is larger than the memory allows.
 
-    Exposure, gains, vignettes and noise are measured once, for the whole image. Then each tile is
-    a light field of its own; tiles overlap, and the map is cut in the middle of what they share.
-    All run one compiled program. On the host: neither differentiable nor traced. Where a surface
-    is plain over more than the overlap, the map may have a seam.
+    Exposure, gains, vignettes and noise are measured once, for the whole image. Points are found,
+    and labels measured, tile by tile; what they see of their surroundings lies within the overlap
+    of the tiles. Labels are diffused through the whole image. On the host: neither differentiable
+    nor traced.
 
     Args:
         views: the crosshair; `datasets.stored` reads one that takes little memory.
         model: for light fields of the shape of a tile, without `all_views`; None for `"full"`.
         tiling: size and overlap of the tiles; None for tiles of 768 px.
-        progress: called with the number of tiles that are done and that there are.
+        progress: called with the number of steps that are done and that there are: every tile is
+            read once, and once more for every diffusion of dense labels.
         key: of parts that draw; every tile has one of its own.
 
     Returns:
-        See `DepthResult`; points without empty slots. Of `stats`, `valid` counts the
-        points of the map; other counts are sums over tiles, iterations the most of any tile.
+        See `DepthResult`; points without empty slots. Of `stats.edges`, `valid` counts the points
+        of the map, and other counts are sums over tiles.
 
     Raises:
         ValueError: the model measures labels in all views, or tiles do not overlap rightly.
-
-    Example:
-        >>> field = LightField(jnp.full((3, 3, 40, 24, 3), 0.5), disparity_range=(-1.0, 1.0))
-        >>> depth_in_tiles(field, tiling=Tiling(side=24, overlap=8)).disparity.shape
-        (40, 24)
     """
     stored = StoredViews.of(views) if isinstance(views, LightField) else views
     tiles = (Tiling() if tiling is None else tiling).of(*stored.shape[2:])
@@ -71,16 +80,17 @@ def depth_in_tiles(
     known = None
     if isinstance(model.calibration, Calibrate):
         known = _measured(stored, model.calibration, model.searched, tiles)
-    results = []
-    for index, tile in enumerate(tiles):
-        own = None if key is None else jax.random.fold_in(key, index)
-        results.append(_core_of(_of_tile(stored, model, known, tile, own), tile))
-        if progress is not None:
-            progress(index + 1, len(tiles))
-    whole = _joined(tiles, results, stored.shape[2:])
-    if known is not None:
-        stats = whole.stats._replace(exposure=known.exposure, noise=known.noise)
-        whole = whole._replace(stats=stats)
+    turns = [] if model.dense is None else turns_by_solve(model.refine, jnp.float32)
+    steps = _Steps(stored, model, known, tiles, len(tiles) * (1 + len(turns)), progress)
+    labeled, points, surface = steps.labeled(key)
+    if model.dense is None:
+        result = diffuse_points(labeled.whole, model)
+    else:
+        result = finish(steps.refined(labeled, turns), labeled.whole, model)
+    edges = eqx.tree_at(lambda of: of.valid, result.stats.edges, np.asarray(len(points.valid)))
+    sided = np.asarray(np.sum(points.valid & (surface.score != 0)))
+    stats = result.stats._replace(edges=edges, sided=sided)
+    whole = result._replace(points=points, surface=surface, stats=stats)
     return jax.tree.map(jnp.asarray, whole)
 
 
@@ -101,18 +111,6 @@ def with_measured_range(stored: StoredViews) -> StoredViews:
     return dataclasses.replace(stored, disparity_range=(factor * low, factor * high))
 
 
-def _of_tile(
-    stored: StoredViews, model: EdgeDepth, known: Known | None, tile: Tile, key: PRNGKeyArray | None
-) -> DepthResult:
-    """The depth of a tile, on the host."""
-    window = tile.window
-    if known is not None:
-        whole, size = stored.shape[2:], (window.height, window.width)
-        exposure = known.exposure.within(window.top, window.left, size, whole)
-        model = model.replace({"calibration.known": known._replace(exposure=exposure)})
-    return jax.device_get(estimate_depth(stored.window(window).bare(), model, key=key))
-
-
 def _measured(
     stored: StoredViews,
     calibration: Calibrate,
@@ -128,11 +126,18 @@ def _measured(
     tried = jnp.linspace(*searched, calibration.hypotheses, dtype=jnp.float32)
     params = calibration.brightness.noise
     some = np.unique(np.linspace(0, len(tiles) - 1, _SAMPLES).round().astype(int))
-    fields = (stored.window(tiles[index].window).bare() for index in some)
+    fields = (stored.window(_middle(tiles[index].window)).bare() for index in some)
     between = [_between(field, exposure, tried, params.finer) for field in fields]
     center = exposure.scale * jnp.moveaxis(jnp.asarray(stored.center_view), -1, 0)
     middle = jnp.median(jnp.stack(between))
     return Known(exposure, measure_noise(center, exposure.scale, between=middle, params=params))
+
+
+def _middle(window: Window) -> Window:
+    """The middle of a window."""
+    top, left, height, width = window
+    rows, columns = min(height, _SIDE), min(width, _SIDE)
+    return Window(top + (height - rows) // 2, left + (width - columns) // 2, rows, columns)
 
 
 @lean_jit
@@ -151,54 +156,150 @@ def _between(
     return between_views_variance(views, tried, finer=finer)
 
 
-def _core_of(result: DepthResult, tile: Tile) -> DepthResult:
-    """What counts of a tile: maps of its core, and points there at their place in the image."""
+@dataclasses.dataclass
+class _Steps:
+    """The steps of the chain over all tiles.
+
+    Attributes:
+        stored: the views.
+        model: the chain.
+        known: brightness and noise of the whole image; None if the chain measures none.
+        tiles: all of them.
+        total: number of visits to tiles.
+        progress: called after every visit.
+        done: number of visits so far.
+    """
+
+    stored: StoredViews
+    model: EdgeDepth
+    known: Known | None
+    tiles: Sequence[Tile]
+    total: int
+    progress: Callable[[int, int], None] | None
+    done: int = 0
+
+    def labeled(self, key: PRNGKeyArray | None) -> tuple["_Labeled", EdgePoints, SurfaceVectors]:
+        """What is found before the map; the points and their surface vectors."""
+        images, parts, kept, prepared = _Pasted(self.stored.shape[2:]), [], [], []
+        part: Any = None
+        for index, tile in enumerate(self._visits()):
+            own = None if key is None else jax.random.fold_in(key, index)
+            field = self.stored.window(tile.window).bare()
+            part = label_part(field, self._model_of(tile), key=own)
+            prepared.append(part.given.views)
+            part = jax.device_get(part._replace(given=part.given._replace(views=None)))
+            images.paste((part.given._replace(span=None), part.first), tile)
+            kept.append(_points_of(part, tile, self.stored.shape[2:]))
+            parts.append((part.edges.stats, part.iterations, part.sound))
+        given, first = images.whole
+        points, surface = jax.tree.map(lambda *each: np.concatenate(each), *kept)
+        stats, iterations, fine = jax.tree.map(lambda *each: np.stack(each), *parts)
+        stats = jax.tree.map(lambda count: count.sum(0), stats)
+        length = part.surface.length
+        nobody = jax.tree.map(lambda values: values[:0], (part.edges.points, _sides(part)))
+        whole = part._replace(
+            given=given._replace(span=part.given.span),
+            first=first,
+            edges=Edges(nobody[0], stats),
+            surface=nobody[1]._replace(length=length),
+            iterations=iterations.max(0),
+            sound=fine.all(),
+        )
+        if self.known is not None:
+            whole = whole._replace(noise=self.known.noise, exposure=self.known.exposure)
+        return _Labeled(whole, prepared), points, surface._replace(length=length)
+
+    def refined(self, labeled: "_Labeled", turns: Sequence[Turn]) -> Map:
+        """The map of dense labels."""
+        whole, found = labeled.whole, []
+        span, disparity = whole.given.span, np.asarray(whole.first)
+        given = whole.given._replace(span=None)
+        for pair in turns:
+            ends = jnp.full(2, disparity.min()), jnp.full(2, disparity.max())
+            pair, images = pair._replace(ends=ends), _Pasted(self.stored.shape[2:])
+            for tile, views in zip(self._visits(), labeled.prepared, strict=True):
+                inside = partial(_inside, window=tile.window)
+                own, start = jax.tree.map(jnp.asarray, jax.tree.map(inside, (given, disparity)))
+                own = own._replace(span=span, views=views)
+                images.paste(jax.device_get(measure_part(own, start, self.model, pair)), tile)
+            measured = jax.tree.map(jnp.asarray, images.whole)
+            found.append(jax.device_get(diffuse_measured(measured, self.model, span, pair)))
+            disparity = found[-1].disparity
+        iterations = np.stack([of.iterations for of in found])
+        converged = np.stack([of.converged for of in found]).all()
+        return found[-1]._replace(iterations=iterations, converged=converged)
+
+    def _visits(self) -> Iterator[Tile]:
+        """Every tile; counts those that are done."""
+        for tile in self.tiles:
+            yield tile
+            self.done += 1
+            if self.progress is not None:
+                self.progress(self.done, self.total)
+
+    def _model_of(self, tile: Tile) -> EdgeDepth:
+        """The chain that knows the brightness of a tile."""
+        if self.known is None:
+            return self.model
+        top, left, height, width = tile.window
+        exposure = self.known.exposure.within(top, left, (height, width), self.stored.shape[2:])
+        return self.model.replace({"calibration.known": self.known._replace(exposure=exposure)})
+
+
+class _Labeled(NamedTuple):
+    """What is found before the map.
+
+    Attributes:
+        whole: of the whole image, without points and prepared views.
+        prepared: views of every tile.
+    """
+
+    whole: Labeled
+    prepared: Sequence[Any]
+
+
+class _Pasted:
+    """Images put together of the cores of tiles.
+
+    Attributes:
+        whole: a pytree of images `[..., y, x]`; None before the first tile.
+    """
+
+    def __init__(self, shape: tuple[int, int]):
+        self._shape = shape
+        self.whole: Any = None
+
+    def paste(self, part: Any, tile: Tile) -> None:
+        """Copies the core of a tile's images."""
+        window, core = tile
+        inner = core._replace(top=core.top - window.top, left=core.left - window.left)
+        if self.whole is None:
+            self.whole = jax.tree.map(
+                lambda image: np.empty((*image.shape[:-2], *self._shape), image.dtype), part
+            )
+        for whole, image in zip(jax.tree.leaves(self.whole), jax.tree.leaves(part), strict=True):
+            _inside(whole, core)[...] = _inside(image, inner)
+
+
+def _inside(image: np.ndarray, window: Window) -> np.ndarray:
+    """A part of an image `[..., y, x]`."""
+    top, left, height, width = window
+    return image[..., top : top + height, left : left + width]
+
+
+def _sides(part: Labeled) -> Any:
+    """Surface vectors without what all points share."""
+    return part.surface._replace(length=cast(Any, None))
+
+
+def _points_of(part: Labeled, tile: Tile, shape: tuple[int, int]) -> tuple[EdgePoints, Any]:
+    """The points of a tile's core at their place in the image, and their surface vectors."""
+    height, width = shape
     window, core = tile
-    inner = core._replace(top=core.top - window.top, left=core.left - window.left)
-    own, surface = result.points, result.surface
+    own = part.edges.points
     xy = own.xy + np.asarray([window.left, window.top], own.xy.dtype)
-    place = np.floor(xy + 0.5) - (core.left, core.top)
+    # Points may lie half a pixel beside the image.
+    place = np.clip(np.floor(xy + 0.5), 0, (width - 1, height - 1)) - (core.left, core.top)
     keep = own.valid & (place >= 0).all(-1) & (place < (core.width, core.height)).all(-1)
-
-    def kept(values: Any) -> np.ndarray:
-        return np.asarray(values)[keep]
-
-    sides: Any = surface._replace(length=None)
-    return result._replace(
-        **{name: inner.of(np.asarray(getattr(result, name))).copy() for name in _MAPS},
-        points=jax.tree.map(kept, eqx.tree_at(lambda points: points.xy, own, xy)),
-        surface=jax.tree.map(kept, sides)._replace(length=surface.length),
-    )
-
-
-def _joined(
-    tiles: Sequence[Tile], results: Sequence[DepthResult], shape: tuple[int, int]
-) -> DepthResult:
-    """The maps and the points of all tiles."""
-    maps = {name: np.empty(shape, np.float32) for name in _MAPS}
-    for tile, result in zip(tiles, results, strict=True):
-        for name, image in maps.items():
-            tile.core.of(image)[...] = getattr(result, name)
-    length = results[0].surface.length
-    parts = [(result.points, result.surface._replace(length=None)) for result in results]
-    points, sides = jax.tree.map(lambda *each: np.concatenate(each), *parts)
-    stats = _summed([result.stats for result in results], len(points.valid))
-    whole = {name: jnp.asarray(image) for name, image in maps.items()}
-    return DepthResult(**whole, points=points, surface=sides._replace(length=length), stats=stats)
-
-
-def _summed(stats: Sequence[DepthStats], valid: int) -> DepthStats:
-    """Statistics of all tiles."""
-
-    def total(*counts: Any) -> Array:
-        return jnp.sum(jnp.stack(counts), axis=0)
-
-    edges = jax.tree.map(total, *(of.edges for of in stats))
-    return stats[0]._replace(
-        edges=eqx.tree_at(lambda of: of.valid, edges, np.asarray(valid)),
-        points=total(*(of.points for of in stats)),
-        sided=total(*(of.sided for of in stats)),
-        iterations=jnp.max(jnp.stack([of.iterations for of in stats]), axis=0),
-        converged=jnp.all(jnp.stack([of.converged for of in stats])),
-        sound=jnp.all(jnp.stack([of.sound for of in stats])),
-    )
+    moved = eqx.tree_at(lambda points: points.xy, own, xy)
+    return jax.tree.map(lambda values: np.asarray(values)[keep], (moved, _sides(part)))

@@ -87,6 +87,20 @@ def test_median_with_a_flat_guide_is_the_plain_median():
     assert same[np.abs(weight - 0.5) > 0.1].all()
 
 
+def test_a_part_has_the_median_of_the_whole_between_the_ends_of_the_whole():
+    rng = np.random.default_rng(5)
+    values, guide = (jnp.asarray(rng.uniform(size=(*c, 12, 40))) for c in ((), (3,)))
+    sharpen, part = Sharpen(radius=3, levels=9, mode="median"), (..., slice(0, 30))
+    values = values.at[0, -1].set(3.0)
+    whole = sharpen(values, guide)
+    alone, known = (
+        sharpen(values[part], guide[part], ends=ends)
+        for ends in (None, (jnp.min(values), jnp.max(values)))
+    )
+    assert_allclose(known[:, :24], whole[:, :24], atol=1e-12)
+    assert float(jnp.abs(alone - whole[part])[:, :24].max()) > 0.01
+
+
 @pytest.mark.slow
 def test_median_has_both_modes_and_a_second_derivative():
     rng = np.random.default_rng(4)
