@@ -77,14 +77,6 @@ def depth_of_views(light_field: LightField, result: DepthResult, model: ViewDept
         TypeError: an argument is of another kind, or their order is another.
 
     Source: Thesis 6.1, whose angular diffusion (6.4)-(6.8) this replaces.
-
-    Example:
-        >>> from mvedge_jax import depth
-        >>> flat = LightField(jnp.full((3, 3, 16, 16, 3), 0.5), disparity_range=(-1.0, 1.0))
-        >>> result = depth(flat)
-        >>> model = ViewDepth.for_light_field(flat)
-        >>> depth_of_views(flat, result, model).disparity.shape
-        (3, 3, 16, 16)
     """
     rows, columns, height, width = light_field.views.shape[:4]
     if result.disparity.shape != (height, width):
