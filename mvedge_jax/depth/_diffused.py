@@ -30,7 +30,6 @@ class _Solve(NamedTuple):
         wanted: whether this step computes it.
         weight: data weights of the labels.
         label: the values to diffuse.
-        start: initial value of the solver.
         stiffness: weight of an uncut edge.
         coarser: factor of the tolerance.
     """
@@ -39,7 +38,6 @@ class _Solve(NamedTuple):
     wanted: Array
     weight: Array
     label: Array
-    start: Array
     stiffness: Array
     coarser: Array
 
@@ -84,16 +82,14 @@ def diffused(
     doubt = (labels.weight * uncertain + forgotten * spread) / doubted
     coarser, alike = params.coarser.astype(start.dtype), jnp.ones((), start.dtype)
     turns = [
-        _Solve(
-            jnp.asarray(_MAP), jnp.asarray(True), labels.weight, labels.value, start, whole, alike
-        ),
-        _Solve(jnp.asarray(_ERROR), last, doubted, doubt, nothing, whole, coarser),
+        _Solve(jnp.asarray(_MAP), jnp.asarray(True), labels.weight, labels.value, whole, alike),
+        _Solve(jnp.asarray(_ERROR), last, doubted, doubt, whole, coarser),
     ]
     if params.slopes is not None:
         bent = cast(params.slopes, start.dtype)
         held, slopes = slope_labels(start, labels.weight, edges, bent)
         turns = [
-            _Solve(jnp.asarray(_SLOPES + i), sloped, *of, nothing, bent.stiffness, coarser)
+            _Solve(jnp.asarray(_SLOPES + i), sloped, *of, bent.stiffness, coarser)
             for i, of in enumerate(zip(held, slopes, strict=True))
         ] + turns
     solves = jax.tree.map(lambda *leaves: jnp.stack(leaves), *turns)
@@ -106,7 +102,8 @@ def diffused(
 
         def solved() -> tuple[Array, tuple[Array, Array]]:
             system = System(of.weight, of.label, tx, ty, *asked)
-            result = diffuse(system, start=of.start, solver=_coarser(solver, of.coarser))
+            first = jnp.where(of.which == _MAP, start, nothing)
+            result = diffuse(system, start=first, solver=_coarser(solver, of.coarser))
             return result.value, (result.stats.iterations, result.stats.converged)
 
         def skipped() -> tuple[Array, tuple[Array, Array]]:

@@ -177,7 +177,7 @@ def depth(
 
 
 def validate(light_field: Any, model: Any, **options: Any) -> tuple[Any, ...]:
-    """Validates the arguments of `estimate_depth` and `multiview_edges`."""
+    """Validates a light field and a model."""
     order = "the order is (light_field, model)"
     expect("light_field", light_field, LightField, f"{_MAKERS}, and {order}")
     made = "`EdgeDepth.for_light_field(light_field)` makes one, and " + order

@@ -13,7 +13,7 @@ from jaxtyping import Array, Float, PRNGKeyArray
 
 from mvedge_jax._compiler import lean_jit
 from mvedge_jax._paths import replaced
-from mvedge_jax._stored_views import StoredViews, Window
+from mvedge_jax._stored_views import StoredViews, Window, blank
 from mvedge_jax.depth import DepthResult, EdgeDepth
 from mvedge_jax.depth.steps import (
     Labeled,
@@ -29,8 +29,14 @@ from mvedge_jax.depth.steps import (
 from mvedge_jax.edges import EdgePoints, Edges, scene_range
 from mvedge_jax.edges.sides import SurfaceVectors
 from mvedge_jax.lightfield import LightField
-from mvedge_jax.photometry import Calibrate
-from mvedge_jax.photometry.brightness import Exposure, GridViews, Known, measure_noise
+from mvedge_jax.photometry import Calibrate, Noise
+from mvedge_jax.photometry.brightness import (
+    Exposure,
+    GridViews,
+    Known,
+    NoiseModel,
+    measure_noise,
+)
 from mvedge_jax.photometry.matching import between_views_variance
 
 from ._layout import Tile, Tiling
@@ -84,9 +90,9 @@ def depth_in_tiles(
     steps = _Steps(stored, model, known, tiles, len(tiles) * (1 + len(turns)), progress)
     labeled, points, surface = steps.labeled(key)
     if model.dense is None:
-        result = diffuse_points(labeled.whole, model)
+        result = diffuse_points(jax.device_put(labeled.whole), model)
     else:
-        result = finish(steps.refined(labeled, turns), labeled.whole, model)
+        result = finish(steps.refined(labeled, turns), jax.device_put(labeled.whole), model)
     edges = eqx.tree_at(lambda of: of.valid, result.stats.edges, np.asarray(len(points.valid)))
     sided = np.asarray(np.sum(points.valid & (surface.score != 0)))
     stats = result.stats._replace(edges=edges, sided=sided)
@@ -127,10 +133,9 @@ def _measured(
     params = calibration.brightness.noise
     some = np.unique(np.linspace(0, len(tiles) - 1, _SAMPLES).round().astype(int))
     fields = (stored.window(_middle(tiles[index].window)).bare() for index in some)
-    between = [_between(field, exposure, tried, params.finer) for field in fields]
-    center = exposure.scale * jnp.moveaxis(jnp.asarray(stored.center_view), -1, 0)
-    middle = jnp.median(jnp.stack(between))
-    return Known(exposure, measure_noise(center, exposure.scale, between=middle, params=params))
+    between = jnp.stack([_between(field, exposure, tried, params.finer) for field in fields])
+    center = jnp.asarray(stored.center_view)
+    return Known(exposure, _noise(center, exposure.scale, between, params))
 
 
 def _middle(window: Window) -> Window:
@@ -145,6 +150,17 @@ def _exposure(
     light_field: LightField, calibration: Calibrate, searched: tuple[float, float]
 ) -> Exposure:
     return calibration(light_field, searched).exposure
+
+
+@lean_jit
+def _noise(
+    center: Float[Array, "y x c"],
+    scale: Float[Array, ""],
+    between: Float[Array, " t"],
+    params: NoiseModel,
+) -> Noise:
+    bright = scale * jnp.moveaxis(center, -1, 0)
+    return measure_noise(bright, scale, between=jnp.median(between), params=params)
 
 
 @lean_jit
@@ -211,9 +227,9 @@ class _Steps:
 
     def refined(self, labeled: "_Labeled", turns: Sequence[Turn]) -> Map:
         """The map of dense labels."""
-        whole, found = labeled.whole, []
+        whole, stats = labeled.whole, []
         span, disparity = whole.given.span, np.asarray(whole.first)
-        given = whole.given._replace(span=None)
+        given, found = whole.given._replace(span=None), None
         for pair in turns:
             ends = jnp.full(2, disparity.min()), jnp.full(2, disparity.max())
             pair, images = pair._replace(ends=ends), _Pasted(self.stored.shape[2:])
@@ -222,12 +238,12 @@ class _Steps:
                 own, start = jax.tree.map(jnp.asarray, jax.tree.map(inside, (given, disparity)))
                 own = own._replace(span=span, views=views)
                 images.paste(jax.device_get(measure_part(own, start, self.model, pair)), tile)
-            measured = jax.tree.map(jnp.asarray, images.whole)
-            found.append(jax.device_get(diffuse_measured(measured, self.model, span, pair)))
-            disparity = found[-1].disparity
-        iterations = np.stack([of.iterations for of in found])
-        converged = np.stack([of.converged for of in found]).all()
-        return found[-1]._replace(iterations=iterations, converged=converged)
+            found = diffuse_measured(jax.device_put(images.whole), self.model, span, pair)
+            disparity = np.asarray(found.disparity)
+            stats.append((found.iterations, found.converged))
+        assert found is not None
+        iterations, converged = jax.tree.map(lambda *each: jnp.stack(each), *stats)
+        return found._replace(iterations=iterations, converged=jnp.all(converged))
 
     def _visits(self) -> Iterator[Tile]:
         """Every tile; counts those that are done."""
@@ -275,7 +291,7 @@ class _Pasted:
         inner = core._replace(top=core.top - window.top, left=core.left - window.left)
         if self.whole is None:
             self.whole = jax.tree.map(
-                lambda image: np.empty((*image.shape[:-2], *self._shape), image.dtype), part
+                lambda image: blank((*image.shape[:-2], *self._shape), image.dtype), part
             )
         for whole, image in zip(jax.tree.leaves(self.whole), jax.tree.leaves(part), strict=True):
             _inside(whole, core)[...] = _inside(image, inner)
