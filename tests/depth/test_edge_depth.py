@@ -96,7 +96,6 @@ def test_the_other_presets_give_a_map(scene, preset, median, bad):
     assert (error > 0.3).mean() < bad
 
 
-@pytest.mark.slow
 def test_all_views_know_more_than_those_of_the_crosshair(scene):
     few, every = (small_model(scene, views=views)(scene) for views in ("crosshair", "all"))
     wrong, less = (off(result, scene) for result in (few, every))

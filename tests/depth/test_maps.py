@@ -101,7 +101,6 @@ def test_a_part_has_the_median_of_the_whole_between_the_ends_of_the_whole():
     assert float(jnp.abs(alone - whole[part])[:, :24].max()) > 0.01
 
 
-@pytest.mark.slow
 def test_median_has_both_modes_and_a_second_derivative():
     rng = np.random.default_rng(4)
     guide = jnp.asarray(rng.uniform(size=(3, 14, 17)))

@@ -158,7 +158,8 @@ def test_tiles_have_the_depth_of_the_image(wide):
         np.asarray(points.xy)[np.asarray(points.valid)] for points in (tiled.points, whole.points)
     )
     assert len(found) == tiled.stats.edges.valid == len(tiled.surface.score)
-    assert_allclose(*(xy[np.lexsort(xy.T)] for xy in (found, known)), atol=1e-4)
+    found, known = (xy[np.lexsort(xy.T)] for xy in (found, known))
+    assert_allclose(found, known, atol=1e-4)
 
 
 @pytest.mark.slow
