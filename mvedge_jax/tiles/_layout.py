@@ -13,7 +13,7 @@ _PER_PIXEL, _LEAST = 2700, 0.8e9
 _STEP = 4
 # Bytes per pixel of the whole image: prepared views, labels, guide and maps; and what the diffusion
 # takes besides.
-_WHOLE, _DIFFUSED = 340, 220
+_WHOLE, _DIFFUSED = 340, 260
 
 
 class Tile(NamedTuple):

@@ -61,8 +61,8 @@ def test_tilings_that_cannot_be():
     views = StoredViews({(0, u): image for u in range(3)}, (1, 3))
     sides = [Tiling.within(2e9), Tiling.within(12e9, views=views), Tiling.within(12e9)]
     assert sides[0].side < sides[1].side < sides[2].side
-    with pytest.raises(ValueError, match="`memory` must be at least 9.9 GB"):
-        Tiling.within(9e9, views=views)  # its tiles would fit, the diffusion does not
+    with pytest.raises(ValueError, match="`memory` must be at least 11 GB"):
+        Tiling.within(10e9, views=views)  # its tiles would fit, the diffusion does not
 
 
 def test_windows_hold_what_the_light_field_holds(scene):
