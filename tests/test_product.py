@@ -79,9 +79,7 @@ _PROGRAMS = {
 }
 
 
-@pytest.mark.parametrize(
-    "name", [pytest.param(n, marks=[pytest.mark.slow] * (n == "chain")) for n in _PROGRAMS]
-)
+@pytest.mark.parametrize("name", _PROGRAMS)
 def test_products_keep_all_bits(name):
     function, argument = _PROGRAMS[name]
     products = _products(function, jnp.asarray(argument))

@@ -69,10 +69,7 @@ def test_a_picture_behind_everything_is_told(edit):
     assert "nothing was changed" in said
 
 
-@pytest.mark.parametrize(
-    "command",
-    ["views", "edit", *(pytest.param(c, marks=pytest.mark.slow) for c in ("superpixels", "batch"))],
-)
+@pytest.mark.parametrize("command", ["views", "edit", "superpixels", "batch"])
 def test_what_speaks_against_the_depth_is_said(command, tmp_path, mvedge):
     """Black views tell nothing: on the screen, and in report.json."""
     scene = write_hci(tmp_path / "black", np.zeros((3, 3, 32, 40, 3), np.uint8))

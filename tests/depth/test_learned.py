@@ -38,13 +38,7 @@ def trained():
     return eqx.tree_at(lambda p: p.network.last.weight, part, last.astype(jnp.float64))
 
 
-@pytest.mark.parametrize(
-    "part",
-    [
-        pytest.param(MeasuredLabels(), id="measured", marks=pytest.mark.slow),
-        pytest.param(trained(), id="learned"),
-    ],
-)
+@pytest.mark.parametrize("part", [MeasuredLabels(), trained()], ids=["measured", "learned"])
 def test_dense_labels(part):
     assert isinstance(part, DenseLabels)
     found = check_part(part, called)
@@ -61,7 +55,6 @@ def test_a_network_starts_as_the_rule_and_then_changes_weights():
     assert float(jnp.abs(later.weight / rule.weight - 1).max()) > 0.1
 
 
-@pytest.mark.slow
 def test_derivatives_of_labels():
     """In the weights of the network, and in all that it sees; both modes against differences."""
 
@@ -100,7 +93,7 @@ def test_the_unit_of_disparity_is_free():
     assert_allclose(called(part, wide).weight, called(part, of).weight, rtol=1e-9)
 
 
-@pytest.mark.parametrize("size", [(5, 7), (16, 9)])
+@pytest.mark.parametrize("size", [(4, 4), (5, 7), (16, 9)])
 def test_any_size_of_views(size):
     network = trained().network
     seen = jax.random.normal(jax.random.key(0), (network.halved.in_channels, *size), jnp.float64)

@@ -85,8 +85,8 @@ def _precise():
 @each(
     sides.BidirectionalSides(diffusion=_precise()),
     sides.MapSides(),
-    pytest.param(sides.ThesisSides(diffusion=_precise()), marks=pytest.mark.slow),
-    pytest.param(sides.ReprojectionSides(radius=2, diffusion=_precise()), marks=pytest.mark.slow),
+    sides.ThesisSides(diffusion=_precise()),
+    sides.ReprojectionSides(radius=2, diffusion=_precise()),
     sides.NoSides(),
 )
 def test_sides(part):
@@ -175,7 +175,6 @@ class Network(eqx.Module):
         return tx * right[:, :-1], ty * down[:-1]
 
 
-@pytest.mark.slow
 def test_a_network_for_the_smoothness_learns(scene, model):
     blind, truth, adam = scene.without_truth(), scene.truth.disparity, optax.adam(0.03)
 

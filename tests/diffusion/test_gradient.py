@@ -74,10 +74,7 @@ def _derivatives(solve, systems, directions, *, every):
 
 @pytest.mark.parametrize(
     ("solve", "make", "every"),
-    [
-        (_by_elimination, _with_rises, True),
-        pytest.param(_by_lineax, _with_gaps, False, marks=pytest.mark.slow),
-    ],
+    [(_by_elimination, _with_rises, True), (_by_lineax, _with_gaps, False)],
 )
 def test_derivatives_are_those_of_a_dense_solve(solve, make, every):
     systems = stacked([make(jax.random.key(k)) for k in (4, 5)])

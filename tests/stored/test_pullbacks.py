@@ -111,7 +111,7 @@ def test_a_later_process_traces_neither(files):
         np.testing.assert_array_equal(a, b)
 
 
-@pytest.mark.parametrize("lost", [0, *(pytest.param(k, marks=pytest.mark.slow) for k in (1, 2, 3))])
+@pytest.mark.parametrize("lost", range(4))
 def test_a_pullback_is_that_of_its_own_residuals(files, lost):
     """Where one program of a half is lost, both are made anew."""
     usual, _ = _gradient(split_jit())

@@ -56,9 +56,7 @@ def _found(field, depths, size=8.0, **choices):
     return superpixels(field, depths, SuperpixelClustering.for_depths(depths, choices=choices))
 
 
-@pytest.mark.parametrize(
-    "shape", [(3, 3, 36, 44), pytest.param((1, 5, 30, 33), marks=pytest.mark.slow)]
-)
+@pytest.mark.parametrize("shape", [(3, 3, 36, 44), (1, 5, 30, 33)])
 def test_superpixels_keep_to_surfaces_and_agree_in_all_views(shape):
     field, depths, ids = _cards(shape)
     found = _found(field, depths)
@@ -301,9 +299,7 @@ def test_a_low_temperature_tells_surfaces_apart_and_leaves_means_unchanged():
     assert_allclose(through_superpixels(soft, flat), flat, rtol=1e-12)
 
 
-@pytest.mark.parametrize(
-    "what", ["views", *(pytest.param(w, marks=pytest.mark.slow) for w in ("depth", "params"))]
-)
+@pytest.mark.parametrize("what", ["views", "depth", "params"])
 def test_gradients_are_those_of_differences(what):
     field, depths = _scene()
     target = jnp.asarray(np.random.default_rng(1).normal(size=(14, 17, 3)))
