@@ -10,6 +10,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from mvedge_jax import EdgeDepth
 from mvedge_jax.depth import estimate_depth
+from mvedge_jax.depth.steps import label_part
 from mvedge_jax.photometry import Calibrate
 from mvedge_jax.photometry.brightness import Exposure, Known
 from mvedge_jax.tiles import StoredViews, Tiling, Window, depth_in_tiles
@@ -142,8 +143,9 @@ def _in_tiles_and_whole(field, model):
 
 
 def test_tiles_have_the_depth_of_the_image(wide):
-    model = small_model(wide)
+    model, before = small_model(wide), label_part.traces
     tiled, whole, visits = _in_tiles_and_whole(wide, model)
+    assert label_part.traces == before + 1, "tiles share a program"
     assert visits == 2 * (1 + len(whole.stats.iterations))
     for name in ("disparity", "error", "depth_edge"):
         ours, theirs = getattr(tiled, name), getattr(whole, name)
