@@ -100,7 +100,9 @@ def measured(arguments: argparse.Namespace, size: int) -> dict[str, float]:
         seconds.append(time.perf_counter() - start)
         return found
 
-    result = estimated() if arguments.once else (estimated(), estimated())[1]
+    result = estimated()
+    if not arguments.once:
+        result = estimated()
     tiles = tiling.of(size, size)
     found = depth_scores(result.disparity, jax.numpy.asarray(truth))
     row = {

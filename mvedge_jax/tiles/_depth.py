@@ -3,7 +3,7 @@
 import dataclasses
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
-from typing import Any, NamedTuple, cast
+from typing import Any, cast
 
 import equinox as eqx
 import jax
@@ -85,14 +85,15 @@ def depth_in_tiles(
         raise ValueError("`model` measures labels in all views; tiles have those of the crosshair.")
     known = None
     if isinstance(model.calibration, Calibrate):
-        known = _measured(stored, model.calibration, model.searched, tiles)
+        known = _brightness(stored, model.calibration, model.searched, tiles)
     turns = [] if model.dense is None else turns_by_solve(model.refine, jnp.float32)
     steps = _Steps(stored, model, known, tiles, len(tiles) * (1 + len(turns)), progress)
-    labeled, points, surface = steps.labeled(key)
+    labeled, prepared, points, surface = steps.labeled(key)
     if model.dense is None:
-        result = diffuse_points(jax.device_put(labeled.whole), model)
+        result = diffuse_points(jax.device_put(labeled), model)
     else:
-        result = finish(steps.refined(labeled, turns), jax.device_put(labeled.whole), model)
+        found = steps.refined(labeled, prepared, turns)
+        result = finish(found, jax.device_put(labeled), model)
     edges = eqx.tree_at(lambda of: of.valid, result.stats.edges, np.asarray(len(points.valid)))
     sided = np.asarray(np.sum(points.valid & (surface.score != 0)))
     stats = result.stats._replace(edges=edges, sided=sided)
@@ -117,7 +118,7 @@ def with_measured_range(stored: StoredViews) -> StoredViews:
     return dataclasses.replace(stored, disparity_range=(factor * low, factor * high))
 
 
-def _measured(
+def _brightness(
     stored: StoredViews,
     calibration: Calibrate,
     searched: tuple[float, float],
@@ -194,8 +195,10 @@ class _Steps:
     progress: Callable[[int, int], None] | None
     done: int = 0
 
-    def labeled(self, key: PRNGKeyArray | None) -> tuple["_Labeled", EdgePoints, SurfaceVectors]:
-        """What is found before the map; the points and their surface vectors."""
+    def labeled(
+        self, key: PRNGKeyArray | None
+    ) -> tuple[Labeled, list[Any], EdgePoints, SurfaceVectors]:
+        """Labels without points, prepared views of every tile, points and surface vectors."""
         images, parts, kept, prepared = _Pasted(self.stored.shape[2:]), [], [], []
         part: Any = None
         for index, tile in enumerate(self._visits()):
@@ -223,17 +226,16 @@ class _Steps:
         )
         if self.known is not None:
             whole = whole._replace(noise=self.known.noise, exposure=self.known.exposure)
-        return _Labeled(whole, prepared), points, surface._replace(length=length)
+        return whole, prepared, points, surface._replace(length=length)
 
-    def refined(self, labeled: "_Labeled", turns: Sequence[Turn]) -> Map:
+    def refined(self, labeled: Labeled, prepared: Sequence[Any], turns: Sequence[Turn]) -> Map:
         """The map of dense labels."""
-        whole, stats = labeled.whole, []
-        span, disparity = whole.given.span, np.asarray(whole.first)
-        given, found = whole.given._replace(span=None), None
+        span, disparity = labeled.given.span, np.asarray(labeled.first)
+        given, found, stats = labeled.given._replace(span=None), None, []
         for pair in turns:
             ends = jnp.full(2, disparity.min()), jnp.full(2, disparity.max())
             pair, images = pair._replace(ends=ends), _Pasted(self.stored.shape[2:])
-            for tile, views in zip(self._visits(), labeled.prepared, strict=True):
+            for tile, views in zip(self._visits(), prepared, strict=True):
                 inside = partial(_inside, window=tile.window)
                 own, start = jax.tree.map(jnp.asarray, jax.tree.map(inside, (given, disparity)))
                 own = own._replace(span=span, views=views)
@@ -260,18 +262,6 @@ class _Steps:
         top, left, height, width = tile.window
         exposure = self.known.exposure.within(top, left, (height, width), self.stored.shape[2:])
         return self.model.replace({"calibration.known": self.known._replace(exposure=exposure)})
-
-
-class _Labeled(NamedTuple):
-    """What is found before the map.
-
-    Attributes:
-        whole: of the whole image, without points and prepared views.
-        prepared: views of every tile.
-    """
-
-    whole: Labeled
-    prepared: Sequence[Any]
 
 
 class _Pasted:
