@@ -4,14 +4,16 @@
     python experiments/benchmarks/large.py --sizes 4096 --memory 12 --samples 2
 
 The crosshair of 9x9 views of a rendered scene, whose disparities are the same at every size. Every
-size runs in a process of its own, whose peak memory counts. With `--compare`, tiles are compared
-with the whole image in one piece.
+size runs in a process of its own, whose peak memory counts. With `--pair`, calls of 512 px in one
+piece run before and after the second call: the speed of a machine changes within minutes. With
+`--compare`, tiles are compared with the whole image in one piece.
 """
 
 import argparse
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import jax
@@ -40,8 +42,11 @@ def main() -> None:
     parser.add_argument("--memory", type=float, default=6.0, help="gigabytes that tiles may take")
     parser.add_argument("--samples", type=int, default=2)
     parser.add_argument("--once", action="store_true", help="no second call, without compilation")
+    parser.add_argument("--pair", action="store_true", help="beside calls of 512 px in one piece")
     parser.add_argument("--compare", action="store_true", help="with the whole image, too")
     arguments = parser.parse_args()
+    if arguments.once and arguments.pair:
+        parser.error("--pair needs the second call, which --once leaves out")
     if len(arguments.sizes) > 1:
         for size in arguments.sizes:
             words = [*sys.argv, "--sizes", str(size)]
@@ -83,6 +88,26 @@ def render_stored(
     return stored, truth
 
 
+def small_call(arguments: argparse.Namespace) -> Callable[[], float]:
+    """A call of `estimate_depth` at 512 px of the same scene, compiled; returns its seconds."""
+    stored, _ = render_stored(
+        synthetic.scene(arguments.scene),
+        shape=(9, 9, 512, 512),
+        samples=arguments.samples,
+        key=jax.random.key(0),
+    )
+    light_field = stored.window(Window(0, 0, 512, 512))
+    model, bare = EdgeDepth.for_light_field(light_field), light_field.bare()
+
+    def call() -> float:
+        start = time.perf_counter()
+        jax.block_until_ready(estimate_depth(bare, model))
+        return time.perf_counter() - start
+
+    call()
+    return call
+
+
 def measured(arguments: argparse.Namespace, size: int) -> dict[str, float]:
     """One size: seconds, memory, scores; the map as a picture."""
     stored, truth = render_stored(
@@ -101,8 +126,12 @@ def measured(arguments: argparse.Namespace, size: int) -> dict[str, float]:
         return found
 
     result = estimated()
+    peak = peak_memory()
+    call = small_call(arguments) if arguments.pair else None
+    beside = [call(), call()] if call else []
     if not arguments.once:
         result = estimated()
+    beside += [call(), call()] if call else []
     tiles = tiling.of(size, size)
     found = depth_scores(result.disparity, jax.numpy.asarray(truth))
     row = {
@@ -113,10 +142,13 @@ def measured(arguments: argparse.Namespace, size: int) -> dict[str, float]:
         "later s": seconds[-1],
         "us per pixel": 1e6 * seconds[-1] / size**2,
         "memory after rendering GB": rendered / 1e9,
-        "peak memory GB": peak_memory() / 1e9,
+        "peak memory GB": peak / 1e9,
         "MSE*100": float(found.mse),
         "BP(.07)": float(found.bad_07),
     }
+    if beside:
+        row["512 px, us per pixel"] = 1e6 * float(np.mean(beside)) / 512**2
+        row["ratio"] = row["us per pixel"] / row["512 px, us per pixel"]
     arguments.out.mkdir(parents=True, exist_ok=True)
     disparity = np.asarray(result.disparity)
     plotting.plot_disparity(disparity).savefig(arguments.out / f"large_{size}.png")
