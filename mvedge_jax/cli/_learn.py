@@ -1,34 +1,31 @@
 """`mvedge learn`: numbers of the model learned by gradient from scenes with truth."""
 
-import contextlib
-import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
-import jax
 import numpy as np
-import optax
 import tyro
 
-from mvedge_jax.datasets import load_light_field
-from mvedge_jax.datasets.synthetic.random_scenes import random_light_fields
-from mvedge_jax.learn import (
-    Learned,
-    Progress,
-    chosen,
-    learn as learn_from,
-    of_one_range,
-    plot_learning,
-)
-from mvedge_jax.lightfield import LightField
+from mvedge_jax.learn import chosen
 
-from ._common import note, progress_bar, stage
-from ._model import FULL, ModelArg, settings_of
-from ._output import output_folder, write_csv, write_json
+from ._cluster import connected, outcomes, reason_of
+from ._common import note, warn
+from ._learn_seed import Asked, Scenes, learn_seed
+from ._model import FULL, ModelArg
+from ._output import refuse_inputs, write_csv, write_json
 from ._paths import scenes_and_out
 
-_Fields = Sequence[LightField]
+_COLUMNS = (
+    "state",
+    "seed",
+    "best step",
+    "loss before",
+    "loss after",
+    "validation before",
+    "validation after",
+    "seconds",
+)
 
 
 def learn(
@@ -54,16 +51,19 @@ def learn(
     range: tuple[float, float] = (-2.0, 2.0),
     zoom: tuple[float, float] = (1.0, 1.0),
     checkpoint: Path | None = None,
-    seed: int = 0,
+    seeds: tuple[int, ...] = (0,),
+    workers: int = 0,
+    scheduler: str | None = None,
     overwrite: bool = False,
     options: ModelArg = FULL,
-) -> None:
+) -> int:
     """Learns numbers of the model of `mvedge depth` from light fields with truth, by gradient.
 
     Without SCENES, random synthetic ones are rendered. OUT gets learned.json, which `mvedge depth
     --model OUT/learned.json` and its like take, curves.csv, learning.png and report.json. A run
-    that was stopped goes on from its checkpoint. Example: `mvedge learn OUT --what smoothness
-    refine.precision --random 200 --validation 20`.
+    that was stopped goes on from its checkpoint. Of several seeds, OUT gets a folder each, and
+    summary.csv and summary.json over all; those that are there already are kept. Example: `mvedge
+    learn OUT --what smoothness refine.precision --random 200 --validation 20`.
 
     Args:
         paths: light fields of one size with truth, then the folder to make; OUT alone for random
@@ -84,10 +84,17 @@ def learn(
         range: of the disparities of random scenes, px per view step.
         zoom: least and largest factor by which views show less than a random scene, so that small
             views look like crops of larger ones.
-        checkpoint: folder of the checkpoint, OUT.checkpoint by default.
-        seed: of random scenes, and of their order.
-        overwrite: replace OUT if it is an earlier result of mvedge, with nothing else in it.
+        checkpoint: folder of the checkpoint, OUT.checkpoint by default; of several seeds, a
+            folder for their checkpoints.
+        seeds: of random scenes, and of their order; each is a run of its own.
+        workers: processes of a Dask cluster on this machine that take the seeds; 0 for none.
+        scheduler: address of a Dask scheduler to use instead, such as tcp://host:8786; its workers
+            must see SCENES and OUT under the same paths.
+        overwrite: replace results of mvedge that have nothing else in their folder.
         options: of the model.
+
+    Returns:
+        The exit code: 0, or 1 if one of several seeds failed.
     """
     if not (np.isfinite(rate) and rate > 0):
         raise ValueError(f"--rate must be positive, got {rate}.")
@@ -95,98 +102,75 @@ def learn(
         raise ValueError(f"--steps must be at least 1, got {steps}.")
     if validation < 0:
         raise ValueError(f"--validation must not be negative, got {validation}.")
+    if not seeds or len(set(seeds)) < len(seeds):
+        raise ValueError(f"--seeds must be different numbers, at least one, got {seeds}.")
     chosen(options.check(), what)
     given, out = scenes_and_out(paths) if len(paths) > 1 else ([], *map(Path, paths))
-    shape, key = (views, views, size, size), jax.random.key(seed)
-    fields, held = (
-        _loaded(given, validation)
-        if given
-        else _random(random, validation, shape=shape, disparity_range=range, zoom=zoom, key=key)
-    )
-    with stage("choosing sizes"):
-        model = options.model(fields[0].without_truth())
-    folder_of = out.with_name(f"{out.name}.checkpoint") if checkpoint is None else checkpoint
+    if given and validation >= len(given):
+        raise ValueError(f"--validation {validation} leaves none of {len(given)} scenes.")
     choices: dict[str, Any] = {"steps": steps, "batch": batch, "prior": prior, "limit": limit}
     choices |= {"check_every": check_every, "patience": patience}
-    before = time.perf_counter()
-    with output_folder(out, inputs=given, overwrite=overwrite) as folder:
-        with _telling(steps, checked=held is not None) as tell:
-            adam = optax.adam(optax.cosine_decay_schedule(rate, steps))
-            options_of = {"optimizer": adam, "checkpoint": folder_of, "progress": tell, "key": key}
-            found = learn_from(model, what, fields, validation=held, **choices, **options_of)
-        report = {
-            "scenes": [str(scene) for scene in given]
-            or f"{random} random scenes of {shape}, disparities {range}, zoom {zoom}",
-            "validation scenes": len(held or ()),
-            "what": list(found.values),
-            "rate": rate,
-            **choices,
-            "seed": seed,
-            "best step": found.best_step,
-            "seconds": round(time.perf_counter() - before, 1),
-            "checkpoint": str(folder_of),
-            "set": settings_of(options.set),
+    # Workers have folders of their own to start from.
+    kept = out.with_name(f"{out.name}.checkpoint") if checkpoint is None else checkpoint
+    files, kept = tuple(path.resolve() for path in given), kept.resolve()
+    scenes = Scenes(files, validation, random, (views, views, size, size), range, zoom)
+    asked = Asked(scenes, what, rate, choices, options, overwrite, len(seeds) > 1)
+    if len(seeds) == 1:
+        calls = {"": (asked, seeds[0], out, kept)}
+    else:
+        refuse_inputs(out.resolve(), given)
+        if out.exists() and not out.is_dir():
+            raise FileExistsError(f"{out} is a file, expected a folder to write into.")
+        out.mkdir(parents=True, exist_ok=True)
+        names = [f"seed_{seed}" for seed in seeds]
+        calls = {
+            name: (asked, seed, out.resolve() / name, kept / name)
+            for name, seed in zip(names, seeds, strict=True)
         }
-        _write(folder, found, options.preset, report)
-    _conclude(found, out)
+    return _run(calls, out, workers, scheduler)
 
 
-@contextlib.contextmanager
-def _telling(steps: int, *, checked: bool) -> Iterator[Callable[[Progress], None]]:
-    """A progress bar, and what moves it on."""
-    with progress_bar() as bar:
-        task = bar.add_task("steps", total=steps)
-
-        def tell(now: Progress) -> None:
-            validation = f", validation {now.validation:.4g}" if checked else ""
-            bar.update(task, completed=now.step, description=f"loss {now.loss:.4g}{validation}")
-
-        yield tell
-
-
-def _loaded(paths: Sequence[Path], held: int) -> tuple[_Fields, _Fields | None]:
-    """Light fields to learn from, and those held out; all with one range."""
-    if held >= len(paths):
-        raise ValueError(f"--validation {held} leaves none of {len(paths)} scenes to learn from.")
-    with stage(f"reading {len(paths)} light fields"):
-        fields = [load_light_field(path) for path in paths]
-    for path, field in zip(paths, fields, strict=True):
-        if field.truth is None:
-            raise ValueError(f"{path} has no ground truth to learn from.")
-    ranged = of_one_range(fields)
-    return ranged[: len(ranged) - held], ranged[len(ranged) - held :] or None
+def _run(
+    calls: Mapping[str, tuple[Asked, int, Path, Path]],
+    out: Path,
+    workers: int,
+    scheduler: str | None,
+) -> int:
+    """Runs every seed."""
+    rows: dict[str, dict[str, Any]] = {name: {} for name in calls}
+    with connected(workers, scheduler) as client:
+        for name, row, at in outcomes(client, learn_seed, calls):
+            if isinstance(row, Exception):
+                if len(calls) == 1:
+                    raise row
+                row = {"state": "failed", "reason": reason_of(row)}
+            rows[name] = row | ({"worker": at[-1], "attempt": len(at)} if at else {})
+            _conclude(name, rows[name], calls[name][2])
+    return _summary(rows, out) if len(calls) > 1 else 0
 
 
-def _random(count: int, held: int, **options: Any) -> tuple[_Fields, _Fields | None]:
-    """Random scenes to learn from, and others that are held out."""
-    fields = random_light_fields(count=count, **options)
-    if not held:
-        return fields, None
-    return fields, random_light_fields(split="validation", count=held, **options)
+def _summary(rows: Mapping[str, Any], out: Path) -> int:
+    """Writes summary.csv and summary.json; 1 if a seed failed, else 0."""
+    columns = [*_COLUMNS, "reason", "worker", "attempt"]
+    table = ([name, *(row.get(column, "") for column in columns)] for name, row in rows.items())
+    write_csv(out / "summary.csv", ["name", *columns], table)
+    write_json(out / "summary.json", rows)
+    failed = [name for name, row in rows.items() if row["state"] == "failed"]
+    note(f"{len(rows) - len(failed)} of {len(rows)} seeds done; summary.csv in {out}")
+    return 1 if failed else 0
 
 
-def _write(folder: Path, found: Learned, preset: str, report: dict[str, Any]) -> None:
-    """What was learned, the curves, and what was done."""
-    numbers = {path: np.asarray(value).tolist() for path, value in found.values.items()}
-    learned = {"preset": preset, "factors": found.factors(), "numbers": numbers}
-    write_json(folder / "learned.json", learned)
-    checks = dict(found.validation)
-    losses = ["", *found.losses.tolist()]
-    rows = ([step, loss, checks.get(step, "")] for step, loss in enumerate(losses))
-    write_csv(folder / "curves.csv", ["step", "loss", "validation"], rows)
-    plot_learning(found).savefig(folder / "learning.png")
-    write_json(folder / "report.json", report)
-
-
-def _conclude(found: Learned, out: Path) -> None:
-    """Prints the curves' ends and what moved most."""
-    tenth = max(len(found.losses) // 10, 1)
-    ends = (found.losses[:tenth].mean(), found.losses[-tenth:].mean())
-    note(f"loss {ends[0]:.4g} -> {ends[1]:.4g} (first and last tenth); written to {out}")
-    if found.validation:
-        checks = dict(found.validation)
-        best = checks.get(found.best_step, float("nan"))
-        note(f"validation {checks[0]:.4g} -> {best:.4g}, step {found.best_step}")
-    factors = found.factors()
+def _conclude(name: str, row: Mapping[str, Any], out: Path) -> None:
+    """Prints the ends of a run's curves and what moved most."""
+    whose = f"{name}: " if name else ""
+    if "reason" in row:
+        warn(f"{whose}{row['state']}: {row['reason']}")
+        return
+    ends = f"loss {row['loss before']:.4g} -> {row['loss after']:.4g} (first and last tenth)"
+    note(f"{whose}{ends}; written to {out}")
+    if row["validation before"] is not None:
+        checks = f"validation {row['validation before']:.4g} -> {row['validation after']:.4g}"
+        note(f"{whose}{checks}, step {row['best step']}")
+    factors, numbers = row["factors"], row["numbers"]
     for path in sorted(factors, key=lambda p: -abs(np.log(factors[p])))[:12]:
-        note(f"  {path} = {float(found.values[path]):.4g} (x {factors[path]:.3g})")
+        note(f"  {path} = {float(numbers[path]):.4g} (x {factors[path]:.3g})")

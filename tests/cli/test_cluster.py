@@ -17,6 +17,7 @@ from mvedge_jax._settings import of_preset
 from mvedge_jax.cli import _batch_scene
 from mvedge_jax.cli._cluster import connected, outcomes
 from mvedge_jax.cli._output import write_json
+from mvedge_jax.learn import Learned
 
 distributed = pytest.importorskip("distributed")
 NAMES = ("broken", "corrupt", "fine", "flaky", "other")
@@ -104,6 +105,26 @@ def test_a_result_whose_worker_died_before_it_told_is_not_made_again(scenes, est
     assert estimated["fine"] == 1
     _batch_scene.make(*arguments, asked._replace(again=True))
     assert estimated["fine"] == 2
+
+
+def test_workers_take_a_seed_each(cluster, tmp_path, mvedge, monkeypatch):
+    calls = []
+
+    def learn(model, what, fields, *, checkpoint, **options):
+        calls.append(checkpoint)
+        if len(calls) == 1:
+            raise OSError("the network is gone")
+        return Learned(model, model, {}, np.ones(1), [], 1)
+
+    monkeypatch.setattr("mvedge_jax.cli._learn_seed.learn_from", learn)
+    out = tmp_path / "out"
+    words = ["learn", out, "--random", 2, "--size", 16, "--views", 3, "--preset", "edges"]
+    mvedge(*words, "--seeds", 0, 1, "--scheduler", cluster)
+    rows = json.loads((out / "summary.json").read_text())
+    assert [row["state"] for row in rows.values()] == ["done", "done"]
+    assert sorted(row["attempt"] for row in rows.values()) == [1, 2]
+    assert len(calls) == 3
+    assert set(calls) == {tmp_path / "out.checkpoint" / name for name in rows}
 
 
 def test_the_script_for_slurm_runs_the_same_command(scenes, tmp_path, mvedge, monkeypatch):

@@ -25,7 +25,7 @@ def asked(monkeypatch):
         curves = np.asarray([3.0, 2.0]), [] if validation is None else [(0, 3.0), (2, 2.5)]
         return Learned(found, model, {"smoothness.color": color}, *curves, 2)
 
-    monkeypatch.setattr("mvedge_jax.cli._learn.learn_from", learn)
+    monkeypatch.setattr("mvedge_jax.cli._learn_seed.learn_from", learn)
     return calls
 
 
@@ -60,6 +60,49 @@ def test_files_are_learned_from_and_the_last_ones_held_out(asked, tmp_path, mved
     assert what == ("smoothness", "refine")
     assert [field.name for field in fields] == ["a", "b"]
     assert [field.name for field in held] == ["c"]
+
+
+def test_every_seed_is_a_run_of_its_own(asked, tmp_path, mvedge):
+    out = tmp_path / "out"
+    words = ["learn", out, "--random", 3, "--size", 16, "--views", 3, "--validation", 1]
+    words += ["--preset", "edges", "--seeds", 4, 7]
+    said = mvedge(*words).out
+    (first, second) = asked
+    assert not np.array_equal(first[2][0].views, second[2][0].views)
+    kept = [call[4]["checkpoint"] for call in asked]
+    assert kept == [tmp_path / "out.checkpoint" / name for name in ("seed_4", "seed_7")]
+    assert "seed_7: validation 3 -> 2.5, step 2" in said
+    assert "2 of 2 seeds done" in said
+    assert json.loads((out / "seed_7" / "report.json").read_text())["seed"] == 7
+    with (out / "summary.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [(row["name"], row["state"]) for row in rows] == [("seed_4", "done"), ("seed_7", "done")]
+    assert (rows[0]["validation before"], rows[0]["validation after"]) == ("3.0", "2.5")
+
+    mvedge(*words, 9)
+    assert len(asked) == 3
+    again = json.loads((out / "summary.json").read_text())
+    states = {name: row["state"] for name, row in again.items()}
+    assert states == {"seed_4": "there already", "seed_7": "there already", "seed_9": "done"}
+
+
+def test_a_seed_that_fails_stops_no_other(asked, tmp_path, mvedge):
+    out = tmp_path / "out"
+    (out / "seed_1").mkdir(parents=True)
+    (out / "seed_1" / "mine.txt").touch()
+    words = ["learn", out, "--random", 2, "--size", 16, "--views", 3, "--preset", "edges"]
+    said = mvedge(*words, "--seeds", 1, 2, code=1)
+    assert "1 of 2 seeds done" in said.out
+    rows = json.loads((out / "summary.json").read_text())
+    assert rows["seed_1"]["state"] == "failed"
+    assert "seed_1" in rows["seed_1"]["reason"]
+    assert rows["seed_2"]["state"] == "done"
+
+
+@pytest.mark.parametrize("seeds", [(1, 1), ()])
+def test_seeds_differ(seeds, tmp_path, mvedge):
+    said = mvedge("learn", tmp_path / "out", "--seeds", *seeds, code=2)
+    assert "--seeds must be different numbers" in said.err
 
 
 def _file(folder, text):
