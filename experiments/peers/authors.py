@@ -15,9 +15,8 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import lax
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from mvedge_jax._params import as_number, cast, number
 from mvedge_jax.color import srgb_to_gray
@@ -101,7 +100,7 @@ class AuthorsLabels(eqx.Module):
         kept: share of the points with the largest weights.
         sweep: run it.
         hypotheses: disparities of the sweep.
-        views: that are compared with the center view's.
+        views: number of the views that show a point, which are compared.
     """
 
     span: Float[Array, ""] = number(0.25, "px")
@@ -127,7 +126,7 @@ class AuthorsLabels(eqx.Module):
         disparity = joint_filter(place, points.disparity, points.valid, center, *sigmas)
         valid = points.valid & (weight >= ordered[worst])
         if self.sweep:
-            found = _swept(place, disparity, sides.surface.offset, evidence, params)
+            found = _swept(place, disparity, sides.surface.offset, points.visible, evidence, params)
             disparity, valid = found.disparity, valid & found.known
         raster = rasterize(place, disparity, valid, shape)
         return Labels(raster.values(jnp.exp(weight - _LIMIT)), raster.values(disparity))
@@ -148,6 +147,7 @@ def _swept(
     place: Float[Array, "n 2"],
     disparity: Float[Array, " n"],
     offset: Float[Array, "n 2"],
+    visible: Bool[Array, "n s"],
     evidence: Evidence,
     params: AuthorsLabels,
 ) -> _Found:
@@ -156,40 +156,51 @@ def _swept(
     5x5 pixels from the label to 5 px along its surface vector, and 2.5 px to either side of it. A
     pixel's vote counts if its variance over the views is far below those at other disparities.
     """
-    planes, steps = _gray_views(evidence, params.views)
+    planes, steps = _gray_views(evidence)
+    height, width = planes.shape[1:]
+    # One image, so that every point may have views of its own.
+    tall, last = planes.reshape(-1, width), height - 1
     shift = jnp.linspace(-params.span, params.span, params.hypotheses, dtype=disparity.dtype)
     along, beside = jnp.meshgrid(jnp.linspace(0, 5, 5), jnp.linspace(-2.5, 2.5, 5))
     patch = jnp.stack([along.reshape(-1), beside.reshape(-1)]).astype(disparity.dtype)
 
-    def one(item: tuple[Array, Array, Array]) -> tuple[Array, Array]:
-        xy, own, towards = item
+    def one(item: tuple[Array, ...]) -> tuple[Array, Array]:
+        xy, own, towards, views = item
         axes = jnp.stack([towards, jnp.stack([-towards[1], towards[0]])])
         pixels = xy[None] + patch.T @ axes
         tried = own + shift
 
-        def seen(plane: Array, step: Array) -> Array:
-            moved = pixels[None] + tried[:, None, None] * step[None, None]
-            return sample(plane, moved.reshape(-1, 2)).reshape(tried.size, -1)
+        def seen(view: Array) -> Array:
+            x, y = jnp.moveaxis(pixels[None] + tried[:, None, None] * steps[view], -1, 0)
+            y = jnp.clip(y, 0, last) + (view * height).astype(y.dtype)
+            return sample(tall, jnp.stack([x, y], -1).reshape(-1, 2)).reshape(tried.size, -1)
 
-        cost = jnp.var(jax.vmap(seen)(planes, steps), axis=0)
+        cost = jnp.var(jax.vmap(seen)(views), axis=0)
         trusted = cost.min(0) < params.least * cost.sum(0)
         votes = jnp.zeros_like(shift).at[jnp.argmin(cost, axis=0)].add(trusted.astype(own.dtype))
         return tried[jnp.argmax(votes)], trusted.any()
 
-    return _Found(*lax.map(one, (place, disparity, offset), batch_size=_CHUNK))
+    views = _views_of(visible, params.views)
+    return _Found(*lax.map(one, (place, disparity, offset, views), batch_size=_CHUNK))
 
 
-def _gray_views(evidence: Evidence, count: int) -> tuple[Array, Array]:
-    """Views of the crosshair, evenly chosen, and what disparity is multiplied by in them."""
+def _views_of(visible: Bool[Array, "n s"], count: int) -> Int[Array, "n c"]:
+    """Numbers of the views that show a point, evenly chosen; some twice where there are fewer."""
+    order = jnp.argsort(~visible, axis=-1, stable=True)
+    last = jnp.maximum(visible.sum(-1, keepdims=True) - 1, 0)
+    chosen = jnp.round(jnp.linspace(0, 1, count) * last).astype(jnp.int32)
+    return jnp.take_along_axis(order, chosen, -1)
+
+
+def _gray_views(evidence: Evidence) -> tuple[Array, Array]:
+    """Views of the crosshair as `EdgePoints.visible` has them, and their steps `(x, y)`."""
     across, down = evidence.calibrated.arms
-    flat = jnp.zeros_like(across.steps), jnp.zeros_like(down.steps)
-    planes = jnp.concatenate([across.planes, jnp.swapaxes(down.planes, -1, -2)])
+    planes = jnp.concatenate([jnp.swapaxes(down.planes, -1, -2), across.planes])
+    flat = jnp.zeros_like(down.steps), jnp.zeros_like(across.steps)
     steps = jnp.concatenate(
-        [jnp.stack([across.steps, flat[0]], -1), jnp.stack([flat[1], down.steps], -1)]
+        [jnp.stack([flat[0], down.steps], -1), jnp.stack([across.steps, flat[1]], -1)]
     )
-    gray = srgb_to_gray(jnp.moveaxis(planes, 1, -1))
-    chosen = np.unique(np.linspace(0, len(steps) - 1, count).round().astype(int))
-    return gray[chosen], steps[chosen]
+    return srgb_to_gray(jnp.moveaxis(planes, 1, -1)), steps
 
 
 class AuthorsSmoothness(ThesisSmoothness):

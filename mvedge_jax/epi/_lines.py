@@ -63,17 +63,17 @@ def epi_edge_map(
             the winning filter and of the two beside it, not that of the filter.
 
     Returns:
-        Confidence after non-maximum suppression along x (0 elsewhere), and the disparity of the
-        winning filter. The confidence is differentiable in the EPI and the taps, and so is an
-        interpolated disparity.
+        Confidence after non-maximum suppression across the line (0 elsewhere), and the disparity of
+        the winning filter, both of the channel with the largest confidence. The confidence is
+        differentiable in the EPI and the taps, and so is an interpolated disparity.
 
-    Source: Thesis 4.1.1, Alg. 1; maximum over channels, absolute response.
+    Source: Thesis 4.1.1, Alg. 1; absolute response, suppressed per channel.
     """
     views, width, _ = epi.shape
     response = jnp.abs(bank_response(epi[:, None], bank)[0])
     steps = view_steps(views, epi.dtype)
 
-    def row(step: Array, deviation: Array) -> tuple[Array, Array]:
+    def row(step: Array) -> tuple[Array, Array]:
         source = jnp.arange(width, dtype=epi.dtype)[:, None] - step * bank.disparity[None]
         whole = jnp.floor(source)
         part = source - whole
@@ -84,25 +84,50 @@ def epi_edge_map(
             return jnp.take_along_axis(response, clipped, 0)
 
         shifted = (1 - part)[:, None] * at(0) + part[:, None] * at(1)
-        if modulate:
-            shifted = shifted * deviation[..., None]
-        over_channels = shifted.max(1)
-        best = jnp.argmax(over_channels, -1)
-        value = jnp.take_along_axis(over_channels, best[:, None], -1)[:, 0]
-        left = jnp.pad(value[:-1], (1, 0))
-        right = jnp.pad(value[1:], (0, 1))
-        keep = (value > left) & (value >= right)
-        disparity = bank.disparity[best]
+        best = jnp.argmax(shifted, -1)
+        value = jnp.take_along_axis(shifted, best[..., None], -1)[..., 0]
         if interpolate:
-            disparity = _vertex(over_channels, best, bank.disparity)
-        return jnp.where(keep, value, 0), disparity
+            return value, _vertex(shifted, best, bank.disparity)
+        return value, bank.disparity[best]
 
-    return jax.vmap(row)(steps, _local_deviation(epi))
+    value, disparity = jax.vmap(row)(steps)
+    confidence = _suppressed(value, disparity)
+    if modulate:
+        confidence = confidence * _local_deviation(epi)
+    strongest = jnp.argmax(confidence, -1)[..., None]
+    confidence, disparity = (
+        jnp.take_along_axis(of, strongest, -1)[..., 0] for of in (confidence, disparity)
+    )
+    return confidence, disparity
+
+
+def _suppressed(value: Float[Array, "u x c"], slope: Float[Array, "u x c"]) -> Array:
+    """Values that exceed those on both sides of their line; 0 elsewhere.
+
+    The line through a pixel moves by -slope per row, so its normal is (1, slope). Beside it stands
+    a mean of the diagonal neighbor and of the one along the normal's longer axis, whose weights are
+    linear in the normal's angle, as in the authors' program.
+    """
+    views, width, _ = value.shape
+    padded = jnp.pad(value, ((1, 1), (1, 1), (0, 0)), mode="edge")
+
+    def neighbor(rows: int, columns: int) -> Array:
+        return padded[1 + rows : 1 + rows + views, 1 + columns : 1 + columns + width]
+
+    steep, share = jnp.abs(slope) > 1, 2 / jnp.pi * jnp.arctan(jnp.abs(slope))
+
+    def beside(side: int) -> Array:
+        up, down = neighbor(-side, side), neighbor(side, side)
+        vertical = jnp.where(slope > 0, neighbor(side, 0), neighbor(-side, 0))
+        straight = jnp.where(steep, vertical, neighbor(0, side))
+        return (1 - share) * straight + share * jnp.where(slope > 0, down, up)
+
+    return jnp.where((value > beside(1)) & (value > beside(-1)), value, 0)
 
 
 def _vertex(
-    response: Float[Array, "x k"], best: Int[Array, " x"], disparity: Float[Array, " k"]
-) -> Float[Array, " x"]:
+    response: Float[Array, "x c k"], best: Int[Array, "x c"], disparity: Float[Array, " k"]
+) -> Float[Array, "x c"]:
     """Disparity at the vertex of the parabola through the best response and those beside it.
 
     In the numbers of the filters, between whose disparities it is linear; at the ends of the bank,
@@ -112,7 +137,7 @@ def _vertex(
     inside = (best > 0) & (best < last)
     middle = jnp.clip(best, 1, last - 1)
     before, at, after = (
-        jnp.take_along_axis(response, (middle + k)[:, None], -1)[:, 0] for k in (-1, 0, 1)
+        jnp.take_along_axis(response, (middle + k)[..., None], -1)[..., 0] for k in (-1, 0, 1)
     )
     # Half a filter at most: rounding may have it more where the best has an equal beside it.
     offset = jnp.where(inside, jnp.clip(vertex(before, at, after), -0.5, 0.5), 0)

@@ -21,7 +21,7 @@ from mvedge_jax.epi import (
     prewitt_bank,
     strongest_response,
 )
-from mvedge_jax.epi._lines import _vertex
+from mvedge_jax.epi._lines import _suppressed, _vertex
 from mvedge_jax.epi._response import bank_response, correlate
 
 _DISPARITY = np.array([-1.7, -0.6, -0.25, 0.0, 0.33, 1.0, 2.0])
@@ -182,12 +182,43 @@ def test_a_flat_epi_has_no_lines_and_a_step_has_one():
                 assert abs(float(lines.disparity[0]) - 0.6) < 0.15
 
 
+def test_every_channel_is_suppressed_across_its_lines():
+    # A line of lightness and one of color, 2 px apart.
+    epi = np.stack([50 * step(31.3, 0.6), 20 * step(33.3, 0.6)], -1)
+    confidence, slope = epi_edge_map(jnp.asarray(smooth(epi)), BANK)
+    steps = VIEWS // 2 - np.arange(VIEWS)
+    for row in range(2, VIEWS - 2):
+        found = np.flatnonzero(confidence[row] > 1)
+        expected = np.array([31.3, 33.3]) + steps[row] * 0.6
+        apart = np.abs(found[:, None] - expected[None])
+        assert apart.min(0).max() < 0.75
+        assert apart.min(1).max() < 0.75
+        assert_allclose(np.asarray(slope)[row, found], 0.6, atol=0.21)
+
+
+def test_suppression_compares_pixels_along_the_normal():
+    rng = np.random.default_rng(0)
+    value, slope = rng.normal(size=(5, 9, 2)), rng.uniform(-2, 2, (5, 9, 2))
+    found = np.asarray(_suppressed(jnp.asarray(value), jnp.asarray(slope)))
+    for u, x, c in np.ndindex(3, 7, 2):
+        at = u + 1, x + 1
+        own = slope[(*at, c)]
+        share, sign = 2 * np.arctan(abs(own)) / np.pi, 1 if own > 0 else -1
+        beside = []
+        for side in (-1, 1):
+            straight = (side * sign, 0) if abs(own) > 1 else (0, side)
+            diagonal = value[at[0] + side * sign, at[1] + side, c]
+            along = value[at[0] + straight[0], at[1] + straight[1], c]
+            beside.append((1 - share) * along + share * diagonal)
+        assert found[(*at, c)] == (value[(*at, c)] if value[(*at, c)] > max(beside) else 0)
+
+
 def test_the_vertex_of_a_parabola_is_found_between_filters_of_any_spacing():
     disparity = np.array([-2.0, -1.0, -0.5, 0.0, 0.25, 1.0])
 
     def vertex(response, best):
-        response = jnp.asarray(response, float)[None]
-        return float(_vertex(response, jnp.asarray([best]), jnp.asarray(disparity))[0])
+        response = jnp.asarray(response, float)[None, None]
+        return float(_vertex(response, jnp.asarray([[best]]), jnp.asarray(disparity))[0, 0])
 
     for place in (1.0, 1.2, 2.49, 3.0, 3.7):
         response = 5 - 0.3 * (np.arange(6) - place) ** 2
