@@ -74,7 +74,7 @@ def batch(
         refuse_inputs((out / name).resolve(), scenes)
     if out.exists() and not out.is_dir():
         raise FileExistsError(f"{out} is a file, expected a folder to write into.")
-    asked = Options(views, scale, range, all_views, video, again, options, seed)
+    asked = Options(views, scale, range, all_views, video, again, options.absolute(), seed)
     if slurm:
         note(slurm_script(_words(scenes, out, asked)))
         return 0
@@ -151,7 +151,7 @@ def _words(scenes: Sequence[Path], out: Path, options: Options) -> list[str]:
     words += ["--all-views"] * options.all_views + ["--again"] * options.again
     words += ["--preset", options.model.preset]
     if options.model.learned is not None:
-        words += ["--model", str(options.model.learned.resolve())]
+        words += ["--model", str(options.model.learned)]
     for setting in options.model.set:
         words += ["--set", setting]
     return [*words, "--seed", str(options.seed)]

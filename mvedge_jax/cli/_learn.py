@@ -110,11 +110,11 @@ def learn(
         raise ValueError(f"--validation {validation} leaves none of {len(given)} scenes.")
     choices: dict[str, Any] = {"steps": steps, "batch": batch, "prior": prior, "limit": limit}
     choices |= {"check_every": check_every, "patience": patience}
-    # Workers have folders of their own to start from.
     kept = out.with_name(f"{out.name}.checkpoint") if checkpoint is None else checkpoint
-    files, kept = tuple(path.resolve() for path in given), kept.resolve()
+    # Workers have folders of their own to start from.
+    files, out, kept = tuple(path.absolute() for path in given), out.absolute(), kept.absolute()
     scenes = Scenes(files, validation, random, (views, views, size, size), range, zoom)
-    asked = Asked(scenes, what, rate, choices, options, overwrite, len(seeds) > 1)
+    asked = Asked(scenes, what, rate, choices, options.absolute(), overwrite, len(seeds) > 1)
     if len(seeds) == 1:
         calls = {"": (asked, seeds[0], out, kept)}
     else:
@@ -124,7 +124,7 @@ def learn(
         out.mkdir(parents=True, exist_ok=True)
         names = [f"seed_{seed}" for seed in seeds]
         calls = {
-            name: (asked, seed, out.resolve() / name, kept / name)
+            name: (asked, seed, out / name, kept / name)
             for name, seed in zip(names, seeds, strict=True)
         }
     return _run(calls, out, workers, scheduler)

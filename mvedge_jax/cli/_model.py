@@ -61,6 +61,11 @@ class ModelOptions:
             model = with_learned(model, self.learned, self.preset)
         return settled(model, self.set)
 
+    def absolute(self) -> "ModelOptions":
+        """The same, for processes that have other working folders."""
+        learned = None if self.learned is None else self.learned.absolute()
+        return dataclasses.replace(self, learned=learned)
+
     def described(self, model: EdgeDepth) -> dict[str, Any]:
         """What a report says of the model: preset, numbers and static fields by path."""
         learned = {} if self.learned is None else {"model": str(self.learned)}

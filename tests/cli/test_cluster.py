@@ -7,6 +7,7 @@ import json
 import os
 import time
 from collections import Counter
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -16,6 +17,7 @@ from datasets.layouts import write_hci
 from mvedge_jax._settings import of_preset
 from mvedge_jax.cli import _batch_scene
 from mvedge_jax.cli._cluster import connected, outcomes
+from mvedge_jax.cli._model import ModelOptions
 from mvedge_jax.cli._output import write_json
 from mvedge_jax.learn import Learned
 
@@ -125,6 +127,34 @@ def test_workers_take_a_seed_each(cluster, tmp_path, mvedge, monkeypatch):
     assert sorted(row["attempt"] for row in rows.values()) == [1, 2]
     assert len(calls) == 3
     assert set(calls) == {tmp_path / "out.checkpoint" / name for name in rows}
+
+
+@pytest.mark.parametrize("command", ["batch", "learn"])
+def test_workers_are_told_paths_that_hold_in_every_folder(
+    command, scenes, cluster, tmp_path, mvedge, monkeypatch
+):
+    monkeypatch.chdir(tmp_path)
+    write_json(tmp_path / "learned.json", {"preset": "full", "factors": {}})
+    told = []
+
+    def outcomes(client, function, calls):
+        told.extend(calls.values())
+        raise ValueError("seen")
+
+    def paths(tree):
+        if isinstance(tree, Path):
+            return [tree]
+        if isinstance(tree, ModelOptions):
+            return [tree.learned] if tree.learned else []
+        return [path for part in tree for path in paths(part)] if isinstance(tree, tuple) else []
+
+    monkeypatch.setattr(f"mvedge_jax.cli._{command}.outcomes", outcomes)
+    words = [command, "fine", "out", "--model", "learned.json", "--scheduler", cluster]
+    assert "seen" in mvedge(*words, code=2).err
+    found = paths(tuple(told))
+    assert tmp_path / "fine" in found
+    assert tmp_path / "learned.json" in found
+    assert all(path.is_absolute() for path in found)
 
 
 def test_the_script_for_slurm_runs_the_same_command(scenes, tmp_path, mvedge, monkeypatch):
