@@ -107,7 +107,9 @@ def learn(
     chosen(options.check(), what)
     given, out = scenes_and_out(paths) if len(paths) > 1 else ([], *map(Path, paths))
     if given and validation >= len(given):
-        raise ValueError(f"--validation {validation} leaves none of {len(given)} scenes.")
+        raise ValueError(
+            f"--validation {validation} leaves none of {len(given)} scenes to learn from."
+        )
     choices: dict[str, Any] = {"steps": steps, "batch": batch, "prior": prior, "limit": limit}
     choices |= {"check_every": check_every, "patience": patience}
     kept = out.with_name(f"{out.name}.checkpoint") if checkpoint is None else checkpoint
