@@ -10,6 +10,7 @@ from mvedge_jax._params import cast, number
 from mvedge_jax._paths import replaced
 from mvedge_jax.edges import EdgePoints, rasterize, share
 from mvedge_jax.edges.sides import Sides
+from mvedge_jax.interpolation import exact_shift
 from mvedge_jax.photometry import Evidence
 from mvedge_jax.splatting import SplatLabels
 
@@ -83,7 +84,7 @@ class SharedLabels(eqx.Module):
         weight = jnp.where(points.valid, weight, 0)
         total, mean = jnp.zeros_like(first), jnp.zeros_like(first)
         for sign, likely in ((1.0, surface.forward), (-1.0, 1 - surface.forward)):
-            place = points.xy + sign * surface.length * points.normal
+            place = points.xy + sign * exact_shift(surface.length * points.normal)
             amount, value = share(place, points.disparity, weight * likely, first, params.agreement)
             total, mean = total + amount, mean + amount * value
         return Labels(total, mean / jnp.where(total > 0, total, 1))

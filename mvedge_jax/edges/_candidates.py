@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from mvedge_jax._root import safe_sqrt
-from mvedge_jax.interpolation import vertex
+from mvedge_jax.interpolation import exact_shift, vertex
 
 
 class Candidates(NamedTuple):
@@ -117,4 +117,6 @@ def subpixel(
 
     moved = jnp.where(candidates.filtered, shift(strength), 0)
     moved = jnp.where(candidates.alone, shift(center), moved)
-    return jnp.stack([column.astype(moved.dtype), row.astype(moved.dtype)], -1) + moved.T
+    return jnp.stack([column.astype(moved.dtype), row.astype(moved.dtype)], -1) + exact_shift(
+        moved.T
+    )

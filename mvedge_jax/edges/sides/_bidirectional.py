@@ -13,6 +13,7 @@ from mvedge_jax._params import accepts_numpy, cast, number, one_of
 from mvedge_jax._root import safe_sqrt
 from mvedge_jax.diffusion import AutoSolver, System, diffuse, edge_weights
 from mvedge_jax.image import gradient_magnitude, gradient_square
+from mvedge_jax.interpolation import exact_shift
 
 from .._points import EdgePoints
 from .._raster import rasterize
@@ -99,7 +100,7 @@ def bidirectional(
     """
     params = cast(params, gray.dtype)
     tx, ty = edge_weights(image_smoothness(gray, params))
-    shift = params.offset * points.normal
+    shift = exact_shift(params.offset * points.normal)
 
     def solve(xy: Array) -> tuple[Array, Array]:
         raster = rasterize(xy, points.disparity, points.valid, (gray.shape[0], gray.shape[1]))

@@ -7,6 +7,7 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from mvedge_jax.image import nearest_pixels
+from mvedge_jax.interpolation import exact_shift
 
 from .._points import EdgePoints
 from .._raster import Raster
@@ -42,8 +43,8 @@ def neighbor_evidence(
     def side(sign: float) -> tuple[Array, Array]:
         @jax.checkpoint
         def add(total: tuple[Array, Array], place: Array) -> tuple[tuple[Array, Array], None]:
-            xy = points.xy + sign * place[0] * points.normal + place[1] * tangent
-            at = nearest_pixels(xy, shape)
+            shift = sign * place[0] * points.normal + place[1] * tangent
+            at = nearest_pixels(points.xy + exact_shift(shift), shape)
             index = at.places(shape[1])
             near = jnp.exp(-0.5 * jnp.sum(place**2) / radius**2)
             weight = jnp.where(at.inside & there[index], near, 0)
@@ -74,7 +75,7 @@ def map_evidence(
     shape = (disparity.shape[0], disparity.shape[1])
 
     def away(distance: float) -> Array:
-        at = nearest_pixels(points.xy + distance * points.normal, shape)
+        at = nearest_pixels(points.xy + exact_shift(distance * points.normal), shape)
         return jnp.minimum(jnp.abs(disparity[at.row, at.column] - points.disparity), cap)
 
     evidence = 0.5 * (away(-1.0) + away(-2.0) - away(1.0) - away(2.0))

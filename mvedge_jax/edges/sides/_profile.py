@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from mvedge_jax.interpolation import sample
+from mvedge_jax.interpolation import exact_shift, sample
 
 
 def profiles(
@@ -12,7 +12,7 @@ def profiles(
 ) -> Float[Array, "7 n"]:
     """Bilinear samples of a map at -3..3 px along every point's normal."""
     offsets = jnp.arange(-3, 4, dtype=image.dtype)
-    return jax.lax.map(lambda k: sample(image, xy + k * normal), offsets)
+    return jax.lax.map(lambda k: sample(image, xy + exact_shift(k * normal)), offsets)
 
 
 def step_response(

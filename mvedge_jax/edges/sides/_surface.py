@@ -10,6 +10,7 @@ from jaxtyping import Array, Float
 
 from mvedge_jax._params import accepts_numpy, cast, number
 from mvedge_jax.image import nearest_pixels
+from mvedge_jax.interpolation import exact_shift
 
 from .._points import EdgePoints
 from .._raster import rasterize
@@ -106,7 +107,7 @@ def choose(points: EdgePoints, score: Float[Array, " n"], params: SideVote) -> S
     forward = jnp.where(points.valid, jax.nn.sigmoid(score / params.temperature), 0.5)
     sign = jnp.sign(lax.stop_gradient(score))
     offset = jnp.where(points.valid, params.offset * sign, 0)[:, None] * points.normal
-    return SurfaceVectors(score, forward, offset, params.offset)
+    return SurfaceVectors(score, forward, exact_shift(offset), params.offset)
 
 
 def along_edge(
@@ -133,7 +134,7 @@ def along_edge(
 
     @jax.checkpoint
     def add(total: tuple[Array, Array], step: Array) -> tuple[tuple[Array, Array], None]:
-        at = nearest_pixels(points.xy + step * tangent, shape)
+        at = nearest_pixels(points.xy + exact_shift(step * tangent), shape)
         other = jnp.where(at.inside, index_map[at.places(shape[1])], count)
         turn = jnp.sum(padded_normal[other] * points.normal, -1)
         same = jnp.exp(-(((padded_disparity[other] - points.disparity) / 0.1) ** 2))

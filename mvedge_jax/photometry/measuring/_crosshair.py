@@ -178,9 +178,10 @@ def _arm_views(arm: ArmSplines, disparity: Array, params: AdaptedMeasurement) ->
     @jax.checkpoint
     def one(view: tuple[Array, Array, Array]) -> tuple[Array, ...]:
         planes, step, there = view
-        position = columns + step * disparity
-        values, slopes = _sample(planes, position)
+        shift = step * disparity
+        values, slopes = _sample(planes, shift)
         reach = jnp.where(step < 0, negative, positive)
+        position = columns + shift
         inside = (position >= 0) & (position <= last)
         seen = there & inside & (jnp.abs(step) < reach - 0.5)
         relative = tuple(v - c for v, c in zip(values, center, strict=True))
@@ -270,14 +271,16 @@ def _sample_whole(planes: Float[Array, "c y x"]) -> tuple[list[Array], list[Arra
 
 
 def _sample(
-    planes: Float[Array, "c y x"], position: Float[Array, "y x"]
+    planes: Float[Array, "c y x"], shift: Float[Array, "y x"]
 ) -> tuple[tuple[Array, ...], tuple[Array, ...]]:
-    """Cubic splines at positions along x, and their derivatives; clamped at the ends."""
+    """Cubic splines beside the pixels, and their derivatives; clamped at the ends.
+
+    The shift along x is split before the column is added, whose rounding grows to the right.
+    """
     last = planes.shape[-1] - 1
-    whole = jnp.floor(position)
-    f = position - whole
-    index = whole.astype(jnp.int32)
-    weights, derivatives = cubic_taps(f)
+    whole = jnp.floor(shift)
+    weights, derivatives = cubic_taps(shift - whole)
+    index = jnp.arange(last + 1)[None, :] + whole.astype(jnp.int32)
 
     def tap(offset: int) -> Array:
         # Without checks, which take longer than the reading.
