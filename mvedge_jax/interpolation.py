@@ -142,7 +142,7 @@ def exact_shift(shift: Float[Array, "*s"]) -> Float[Array, "*s"]:
         precision, of 2e-12 px. Derivatives are those of `shift`.
 
     Example:
-        >>> float(exact_shift(jnp.asarray(0.2))) * 1024
+        >>> float(exact_shift(jnp.float32(0.2))) * 1024
         205.0
     """
     unit = 2.0 ** (13 - jnp.finfo(shift.dtype).nmant)

@@ -6,7 +6,13 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from mvedge_jax.interpolation import cubic_taps, spline_coefficients, spline_noise, vertex
+from mvedge_jax.interpolation import (
+    cubic_taps,
+    exact_shift,
+    spline_coefficients,
+    spline_noise,
+    vertex,
+)
 
 
 @pytest.mark.parametrize("axis", [0, -1])
@@ -54,3 +60,13 @@ def test_noise_of_interpolated_values_is_that_of_white_noise(fraction):
     shifted = np.stack([coefficients[:, j : j + 290] for j in range(4)])
     values = np.tensordot(np.asarray(weights), shifted, 1)
     assert float(spline_noise(weights)) == pytest.approx(values.var(), rel=0.03)
+
+
+def test_exact_shifts_add_to_any_column_without_rounding():
+    shift = np.random.default_rng(3).uniform(-8, 8, 1000)
+    for dtype, step in ((np.float32, 2.0**-10), (np.float64, 2.0**-39)):
+        moved = exact_shift(jnp.asarray(shift, dtype))
+        assert float(jnp.abs(moved - shift.astype(dtype)).max()) <= step / 2
+        for column in (5, 701, 16000):
+            np.testing.assert_array_equal((column + moved) - column, moved)
+    np.testing.assert_array_equal(jax.grad(lambda s: (s * exact_shift(s)).sum())(moved), 2 * moved)

@@ -9,7 +9,7 @@ import pytest
 from edges.scenes import plane, two_planes
 from helpers import check_gradient, check_modes, with_values
 from numpy.testing import assert_allclose, assert_array_equal
-from photometry.scenes import error, measured, plane_views, splines_of
+from photometry.scenes import error, measured, plane_views, splines_of, textured
 from scipy import ndimage
 
 from mvedge_jax._crosshair import crosshair
@@ -57,6 +57,18 @@ def test_a_plane_is_found_and_known_how_well_and_better_in_all_views():
     assert 0.5 < arms / said < 2
     assert every < 0.8 * arms
     assert less < said
+
+
+def test_a_window_far_to_the_right_has_the_sums_of_the_image():
+    field = textured(views=3, size=(8, 2100))
+    params = with_values(AdaptedMeasurement)
+    arms, disparity = crosshair(field), jnp.full((8, 2100), 0.37, jnp.float32)
+    whole = CrosshairSplines.of(arms).accumulate(disparity, params)
+    part = crosshair(replace(field, views=field.views[:, :, :, 2000:]))
+    part = CrosshairSplines.of(part).accumulate(disparity[:, 2000:], params)
+    # Filters of the views end within 20 px of the border of the window.
+    assert_array_equal(whole.right[:, 2020:], part.right[:, 20:])
+    assert_array_equal(whole.information[:, 2020:], part.information[:, 20:])
 
 
 @KINDS

@@ -280,7 +280,7 @@ def _sample(
     last = planes.shape[-1] - 1
     whole = jnp.floor(shift)
     weights, derivatives = cubic_taps(shift - whole)
-    index = jnp.arange(last + 1)[None, :] + whole.astype(jnp.int32)
+    index = jnp.arange(last + 1, dtype=jnp.int32)[None, :] + whole.astype(jnp.int32)
 
     def tap(offset: int) -> Array:
         # Without checks, which take longer than the reading.
