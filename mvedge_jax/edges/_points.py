@@ -17,7 +17,7 @@ class EdgePoints(eqx.Module):
 
     Attributes:
         xy: position in the center view, px, sub-pixel along the directions in which an edge was
-            found.
+            found; of detected points, in single precision, multiples of 1/1024 px (`exact_shift`).
         disparity: px per view step, larger is nearer.
         confidence: strength of the edge in (0, 1).
         error: standard error of `disparity`, px, from the residuals and the contrast around the
