@@ -130,16 +130,17 @@ def vertex(below: Array, middle: Array, above: Array) -> Array:
 
 @jax.custom_jvp
 def exact_shift(shift: Float[Array, "*s"]) -> Float[Array, "*s"]:
-    """Shifts that add to positions without rounding, so that these may be counted from any pixel.
+    """Shifts rounded so that their sums with pixel coordinates are exact.
 
-    In single precision, the rounding of a position grows with its distance from the first pixel.
+    In floating point, the rounding of such a sum grows with the coordinate, so that a part of an
+    image would have other positions than the whole.
 
     Args:
         shift: px.
 
     Returns:
-        The nearest multiples of 1/1024 px, of which sums are exact up to 16384 px; in double
-        precision, of 2e-12 px. Derivatives are those of `shift`.
+        The nearest multiples of 1/1024 px in single precision, of 2e-12 px in double precision;
+        their sums with coordinates up to 16384 px are exact. Differentiable; the derivative is 1.
 
     Example:
         >>> float(exact_shift(jnp.float32(0.2))) * 1024
