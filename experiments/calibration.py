@@ -25,7 +25,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from experiments._report import print_table, shared_data, write_json
-from experiments._scenes import DEVELOPMENT, find_scene
+from experiments._scenes import DEVELOPMENT, find_scene, over_common_range
 from mvedge_jax import plotting
 from mvedge_jax.datasets import synthetic
 from mvedge_jax.datasets.photographs import load_photographs
@@ -66,7 +66,7 @@ def calibrated(
     name: str, size: int, which: LabelViews, *, map_only: bool
 ) -> tuple[dict[str, Any], Calibration]:
     """One row of the table and the curves of the final map."""
-    light_field = find_scene(name, shared_data(), size=size)
+    light_field = over_common_range(find_scene(name, shared_data(), size=size))
     known = light_field.truth
     if known is None:
         raise ValueError(f"{name} has no ground truth to score against.")

@@ -21,7 +21,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from experiments._depth import as_image
 from experiments._report import print_table, shared_data, write_json
-from experiments._scenes import find_scene
+from experiments._scenes import find_scene, over_common_range
 from mvedge_jax.depth import EdgeDepth
 from mvedge_jax.edges import scene_range
 from mvedge_jax.lightfield import GroundTruth, LightField
@@ -97,15 +97,13 @@ def measured(
     start = time.perf_counter()
     low, high = scene_range(views)
     searching = time.perf_counter() - start
-    # Out to half pixels: most changes of a scene share a program.
-    searched = float(np.floor(2 * low) / 2), float(np.ceil(2 * high) / 2)
-    views = views.with_range(*searched)
+    views = over_common_range(views.with_range(low, high))
     model = EdgeDepth.for_light_field(views, views=which)
     jax.block_until_ready(model(views))
     start = time.perf_counter()
     found = jax.block_until_ready(model(views))
     seconds = time.perf_counter() - start
-    sweep = plane_sweep(views, disparity_range=searched).disparity
+    sweep = plane_sweep(views, disparity_range=scene_range(views)).disparity
     ranges[label] = low, high
     clean = ranges.get("clean", (low, high))
     figures: dict[str, Any] = {"change": label}

@@ -5,8 +5,7 @@ transmittance: every label on its nearest pixel; and without sides: labels stay 
 *full*: with dense labels; and the same *without edges*, whose points have the weight 0. MSE x 100,
 Q25 and the share of pixels that are off by more than .01, .03 and .07 px, full frame.
 
-Scenes whose disparities lie within `--range` are all searched over that range, so that scenes of
-one size share programs; figures differ in the third digit from those with the scenes' own ranges.
+Scenes are searched over common ranges (`_scenes.RANGES`), so that those of one size share programs.
 
     python experiments/table_edges.py --out results/table_edges
     python experiments/table_edges.py --scenes cotton edges --size 128
@@ -25,12 +24,16 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from experiments._depth import THESIS, Method, chain, score
 from experiments._report import print_table, shared_data, write_csv, write_json
-from experiments._scenes import DEVELOPMENT, find_scene, stored
+from experiments._scenes import (
+    DEVELOPMENT,
+    common_range,
+    find_scene,
+    over_common_range,
+    stored,
+)
 from mvedge_jax.datasets import synthetic
 from mvedge_jax.depth import NearestLabels
-from mvedge_jax.edges import scene_range
 from mvedge_jax.edges.sides import NoSides
-from mvedge_jax.lightfield import LightField
 
 METHODS = (
     THESIS,
@@ -40,7 +43,6 @@ METHODS = (
     chain("full without edges", choices={"labels.weight": 0.0}),
     chain("full"),
 )
-RANGE = (-1.6, 1.6)  # px, searched unless told otherwise
 COLUMNS = ("MSE*100", "Q25*100", "BP(.01)", "BP(.03)", "BP(.07)")
 
 
@@ -55,26 +57,12 @@ def summary(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     return found
 
 
-def _searched(light_field: LightField, limits: tuple[float, float]) -> LightField:
-    """The views and truth, to be searched over `limits` where the scene lies within them."""
-    low, high = scene_range(light_field)
-    if low < limits[0] or high > limits[1]:
-        limits = (low, high)
-    return LightField(
-        light_field.views,
-        available=light_field.available,
-        disparity_range=limits,
-        truth=light_field.truth,
-    )
-
-
 def compare(
     methods: Sequence[Method],
     names: Sequence[str],
     *,
     data: Path | None,
     size: int,
-    limits: tuple[float, float],
 ) -> Iterator[dict[str, Any]]:
     """Runs every method on every scene and prints the scores.
 
@@ -83,23 +71,20 @@ def compare(
         names: of the scenes, see `find_scene`.
         data: folder of development data.
         size: side of the rendered scenes, px.
-        limits: searched where a scene lies within them, px.
 
     Yields:
         After every scene, the rows so far and their summary: a run that is stopped leaves these.
     """
     rows: list[dict[str, Any]] = []
     for name in names:
-        light_field = _searched(find_scene(name, data, size=size), limits)
+        light_field = over_common_range(find_scene(name, data, size=size))
         blind = light_field.without_truth()
         for method in methods:
             row = score(name, method, light_field, 0.0, method.run(blind))
             rows.append({key: row[key] for key in ("scene", "method", *COLUMNS)})
         print_table([row for row in rows if row["scene"] == name], title=name)
         yield {"rows": rows, "summary": summary(rows)}
-        if light_field.disparity_range is not None and not np.allclose(
-            light_field.disparity_range, limits
-        ):
+        if common_range(light_field) is None:
             # Programs of its own: many of them exceed Linux' limit of memory maps.
             jax.clear_caches()
     print_table(summary(rows), title=f"over {len(names)} scenes")
@@ -112,7 +97,6 @@ def main() -> None:
     parser.add_argument("--data", type=Path, default=shared_data())
     parser.add_argument("--scenes", nargs="*", default=[], help="by name; all 13 if none")
     parser.add_argument("--size", type=int, default=256, help="side of the rendered scenes, px")
-    parser.add_argument("--range", type=float, nargs=2, default=RANGE, metavar="PX")
     arguments = parser.parse_args()
     there = [name for name in DEVELOPMENT if stored(name, arguments.data)]
     tables = compare(
@@ -120,7 +104,6 @@ def main() -> None:
         arguments.scenes or [*there, *synthetic.scene_names()],
         data=arguments.data,
         size=arguments.size,
-        limits=tuple(arguments.range),
     )
     for table in tables:
         write_json(arguments.out / "table_edges.json", table)

@@ -20,7 +20,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from experiments._depth import Method, chain
 from experiments._report import shared_data, write_csv, write_json
 from experiments._scenes import DEVELOPMENT, stored
-from experiments.table_edges import RANGE, compare
+from experiments.table_edges import compare
 from mvedge_jax import EdgeDepth
 from mvedge_jax.datasets import synthetic
 from mvedge_jax.depth.solves import LearnedLabels
@@ -55,7 +55,6 @@ def main() -> None:
         arguments.scenes or [*there, *synthetic.scene_names()],
         data=arguments.data,
         size=arguments.size,
-        limits=RANGE,
     )
     for table in tables:
         write_json(arguments.out / "table_learned.json", table)

@@ -117,6 +117,5 @@ def subpixel(
 
     moved = jnp.where(candidates.filtered, shift(strength), 0)
     moved = jnp.where(candidates.alone, shift(center), moved)
-    return jnp.stack([column.astype(moved.dtype), row.astype(moved.dtype)], -1) + exact_shift(
-        moved.T
-    )
+    pixel = jnp.stack([column, row], -1).astype(moved.dtype)
+    return pixel + exact_shift(moved.T)
