@@ -30,7 +30,7 @@ ITEMS = (
         "--scenes edges --pixels 96 --sizes 12 --methods ours k-means",
         "--scenes demo edges --pixels 128 --sizes 15 25 40",
         "Figures 5.4, 5.8, 5.9, A.5 to A.10: superpixels",
-        310,
+        220,
     ),
     Item(
         "figure_a_1",
@@ -38,7 +38,7 @@ ITEMS = (
         "--scenes edges --pixels 96 --size 12 --methods ours k-means k-means-true --factors 1 4",
         "--scenes edges --pixels 128 --factors 0.25 1 4",
         "Figures A.1 to A.3: weights of the clustering",
-        120,
+        130,
     ),
     Item(
         "figure_a_4",
@@ -46,7 +46,7 @@ ITEMS = (
         None,
         "--scenes edges --pixels 128 --strides 1 2 4 --methods ours k-means",
         "Figure A.4: fewer views, larger disparities",
-        120,
+        130,
     ),
     Item(
         "thesis_steps",
@@ -54,7 +54,7 @@ ITEMS = (
         "--scenes edges --size 96 --only thesis authors",
         "",
         "What each step of Chapters 4 and 6 costs, and the authors' program",
-        750,
+        470,
     ),
     Item(
         "table_edges",
@@ -62,7 +62,7 @@ ITEMS = (
         "--scenes edges --size 64",
         "",
         "What the edges are worth: presets, and parts taken away",
-        1370,
+        820,
     ),
     Item(
         "table_6_1",
@@ -70,7 +70,7 @@ ITEMS = (
         "--scenes edges --size 96",
         "--scenes hci/cotton hci/backgammon",
         "Table 6.1: the center view's depth beside baselines",
-        590,
+        500,
     ),
     Item(
         "table_6_1_ablations",
@@ -78,7 +78,7 @@ ITEMS = (
         None,
         "--scenes edges --size 128 --methods ours --ablations",
         "Table 6.1: other forms of single steps",
-        120,
+        70,
     ),
     Item(
         "peer_maps",
@@ -102,7 +102,7 @@ ITEMS = (
         "--scenes edges --size 96",
         "--scenes hci/cotton hci/backgammon",
         "Table 6.3, Figure 6.4: depth boundaries",
-        50,
+        60,
     ),
     Item(
         "figure_6_10",
@@ -110,7 +110,7 @@ ITEMS = (
         "--scenes edges --size 64 --steps 3 --only edges.lines.aligned edges.color_sigma",
         "--scenes edges demo --size 96",
         "Figure 6.10: error against the thesis' hyperparameters",
-        70,
+        80,
     ),
     Item(
         "figure_6_10_full",
@@ -118,7 +118,7 @@ ITEMS = (
         None,
         "--scenes edges demo --size 96 --preset full",
         "Error against hyperparameters of preset full",
-        60,
+        70,
     ),
     Item(
         "every_view",
@@ -126,7 +126,7 @@ ITEMS = (
         "edges --size 96 --views 5 --methods ours naive --repeats 1",
         "{data}/traced/room edges --size 256 --repeats 1",
         "Figures 6.5, 6.6: depth of every view, and its consistency",
-        360,
+        310,
     ),
     Item(
         "every_view_lytro",
@@ -134,7 +134,7 @@ ITEMS = (
         None,
         "{data}/lytro/2067 --views 7 --repeats 1",
         "Figures 6.5, 6.6 of a light field without truth",
-        240,
+        110,
     ),
     Item(
         "figure_6_11",
@@ -142,7 +142,7 @@ ITEMS = (
         "--scenes edges --size 96 --views 5 --methods ours naive",
         "--scenes {data}/traced/room",
         "Figures 6.7, 6.11, B.10: a card put into all views",
-        130,
+        110,
     ),
     Item(
         "figures_b",
@@ -158,7 +158,7 @@ ITEMS = (
         "--scenes edges --size 64 --methods sweep linear diffusion",
         "--scenes livingroom5 edges --references 1 --scale 0.5 --size 192",
         "Table 7.1: depth from five posed photographs",
-        390,
+        290,
     ),
     Item(
         "table_7_1_dense",
@@ -174,7 +174,7 @@ ITEMS = (
         None,
         "--scenes hci/cotton hci/backgammon",
         "Table 7.2: self-supervised optimization",
-        230,
+        180,
     ),
     Item(
         "chapter_7",
@@ -182,7 +182,7 @@ ITEMS = (
         "--scenes edges --size 64 --iterations 3 --passes 2 --renderers narrow",
         "--scenes edges --size 128",
         "Chapter 7 as printed, Figure 7.7: points, turns, nothing thrown away",
-        130,
+        100,
     ),
     Item(
         "figure_7_10",
@@ -190,7 +190,7 @@ ITEMS = (
         "--scenes edges --size 96 --iterations 20",
         "--scenes hci/cotton --iterations 60",
         "Figure 7.10: supervised optimization",
-        210,
+        140,
     ),
     Item(
         "codec",
@@ -198,7 +198,7 @@ ITEMS = (
         None,
         "--scenes hci/cotton demo edges --size 512 --points 0.002 0.01 0.05",
         "Depth maps as points: rate and distortion",
-        350,
+        310,
     ),
     Item(
         "irregular_views",
@@ -206,7 +206,7 @@ ITEMS = (
         None,
         "--scenes demo",
         "Rows of views at uneven positions, arrays of oblong cells",
-        200,
+        110,
     ),
     Item(
         "table_c_1",
@@ -214,7 +214,7 @@ ITEMS = (
         "--scenes edges --size 96 --views 5 --methods ours",
         "--scenes {data}/lytro/2067",
         "Table C.1: reprojection error without truth",
-        250,
+        170,
     ),
     Item(
         "figure_c_1",
@@ -238,7 +238,7 @@ ITEMS = (
         "synthetic:demo --size 96",
         "cotton --data {data}",
         "Chapter 4: accuracy of the multi-view edges",
-        260,
+        170,
     ),
     Item(
         "edge_accuracy_sweep",
@@ -246,7 +246,7 @@ ITEMS = (
         None,
         "synthetic:demo --size 128 --no-thesis --sweep",
         "Figures A.4, B.3, B.4: edges against noise, blur and fewer views",
-        90,
+        80,
     ),
     Item(
         "robustness",
@@ -254,7 +254,7 @@ ITEMS = (
         "demo --size 96 --changes clean",
         "{data}/hci/cotton demo --size 256",
         "Noise, gain, brightness",
-        360,
+        210,
     ),
     Item(
         "calibration",
@@ -262,7 +262,7 @@ ITEMS = (
         "demo --size 96",
         "--map-only",
         "Are standard errors true?",
-        690,
+        310,
     ),
     Item(
         "secants",
@@ -270,7 +270,7 @@ ITEMS = (
         None,
         "--preset full --scenes edges demo --size 64",
         "Do derivatives mean something?",
-        240,
+        160,
     ),
     Item(
         "secants_edges",
@@ -286,7 +286,7 @@ ITEMS = (
         None,
         "--rates 0.01",
         "Do learned filters do better than random ones?",
-        50,
+        60,
     ),
     Item(
         "learn_parameters",
@@ -294,7 +294,7 @@ ITEMS = (
         None,
         "--seeds 2 --steps 20 --size 64",
         "Parameters learned by gradient",
-        330,
+        250,
     ),
     Item(
         "learn_taps",
@@ -311,7 +311,7 @@ ITEMS = (
         None,
         "--seeds 2 --size 64",
         "Filters learned by gradient in the thesis' chain",
-        260,
+        180,
     ),
     Item(
         "learn_views",
@@ -319,7 +319,7 @@ ITEMS = (
         None,
         "--loss views --preset edges --seeds 1 --steps 20 --size 64",
         "Parameters learned by gradient from views alone",
-        200,
+        190,
     ),
     Item(
         "learned_smoothness",
@@ -327,7 +327,7 @@ ITEMS = (
         None,
         "--seeds 2 --steps 40 --size 64",
         "A small network that learns where smoothness ends",
-        170,
+        110,
     ),
     Item(
         "learned_preset",
@@ -335,7 +335,7 @@ ITEMS = (
         None,
         "--seeds 0 --scenes 24 --held 8 --steps 20 --size 64 --views 5",
         "Numbers and a network learned from random scenes",
-        200,
+        230,
     ),
     Item(
         "table_learned",
@@ -343,7 +343,7 @@ ITEMS = (
         "--scenes edges --size 64",
         "",
         "Preset learned beside full, on scenes never used",
-        520,
+        300,
     ),
     Item(
         "second_order",
@@ -351,7 +351,7 @@ ITEMS = (
         None,
         "--size 48 --iterations 80 --steps 8",
         "Gauss-Newton against Adam",
-        250,
+        190,
     ),
     Item(
         "hidden_points",
@@ -359,7 +359,7 @@ ITEMS = (
         None,
         "--seeds 2",
         "Points that a neighbor hides",
-        80,
+        50,
     ),
     Item(
         "solver_truth",
@@ -367,7 +367,7 @@ ITEMS = (
         "--sizes 64 --seeds 1",
         "--sizes 64 128 256",
         "Does the solver say the truth?",
-        100,
+        110,
     ),
     Item(
         "benchmark_diffusion",
@@ -375,7 +375,7 @@ ITEMS = (
         "--only ours --sizes 128 --contrasts 1 1e6 --no-real",
         "--in-process --sizes 256 --contrasts 1 1e6 --no-real --repeats 3",
         "Seconds of one diffusion",
-        120,
+        40,
     ),
     Item(
         "benchmark_large",
@@ -383,7 +383,7 @@ ITEMS = (
         "--sizes 256 --memory 1.2",
         "--sizes 1024 --memory 2.5",
         "Seconds and memory of large images, in tiles",
-        120,
+        90,
     ),
     Item(
         "benchmark_batch_machines",
@@ -391,7 +391,7 @@ ITEMS = (
         None,
         "--count 100",
         "Many light fields on two workers, one of which is killed",
-        230,
+        180,
     ),
     Item(
         "benchmark_sweep",
@@ -399,7 +399,7 @@ ITEMS = (
         None,
         "--scenes demo --settings 16 --size 64",
         "Settings per second: batches beside single calls",
-        120,
+        90,
     ),
     Item(
         "benchmark_edges",
@@ -407,7 +407,7 @@ ITEMS = (
         None,
         "--repeats 3",
         "Seconds of the points' stages, beside SciPy and OpenCV",
-        70,
+        30,
     ),
     Item(
         "benchmark_optimize",
@@ -415,7 +415,7 @@ ITEMS = (
         None,
         "--points 700 20000 --repeats 3",
         "Seconds of a step of the optimization",
-        100,
+        50,
     ),
     Item(
         "benchmark_table",
@@ -423,7 +423,7 @@ ITEMS = (
         None,
         "",
         "Seconds and memory by size, beside peers",
-        420,
+        910,
     ),
     Item(
         "benchmark_depth",
@@ -431,6 +431,6 @@ ITEMS = (
         "--settings --repeats 1",
         "--calls --repeats 2",
         "Seconds and memory of presets and of the gradient",
-        240,
+        200,
     ),
 )
