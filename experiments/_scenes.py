@@ -68,6 +68,6 @@ def over_common_range(light_field: LightField) -> LightField:
     """A scene that is searched over its common range, if there is one.
 
     Scenes of one size then share programs. Their figures differ from those with their own ranges:
-    in the third digit where surfaces have texture, more where they have none.
+    mostly in the third digit, on single scenes by up to a third.
     """
     return light_field.with_range(*(common_range(light_field) or scene_range(light_field)))
