@@ -333,7 +333,7 @@ ITEMS = (
         "learned_preset",
         "learned_preset.py",
         None,
-        "--seeds 0 --scenes 24 --held 8 --steps 20 --size 64 --views 5",
+        "--seeds 0 --scenes 40 --held 8 --steps 30 --size 64 --views 5",
         "Numbers and a network learned from random scenes",
         230,
     ),
